@@ -81,7 +81,7 @@ def part_of(path: Path) -> Path:
     if not path.name or path.name == "..":
         raise RigError(f"{path}: is a folder; name a file in it")
     part_path = path.with_name(path.name + ".part")
-    if any(len(os.fsencode(name)) > MAX_NAME_BYTES for name in part_path.parts):
+    if any(len(os.fsencode(path_part)) > MAX_NAME_BYTES for path_part in part_path.parts):
         raise RigError(f"{path}: cannot be written (its name is too long); give a shorter one")
     for candidate in (path, part_path):
         if candidate.is_symlink():

@@ -58,17 +58,17 @@ class MemoryCounter:
             check_decoded_size(self._held_bytes, self._file_bytes, self._content)
 
 
-def check_json(text: bytes, source: str) -> None:
+def check_json(text: bytes, source_label: str) -> None:
     """Raise RigError if a JSON text is too large or an object in it has a key twice, of which one would be lost.
 
     Syntax errors are left to the decoder.
     """
     if len(text) > MAX_JSON_BYTES:
-        raise RigError(f"{source}: has {len(text)} bytes; give at most {MAX_JSON_BYTES >> 20} MiB of JSON")
+        raise RigError(f"{source_label}: has {len(text)} bytes; give at most {MAX_JSON_BYTES >> 20} MiB of JSON")
     try:
         json.loads(text, object_pairs_hook=unique_keys, parse_int=len, parse_float=len)
     except RigError as error:
-        raise RigError(f"{source}: {error}") from error
+        raise RigError(f"{source_label}: {error}") from error
     except (ValueError, RecursionError):
         return
 
@@ -89,13 +89,13 @@ MAX_NUMBER = 1e30
 
 def check_largest(decoded: Any, source: str) -> None:
     """Raise RigError, with its place, if a number in decoded JSON is beyond MAX_NUMBER."""
-    pending: list[tuple[tuple[Any, ...], Any]] = [((), decoded)]
-    while pending:
-        path, value = pending.pop()
+    pending_values: list[tuple[tuple[Any, ...], Any]] = [((), decoded)]
+    while pending_values:
+        path, value = pending_values.pop()
         if isinstance(value, dict):
-            pending.extend(((path, f".{key}"), child) for key, child in value.items())
+            pending_values.extend(((path, f".{key}"), child) for key, child in value.items())
         elif isinstance(value, list):
-            pending.extend(((path, f"[{index}]"), child) for index, child in enumerate(value))
+            pending_values.extend(((path, f"[{index}]"), child) for index, child in enumerate(value))
         elif isinstance(value, int | float) and abs(value) > MAX_NUMBER:
             raise RigError(
                 f"{source}: {_dotted_name(path)} is about 1e{math.log10(abs(value)):.0f}, which nothing is; correct it"
@@ -111,16 +111,16 @@ def _dotted_name(path: tuple[Any, ...]) -> str:
     return "".join(reversed(keys)).removeprefix(".")
 
 
-def decoded_result(text: bytes, result_type: type[Result], source: str, name: str, advice: str) -> Result:
+def decoded_result(text: bytes, result_type: type[Result], source_label: str, file_name: str, advice: str) -> Result:
     """Result in a JSON text, as its type.
 
-    Raises RigError with `source` and `advice` if it is no result of this `name`, or of a later schema version.
+    Raises RigError with `source_label` and `advice` if it is no `file_name`, or of a later schema version.
     """
     try:
-        check_schema_version(msgspec.json.decode(text), source)
+        check_schema_version(msgspec.json.decode(text), source_label)
         return msgspec.json.decode(text, type=result_type)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: is no {name} ({error}); {advice}") from error
+        raise RigError(f"{source_label}: is no {file_name} ({error}); {advice}") from error
 
 
 def check_schema_version(decoded: object, source: str) -> None:

@@ -91,7 +91,7 @@ def meshed(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) ->
     barrel = BarrelCradle().rig().body("barrel")
     assert isinstance(barrel, Beam)
     beams = replace(rig, bodies=tuple(barrel if body.name == barrel.name else body for body in rig.bodies))
-    return ancf.simulate(beams, force_n, step_s, progress, extra=breech(barrel))
+    return ancf.simulate(beams, force_n, step_s, progress, extra_physics=breech(barrel))
 
 
 def with_effect(rig: Rig, text: str) -> Rig:

@@ -29,71 +29,73 @@ class Explanation:
 
     unexplained_share: float
     finding: Finding
-    allowance: float = 1.0
+    share_factor: float = 1.0
 
 
 def channel_finding(
     rig: Rig,
     check: LinearCheck,
     channel_index: int,
-    predicted: Prediction,
+    prediction: Prediction,
     delays_over_time: Callable[[], Float[np.ndarray, " parts"] | None],
 ) -> Finding:
     """Likeliest reason why a channel is not what all others predict.
 
     delays_over_time gives its delays in each part of the record, or None if these are alike.
     """
-    spectra, weight = check.spectra, 1 / check.error_scale[channel_index]
+    spectra, line_weights = check.spectra, 1 / check.error_scale[channel_index]
     measured, omega, name = spectra.acceleration[channel_index], spectra.omega, spectra.sensors[channel_index].name
-    predicted_line = predicted.accelerations[channel_index]
-    to_predicted = relation(omega, measured, predicted_line, weight)
-    power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
+    predicted_spectrum = prediction.accelerations[channel_index]
+    relation_to_predicted = relation(omega, measured, predicted_spectrum, line_weights)
+    measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
 
-    def unexplained_by(explained: Complex[np.ndarray, " lines"]) -> float:
-        return float(np.sum(np.abs((measured - explained) * weight) ** 2)) / power
+    def unexplained_by(explained_spectrum: Complex[np.ndarray, " lines"]) -> float:
+        return float(np.sum(np.abs((measured - explained_spectrum) * line_weights) ** 2)) / measured_power
 
-    explanations = [*_gain_or_delay(name, to_predicted, omega, predicted_line, unexplained_by)]
-    explanations += _wrong_station(rig, spectra, channel_index, predicted, weight, unexplained_by)
-    explanations += _wrong_derivative(spectra, channel_index, predicted_line, weight)
-    if (by_filter := _filter_explanation(name, omega, measured, predicted_line, weight)) is not None:
-        explanations.append(by_filter)
-    best = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.allowance)
-    if best.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
+    explanations = [*_gain_or_delay(name, relation_to_predicted, omega, predicted_spectrum, unexplained_by)]
+    explanations += _wrong_station(rig, spectra, channel_index, prediction, line_weights, unexplained_by)
+    explanations += _wrong_derivative(spectra, channel_index, predicted_spectrum, line_weights)
+    if (filter_explanation := _filter_explanation(name, omega, measured, predicted_spectrum, line_weights)) is not None:
+        explanations.append(filter_explanation)
+    best_explanation = min(
+        explanations, key=lambda explanation: explanation.unexplained_share * explanation.share_factor
+    )
+    if best_explanation.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
         return _slipped_finding(name, delays_s)
-    if best.unexplained_share > 1 - MIN_COHERENCE:
+    if best_explanation.unexplained_share > 1 - MIN_COHERENCE:
         return Finding(
             cause="unrelated",
             channels=(name,),
-            evidence=f"{name} follows {100 * max(to_predicted.coherence, 0):.2g} % of what all other "
+            evidence=f"{name} follows {100 * max(relation_to_predicted.coherence, 0):.2g} % of what all other "
             "channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
-    return best.finding
+    return best_explanation.finding
 
 
 def _gain_or_delay(
     name: str,
-    to_predicted: Relation,
+    relation_to_predicted: Relation,
     omega: Float[np.ndarray, " lines"],
-    predicted_line: Complex[np.ndarray, " lines"],
+    predicted_spectrum: Complex[np.ndarray, " lines"],
     unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
     """Explanations by a sign, a unit or a gain; and by a delay."""
-    delay_factor = np.exp(-1j * omega * to_predicted.delay_s)
-    gain_is_wrong = to_predicted.gain < 0 or abs(to_predicted.gain - 1) > 0.3
+    delay_factor = np.exp(-1j * omega * relation_to_predicted.delay_s)
+    gain_is_wrong = relation_to_predicted.gain < 0 or abs(relation_to_predicted.gain - 1) > 0.3
     yield Explanation(
-        unexplained_by(to_predicted.gain * (delay_factor if gain_is_wrong else 1.0) * predicted_line),
-        gain_finding(name, to_predicted.gain),
+        unexplained_by(relation_to_predicted.gain * (delay_factor if gain_is_wrong else 1.0) * predicted_spectrum),
+        gain_finding(name, relation_to_predicted.gain),
     )
-    if 0.7 < to_predicted.gain < 1.3:
+    if 0.7 < relation_to_predicted.gain < 1.3:
         yield Explanation(
-            unexplained_by(delay_factor * predicted_line),
+            unexplained_by(delay_factor * predicted_spectrum),
             Finding(
                 cause="delay",
                 channels=(name,),
-                evidence=f"{name} comes {1e3 * abs(to_predicted.delay_s):.3g} ms "
-                f"{'late' if to_predicted.delay_s > 0 else 'early'} against what {REFERENCE_WORDS} predict",
-                mend=f"set delay_s = {to_predicted.delay_s:.3g} in rig.json, or synchronise its clock",
+                evidence=f"{name} comes {1e3 * abs(relation_to_predicted.delay_s):.3g} ms "
+                f"{'late' if relation_to_predicted.delay_s > 0 else 'early'} against what {REFERENCE_WORDS} predict",
+                mend=f"set delay_s = {relation_to_predicted.delay_s:.3g} in rig.json, or synchronise its clock",
             ),
         )
 
@@ -122,45 +124,50 @@ def _wrong_station(
     rig: Rig,
     spectra: Spectra,
     channel_index: int,
-    predicted: Prediction,
-    weight: Float[np.ndarray, " lines"],
+    prediction: Prediction,
+    line_weights: Float[np.ndarray, " lines"],
     unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
     """Explanations: the sensor shows what another one should, or stands at another place of its body."""
     sensor = spectra.sensors[channel_index]
-    for k, other_sensor in enumerate(spectra.sensors):
-        if k != channel_index and other_sensor.station != sensor.station:
-            to_other = relation(
-                spectra.omega, spectra.acceleration[channel_index], predicted.accelerations[k], weight, 0.0
+    for other_index, other_sensor in enumerate(spectra.sensors):
+        if other_index != channel_index and other_sensor.station != sensor.station:
+            relation_to_other = relation(
+                spectra.omega,
+                spectra.acceleration[channel_index],
+                prediction.accelerations[other_index],
+                line_weights,
+                0.0,
             )
-            if 0.8 < abs(to_other.gain) < 1.25:
+            if 0.8 < abs(relation_to_other.gain) < 1.25:
                 yield Explanation(
-                    1 - to_other.coherence,
+                    1 - relation_to_other.coherence,
                     Finding(
                         cause="station",
                         channels=(sensor.name, other_sensor.name),
                         evidence=f"{sensor.name} shows the motion at {other_sensor.station.position_m:g} m of "
-                        f"{other_sensor.station.body} ({100 * to_other.coherence:.4g} % of its power), "
+                        f"{other_sensor.station.body} ({100 * relation_to_other.coherence:.4g} % of its power), "
                         "not that of its station",
                         mend=f"check its place, its cable and its column; it may be a copy of {other_sensor.name}",
                     ),
                     2.0,
                 )
-    length_m = rig.body(sensor.station.body).length_m
-    if not length_m:
+    body_length_m = rig.body(sensor.station.body).length_m
+    if not body_length_m:
         return
-    positions_m = np.linspace(0, length_m, POSITION_COUNT)
+    positions_m = np.linspace(0, body_length_m, POSITION_COUNT)
     for _ in range(2):
-        stations = [Station(sensor.station.body, float(x)) for x in positions_m]
-        shares = [
-            unexplained_by(explained) for explained in acceleration_by_forces(rig, predicted, spectra.omega, stations)
+        stations = [Station(sensor.station.body, float(position_m)) for position_m in positions_m]
+        unexplained_shares = [
+            unexplained_by(explained_spectrum)
+            for explained_spectrum in acceleration_by_forces(rig, prediction, spectra.omega, stations)
         ]
-        best = int(np.argmin(shares))
-        bracket_m = positions_m[max(best - 1, 0)], positions_m[min(best + 1, positions_m.size - 1)]
-        fitted_m, positions_m = float(positions_m[best]), np.linspace(*bracket_m, POSITION_COUNT)
+        best_index = int(np.argmin(unexplained_shares))
+        bracket_m = positions_m[max(best_index - 1, 0)], positions_m[min(best_index + 1, positions_m.size - 1)]
+        fitted_m, positions_m = float(positions_m[best_index]), np.linspace(*bracket_m, POSITION_COUNT)
     if abs(fitted_m - sensor.station.position_m) > 2e-3:
         yield Explanation(
-            min(shares),
+            min(unexplained_shares),
             Finding(
                 cause="station",
                 channels=(sensor.name,),
@@ -176,25 +183,29 @@ def _wrong_station(
 def _wrong_derivative(
     spectra: Spectra,
     channel_index: int,
-    predicted_line: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
+    predicted_spectrum: Complex[np.ndarray, " lines"],
+    line_weights: Float[np.ndarray, " lines"],
 ) -> Iterator[Explanation]:
     """Explanations: the channel is a derivative or an integral of the predicted motion."""
     name, omega = spectra.sensors[channel_index].name, spectra.omega
-    operations = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
-    for order, operation in operations.items():
-        to_predicted = relation(
-            omega, spectra.acceleration[channel_index] * (1j * omega) ** -order, predicted_line, weight, 0.0
+    words_by_order = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
+    for derivative_order, operation_words in words_by_order.items():
+        relation_to_predicted = relation(
+            omega,
+            spectra.acceleration[channel_index] * (1j * omega) ** -derivative_order,
+            predicted_spectrum,
+            line_weights,
+            0.0,
         )
-        if not (0.5 < abs(to_predicted.gain) < 2 or unit_mistake(to_predicted.gain)):
+        if not (0.5 < abs(relation_to_predicted.gain) < 2 or unit_mistake(relation_to_predicted.gain)):
             continue
         yield Explanation(
-            1 - to_predicted.coherence,
+            1 - relation_to_predicted.coherence,
             Finding(
                 cause="derivative",
                 channels=(name,),
-                evidence=f"{name} is the motion that the others predict, {operation} "
-                f"({100 * to_predicted.coherence:.4g} % of it)",
+                evidence=f"{name} is the motion that the others predict, {operation_words} "
+                f"({100 * relation_to_predicted.coherence:.4g} % of it)",
                 mend="correct its quantity in rig.json and in the import map",
             ),
             3.0,
@@ -205,20 +216,20 @@ def _filter_explanation(
     name: str,
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
-    predicted_line: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
+    predicted_spectrum: Complex[np.ndarray, " lines"],
+    line_weights: Float[np.ndarray, " lines"],
 ) -> Explanation | None:
     """Explanation: gain and phase change with frequency; constants of each in bands of growing width."""
-    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted_line, weight)
-    if not (gain_sizes.max() > 1.03 * gain_sizes.min() > 0):
+    band_gains, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted_spectrum, line_weights)
+    if not (band_gains.max() > 1.03 * band_gains.min() > 0):
         return None
     return Explanation(
         unexplained_share,
         Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
-            f"{100 * gain_sizes[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
+            evidence=f"{name} passes {100 * band_gains[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
+            f"{100 * band_gains[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
             mend="undo its filter or its coupling, or record without",
         ),
         4.0,
@@ -238,26 +249,32 @@ def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Findin
 
 
 def force_finding(
-    spectra: Spectra, force_index: int, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+    spectra: Spectra,
+    force_index: int,
+    implied_force: Complex[np.ndarray, " lines"],
+    line_weights: Float[np.ndarray, " lines"],
 ) -> Finding:
     """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
     name, has_other_forces = spectra.force_names[force_index], len(spectra.forces) > 1
     subject = force_in_words(name)
-    lines = driven_lines(spectra.forces)[force_index]
-    omega, measured, implied, weight = (x[lines] for x in (spectra.omega, spectra.forces[force_index], implied, weight))
-    to_implied = relation(omega, measured, implied, weight)
-    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, implied, weight)
+    driven_mask = driven_lines(spectra.forces)[force_index]
+    omega, measured, implied_force, line_weights = (
+        line_values[driven_mask]
+        for line_values in (spectra.omega, spectra.forces[force_index], implied_force, line_weights)
+    )
+    to_implied = relation(omega, measured, implied_force, line_weights)
+    band_gains, unexplained_share, centres_hz = gain_by_band(omega, measured, implied_force, line_weights)
     if (
         unexplained_share < 0.3
         and 1 - to_implied.coherence > 2.5 * unexplained_share
-        and gain_sizes.max() > 1.25 * gain_sizes.min()
+        and band_gains.max() > 1.25 * band_gains.min()
     ):
-        is_low_passed = gain_sizes[-1] < gain_sizes[0]
+        is_low_passed = band_gains[-1] < band_gains[0]
         return Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{subject} is {gain_sizes[0]:.3g} times what all sensors imply at "
-            f"{centres_hz[0]:.3g} Hz and {gain_sizes[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: "
+            evidence=f"{subject} is {band_gains[0]:.3g} times what all sensors imply at "
+            f"{centres_hz[0]:.3g} Hz and {band_gains[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: "
             f"{'it' if is_low_passed else 'all sensors'} went through a low-pass",
             mend="undo the filter, or put the force and the sensors through the same",
         )

@@ -47,7 +47,7 @@ WAVEFORM_CAUSES = (
 """Causes that a channel's samples show by themselves; only the first one of a channel is reported."""
 EXCLUDING_CAUSES = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "offset", "drift")
 """Causes for which a channel is excluded from the comparison with the model."""
-START_S = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
+REST_S_BY_QUANTITY = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
 """First moments of a record in which a rig at rest has not moved yet, by quantity."""
 RINGING_S, REST_SHARE = 0.25, 0.02
 """A rig rings at least so long after its force, with at least this share of its motion's standard deviation."""
@@ -67,7 +67,7 @@ def check_recording(
     findings = list(waveform_findings)
     for direction in recording.rig.directions:
         findings += _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
-    if not any(f.cause in ("units", "gain") for f in findings):
+    if not any(finding.cause in ("units", "gain") for finding in findings):
         findings += _out_of_range_findings(recording, use)
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
 
@@ -98,7 +98,7 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
 def _out_of_range_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """Findings on channels that exceed anything on a test rig."""
     range_findings = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
-    return [f for f in range_findings if f is not None]
+    return [finding for finding in range_findings if finding is not None]
 
 
 @contextmanager
@@ -119,28 +119,38 @@ def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[st
 
 
 def _model_findings(
-    of_all: Recording,
+    recording_in_all_directions: Recording,
     direction: Direction,
     use: MotionQuantity,
     tolerances: Tolerances,
     waveform_findings: list[Finding],
 ) -> list[Finding]:
     """Findings by the linear model of one direction, after those by the waveforms."""
-    force_names, recording = of_all.rig.force_names_in(direction), plane_recording(of_all, direction)
+    force_names = recording_in_all_directions.rig.force_names_in(direction)
+    recording = plane_recording(recording_in_all_directions, direction)
     rig = recording.rig
     if rig.base_sensors:
         return []  # the comparison takes forces alone
-    excluded = {c for f in waveform_findings if f.cause in EXCLUDING_CAUSES for c in _channels_at_fault(f, force_names)}
-    sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
-    if not sensors or excluded & {*force_names} or any(f.cause == "not at rest" for f in waveform_findings):
+    excluded_channels = {
+        c
+        for finding in waveform_findings
+        if finding.cause in EXCLUDING_CAUSES
+        for c in _channels_at_fault(finding, force_names)
+    }
+    sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates and use in ("auto", sensor.quantity))
+    if (
+        not sensors
+        or excluded_channels & {*force_names}
+        or any(finding.cause == "not at rest" for finding in waveform_findings)
+    ):
         return []
-    usable_indices = [i for i, s in enumerate(sensors) if s.name not in excluded]
+    usable_indices = [i for i, sensor in enumerate(sensors) if sensor.name not in excluded_channels]
     try:
         if len(usable_indices) > len(contact_groups(rig)) + 1:
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable_indices, tolerances)
-        if not waveform_findings and all(b.is_mass for b in rig.bodies):
+        if not waveform_findings and all(body.is_mass for body in rig.bodies):
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass
@@ -154,44 +164,51 @@ def _channel_findings(
     rig = group_rig_of(recording.rig)
 
     @cache
-    def full_spectra() -> Spectra:
+    def all_line_spectra() -> Spectra:
         return spectra_of(recording, sensors, None)
 
     spectra = spectra_of(recording, sensors)
-    discontinuities = discontinuity_findings(rig, full_spectra(), usable_indices)
+    discontinuities = discontinuity_findings(rig, all_line_spectra(), usable_indices)
     if any(f.cause == "jump" for f in discontinuities):
         return discontinuities
 
     @cache
-    def tolerance_fit(trusted: tuple[int, ...]) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
-        check = linear_check(rig, full_spectra(), [*trusted])
-        return broken_tolerances(rig, check, [*trusted], tolerances)
+    def tolerance_fit(
+        trusted_indices: tuple[int, ...],
+    ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+        check = linear_check(rig, all_line_spectra(), [*trusted_indices])
+        return broken_tolerances(rig, check, [*trusted_indices], tolerances)
 
-    def explain() -> bool:
-        broken, pulls = tolerance_fit(tuple(usable_indices))
-        check = linear_check(rig, full_spectra(), usable_indices)
-        return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
+    def tolerances_explain() -> bool:
+        violations_in_fit, pulls = tolerance_fit(tuple(usable_indices))
+        check = linear_check(rig, all_line_spectra(), usable_indices)
+        return (
+            not violations_in_fit
+            and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
+        )
 
     def pull_and_size_of(trial: Trial) -> tuple[float, float]:
         if trial.changed_rig is None:
             return 0.0, 0.0
         nominal_cost, changed_cost = (
-            joint_cost(r, linear_check(r, full_spectra(), usable_indices), usable_indices, tolerances)
+            joint_cost(r, linear_check(r, all_line_spectra(), usable_indices), usable_indices, tolerances)
             for r in (rig, trial.changed_rig)
         )
-        return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.tolerances_off(tolerances)
+        return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
-    questions = ToleranceQuestions(explain, pull_and_size_of)
-    gross = gross_faults(rig, spectra, usable_indices, full_spectra, questions)
-    findings = list(gross.findings) or discontinuities
-    if gross.is_sound and len(gross.trusted_indices) > len(rig.contacts) + 1:
-        trusted = gross.trusted_indices
-        violations, _ = tolerance_fit(tuple(trusted))
+    tolerance_questions = ToleranceQuestions(tolerances_explain, pull_and_size_of)
+    gross_result = gross_faults(rig, spectra, usable_indices, all_line_spectra, tolerance_questions)
+    findings = list(gross_result.findings) or discontinuities
+    if gross_result.is_sound and len(gross_result.trusted_indices) > len(rig.contacts) + 1:
+        trusted_indices = gross_result.trusted_indices
+        violations, _ = tolerance_fit(tuple(trusted_indices))
         is_doubted = violations and not findings
-        replaced = (
-            gross_faults(rig, spectra, trusted, full_spectra, questions, is_doubted=True).findings if is_doubted else ()
+        replacing_findings = (
+            gross_faults(rig, spectra, trusted_indices, all_line_spectra, tolerance_questions, is_doubted=True).findings
+            if is_doubted
+            else ()
         )
-        findings += replaced or [tolerance_finding(violation) for violation in violations]
+        findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
     return findings
 
 
@@ -219,19 +236,30 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
     first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
-    live_channels = [c for c in channels if c.name not in _channel_names(f for f in first_faults if f.cause == "dead")]
+    live_channels = [
+        channel
+        for channel in channels
+        if channel.name not in _channel_names(f for f in first_faults if f.cause == "dead")
+    ]
     excitation_signals = excitations(recording)
     may_begin_moving = recording.start_s > 0 or not np.any(excitation_signals)  # a free decay begins in motion
-    motion_findings = [] if may_begin_moving else _motion_findings(live_channels)
+    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
     if recording.start_s == 0 and _runs_backwards(live_channels, excitation_signals, recording.rig.sample_rate_hz):
-        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]
+        motion_findings = [
+            waveforms.reversed_time_finding(tuple(channel.name for channel in live_channels if not channel.is_force))
+        ]
     findings = motion_findings or [*first_faults, *_spike_findings(live_channels, _channel_names(first_faults))]
-    return [*findings, *waveforms.copy_findings([c.name for c in live_channels], [c.samples for c in live_channels])]
+    return [
+        *findings,
+        *waveforms.copy_findings(
+            [channel.name for channel in live_channels], [channel.samples for channel in live_channels]
+        ),
+    ]
 
 
 def _channel_names(findings: Iterable[Finding]) -> set[str]:
     """Names of the channels that findings concern."""
-    return {name for f in findings for name in f.channels}
+    return {name for finding in findings for name in finding.channels}
 
 
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
@@ -239,7 +267,7 @@ def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     rig = recording.rig
     used_names = {
         *recording.force_names[: count_on_bodies(rig)],
-        *(s.name for s in rig.sensors if use in ("auto", s.quantity)),
+        *(sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)),
     }
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
@@ -265,25 +293,25 @@ def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
     name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
     forces_n, force_names = channel.record_forces_n, channel.force_names
-    checks: list[Callable[[], Finding | None]] = [
+    fault_checks: list[Callable[[], Finding | None]] = [
         lambda: waveforms.dead_finding(name, samples, force_names),
         lambda: waveforms.clipped_finding(name, samples),
         lambda: waveforms.quantised_finding(name, samples),
         lambda: waveforms.held_finding(name, samples, forces_n, force_names),
     ]
     if not channel.is_force:
-        checks += [
+        fault_checks += [
             lambda: waveforms.hum_finding(name, rate_hz, samples, forces_n),
             lambda: waveforms.noise_finding(name, rate_hz, samples, forces_n, force_names),
         ]
     if channel.group == "acceleration":
-        checks += [
+        fault_checks += [
             lambda: waveforms.drift_finding(name, rate_hz, samples),
             lambda: waveforms.offset_finding(name, samples),
         ]
-    elif not channel.is_force and (quiet := quiet_samples(forces_n, rate_hz)):
-        checks.append(lambda: waveforms.offset_finding(name, samples[:quiet], float(samples.std())))
-    return next((fault for check in checks if (fault := check()) is not None), None)
+    elif not channel.is_force and (quiet_count := quiet_samples(forces_n, rate_hz)):
+        fault_checks.append(lambda: waveforms.offset_finding(name, samples[:quiet_count], float(samples.std())))
+    return next((fault for check in fault_checks if (fault := check()) is not None), None)
 
 
 def _spike_findings(channels: Sequence[_Channel], faulty_names: set[str]) -> Iterator[Finding]:
@@ -297,20 +325,24 @@ def _spike_findings(channels: Sequence[_Channel], faulty_names: set[str]) -> Ite
                 yield finding
 
 
-def _runs_backwards(channels: Sequence[_Channel], force: Rows, rate_hz: float) -> bool:
+def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float) -> bool:
     """True if all motion ends with the force, without ringing: time then seems to run backwards."""
-    quiet_count = 0 if quiet_samples(force, rate_hz) else quiet_samples(force[..., ::-1], rate_hz)
-    tail = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
-    rows = [c.samples for c in channels if c.group in START_S]
+    quiet_count = 0 if quiet_samples(forces_n, rate_hz) else quiet_samples(forces_n[..., ::-1], rate_hz)
+    ringing_samples = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
+    motion_rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
     return bool(
-        quiet_count and rows and all(float(row[::-1][tail].std()) < REST_SHARE * float(row.std()) for row in rows)
+        quiet_count
+        and motion_rows
+        and all(float(row[::-1][ringing_samples].std()) < REST_SHARE * float(row.std()) for row in motion_rows)
     )
 
 
-def _motion_findings(channels: Sequence[_Channel]) -> list[Finding]:
+def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
-        waveforms.motion_finding(c.name, c.rate_hz, c.samples, START_S[c.group]) for c in channels if c.group in START_S
+        waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])
+        for channel in channels
+        if channel.group in REST_S_BY_QUANTITY
     ]
     findings = [f for f in finding_by_channel if f is not None]
     return findings if len(findings) > MOVING_CHANNELS_SHARE * len(finding_by_channel) else []

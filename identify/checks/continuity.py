@@ -9,9 +9,9 @@ from identify.checks.spectra import Spectra
 from rig.model.description import Rig
 
 PART_S = 0.25
-BREAK_RATIO = 40.0
+MIN_DISCONTINUITY_RATIO = 40.0
 """Smallest ratio of the residual power of a discontinuity to the usual one."""
-QUIET_SHARE = 0.02
+POWER_FLOOR_SHARE = 0.02
 """Added to the power of a part's motion, as a share of the mean power, so that divisions at rest are defined."""
 
 
@@ -21,16 +21,18 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
     ratio, time_s = discontinuity_ratio(rig, spectra, channel_indices)
-    if ratio < BREAK_RATIO or len(channel_indices) < len(rig.contacts) + 3:
+    if ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     force_count = len(spectra.forces) if len(spectra.forces) > 1 else 0
-    if any(discontinuity_ratio(rig, spectra, channel_indices, k)[0] < BREAK_RATIO for k in range(force_count)):
+    if any(
+        discontinuity_ratio(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO for k in range(force_count)
+    ):
         return []
-    ratio_without = {
+    ratio_by_excluded_index = {
         k: discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0] for k in channel_indices
     }
-    worst_index = min(ratio_without, key=lambda k: ratio_without[k])
-    if ratio_without[worst_index] < BREAK_RATIO:
+    worst_index = min(ratio_by_excluded_index, key=lambda k: ratio_by_excluded_index[k])
+    if ratio_by_excluded_index[worst_index] < MIN_DISCONTINUITY_RATIO:
         name = spectra.sensors[worst_index].name
         return [
             Finding(
@@ -62,21 +64,23 @@ def discontinuity_ratio(
     residual = Projector(check, channel_indices, doubted_force_index)(
         (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
     )
-    acceleration = spectra.in_time((spectra.acceleration / check.error_scale)[channel_indices])
-    residual_power = _part_powers(residual, spectra.in_time_rate_hz)
-    motion_power = _part_powers(acceleration, spectra.in_time_rate_hz)
-    motion_power += QUIET_SHARE * motion_power.mean()
-    usual_share = np.quantile(residual_power / motion_power, 0.3)
-    usual_power = np.maximum(usual_share * motion_power, np.median(residual_power))
+    scaled_acceleration = spectra.compared_signals((spectra.acceleration / check.error_scale)[channel_indices])
+    residual_power = _part_powers(residual, spectra.compared_rate_hz)
+    motion_power = _part_powers(scaled_acceleration, spectra.compared_rate_hz)
+    motion_power += POWER_FLOOR_SHARE * motion_power.mean()
+    usual_residual_share = np.quantile(residual_power / motion_power, 0.3)
+    usual_power = np.maximum(usual_residual_share * motion_power, np.median(residual_power))
     ratios = residual_power / np.maximum(usual_power, 1e-300)
-    worst = int(np.argmax(ratios))
-    return float(ratios[worst]), spectra.compared_s[0] + (worst + 0.5) * PART_S
+    worst_part = int(np.argmax(ratios))
+    return float(ratios[worst_part]), spectra.compared_span_s[0] + (worst_part + 0.5) * PART_S
 
 
-def _part_powers(rows: Float[np.ndarray, "sensors times"], per_s: float) -> Float[np.ndarray, " parts"]:
+def _part_powers(signals: Float[np.ndarray, "sensors times"], samples_per_s: float) -> Float[np.ndarray, " parts"]:
     """Mean square of all rows in each part of the record."""
-    part_samples = max(1, round(PART_S * per_s))
-    part_count = rows.shape[1] // part_samples
+    part_samples = max(1, round(PART_S * samples_per_s))
+    part_count = signals.shape[1] // part_samples
     return np.asarray(
-        np.mean(rows[:, : part_count * part_samples].reshape(len(rows), part_count, part_samples) ** 2, axis=(0, 2))
+        np.mean(
+            signals[:, : part_count * part_samples].reshape(len(signals), part_count, part_samples) ** 2, axis=(0, 2)
+        )
     )

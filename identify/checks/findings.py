@@ -78,15 +78,17 @@ def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
 def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
     """Merge three or more findings of the same cause into one."""
     merged_findings: list[Finding] = []
-    for cause in dict.fromkeys(f.cause for f in findings):
-        same_cause = [f for f in findings if f.cause == cause]
-        names = tuple(dict.fromkeys(name for f in same_cause for name in f.channels))
+    for cause in dict.fromkeys(finding.cause for finding in findings):
+        same_cause = [finding for finding in findings if finding.cause == cause]
+        names = tuple(dict.fromkeys(name for finding in same_cause for name in finding.channels))
         if len(same_cause) < 3:
             merged_findings += same_cause
             continue
-        bodies = {s.station.body for s in rig.sensors if s.name in names}
+        bodies = {sensor.station.body for sensor in rig.sensors if sensor.name in names}
         body = bodies.pop() if len(bodies) == 1 else ""
-        first = same_cause[0]
-        evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {first.evidence}"
-        merged_findings.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first.mend))
+        first_finding = same_cause[0]
+        evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {first_finding.evidence}"
+        merged_findings.append(
+            Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first_finding.mend)
+        )
     return tuple(merged_findings)

@@ -19,21 +19,21 @@ from rig.model.description import Rig
 
 SOUND_MISFIT = 0.3
 """Largest misfit that is taken for one of tolerances, if they explain no larger one."""
-CURED_SHARE = 0.5
+MAX_REMAINING_SHARE = 0.5
 """A change that leaves more than this share of the misfit, and no sound fit, explains nothing."""
-DOUBTED_SHARE = 0.6
+MAX_REMAINING_SHARE_IF_DOUBTED = 0.6
 """The same for a record with a sound fit that is doubted."""
-GAIN_ERROR = 0.1
+MIN_GAIN_ERROR = 0.1
 """Gains that are fitted all at once are reported if they are off by more."""
 MIN_DELAY_CHANGE_S = 3e-4
 """Change of a channel's delay over the record from which on samples have slipped."""
-ALLOWANCE = 1.5
+FREED_CHANNEL_FACTOR = 1.5
 """Factor on the misfit of a change that frees a channel."""
 PART_COUNT = 4
 MIN_PART_COHERENCE = 0.8
 """Coherence of a channel with its prediction in a part of the record, from which its delay there counts."""
 
-FullSpectra = Callable[[], Spectra]
+SpectraOnDemand = Callable[[], Spectra]
 """Spectra on all lines, computed on demand."""
 
 
@@ -51,56 +51,56 @@ class ToleranceQuestions:
     """Questions to the joint fit of all tolerances, answered on demand: do errors within them explain the record, and
     by how many standard deviations does a change of rig.json explain it better, of how many tolerances?"""
 
-    explain: Callable[[], bool]
+    tolerances_explain: Callable[[], bool]
     pull_and_size_of: Callable[[Trial], tuple[float, float]]
 
 
 def gross_faults(
     rig: Rig,
     spectra: Spectra,
-    usable: list[int],
-    full_spectra: FullSpectra,
-    tolerances: ToleranceQuestions,
+    usable_indices: list[int],
+    all_line_spectra: SpectraOnDemand,
+    tolerance_questions: ToleranceQuestions,
     is_doubted: bool = False,
 ) -> GrossFaults:
     """Findings by the change with the smallest misfit.
 
     A change of one channel, a force, two swapped channels, all gains or rig.json; or several channels excluded. Where
     errors within all tolerances explain the record, only a change of rig.json that these errors do not replace.
-    `full_spectra` gives the spectra on all lines. In a record with a sound fit that is doubted, only a change that fits
-    much better is reported.
+    `all_line_spectra` gives the spectra on all lines. In a record with a sound fit that is doubted, only a change that
+    fits much better is reported.
     """
-    check = linear_check(rig, spectra, usable)
-    misfit = check.prediction(usable).misfit
-    force_trials = list(_force_trials(check, usable))
+    check = linear_check(rig, spectra, usable_indices)
+    misfit = check.prediction(usable_indices).misfit
+    force_trials = list(_force_trials(check, usable_indices))
     # with several forces, the estimate of a weak one follows the errors of the model
     force_findings = force_trials[0].findings() if len(force_trials) == 1 else ()
     force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
     if misfit < SOUND_MISFIT and (force_faults or not is_doubted):
-        return GrossFaults(tuple(force_faults), usable, not force_faults)
-    if misfit >= SOUND_MISFIT and tolerances.explain():
-        best_trial = min(rig_trials(rig, spectra, usable), key=lambda t: t.misfit)
+        return GrossFaults(tuple(force_faults), usable_indices, not force_faults)
+    if misfit >= SOUND_MISFIT and tolerance_questions.tolerances_explain():
+        best_trial = min(rig_trials(rig, spectra, usable_indices), key=lambda trial: trial.misfit)
         (finding,) = best_trial.findings()
-        pull, size_in_tolerances = tolerances.pull_and_size_of(best_trial)
-        is_pulled = pull > required_pull(finding.cause) and size_in_tolerances > required_size(finding.cause)
-        return GrossFaults((finding,) if is_pulled else (), usable, not is_pulled)
+        pull, size_in_tolerances = tolerance_questions.pull_and_size_of(best_trial)
+        is_rig_wrong = pull > required_pull(finding.cause) and size_in_tolerances > required_size(finding.cause)
+        return GrossFaults((finding,) if is_rig_wrong else (), usable_indices, not is_rig_wrong)
     trials = [
         *force_trials,
-        *_channel_trials(rig, check, usable, full_spectra),
-        *_swap_trials(check, usable),
-        *_gain_trials(rig, check, usable),
-        *rig_trials(rig, spectra, usable),
+        *_channel_trials(rig, check, usable_indices, all_line_spectra),
+        *_swap_trials(check, usable_indices),
+        *_gain_trials(rig, check, usable_indices),
+        *rig_trials(rig, spectra, usable_indices),
     ]
-    best_trial = min(trials, key=lambda t: t.misfit * t.allowance)
-    if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.allowance > DOUBTED_SHARE * misfit:
-        return GrossFaults((), usable, True)
+    best_trial = min(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
+    if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.misfit_factor > MAX_REMAINING_SHARE_IF_DOUBTED * misfit:
+        return GrossFaults((), usable_indices, True)
     if best_trial.misfit >= SOUND_MISFIT:
-        multiple_faults = _multiple_channel_faults(rig, check, usable, full_spectra)
+        multiple_faults = _multiple_channel_faults(rig, check, usable_indices, all_line_spectra)
         if multiple_faults is not None:
             return multiple_faults
-        if best_trial.misfit >= CURED_SHARE * misfit:
-            return GrossFaults((_model_finding(misfit),), usable, False)
-    is_sound = best_trial.sensors_alone and best_trial.misfit < SOUND_MISFIT
+        if best_trial.misfit >= MAX_REMAINING_SHARE * misfit:
+            return GrossFaults((_model_finding(misfit),), usable_indices, False)
+    is_sound = best_trial.is_rest_right and best_trial.misfit < SOUND_MISFIT
     return GrossFaults(best_trial.findings(), best_trial.trusted_indices, is_sound)
 
 
@@ -114,17 +114,19 @@ def _model_finding(misfit: float) -> Finding:
     )
 
 
-def _channel_trials(rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra) -> Iterator[Trial]:
+def _channel_trials(
+    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
+) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
-    for channel_index in usable:
-        other_indices = [i for i in usable if i != channel_index]
+    for channel_index in usable_indices:
+        other_indices = [i for i in usable_indices if i != channel_index]
         without_channel = check.with_spectra(check.spectra, other_indices)
         prediction = without_channel.prediction(other_indices)
         if np.isfinite(prediction.misfit):
             findings = partial(
-                _channel_findings, rig, without_channel, prediction, channel_index, other_indices, full_spectra
+                _channel_findings, rig, without_channel, prediction, channel_index, other_indices, all_line_spectra
             )
-            yield Trial(prediction.misfit, other_indices, findings, allowance=ALLOWANCE)
+            yield Trial(prediction.misfit, other_indices, findings, misfit_factor=FREED_CHANNEL_FACTOR)
 
 
 def _channel_findings(
@@ -133,12 +135,12 @@ def _channel_findings(
     prediction: Prediction,
     channel_index: int,
     channel_indices: list[int],
-    full_spectra: FullSpectra,
+    all_line_spectra: SpectraOnDemand,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
 
     def delays_over_time() -> Float[np.ndarray, " parts"] | None:
-        return _delays_over_time(rig, full_spectra(), channel_index, channel_indices)
+        return _delays_over_time(rig, all_line_spectra(), channel_index, channel_indices)
 
     return (channel_finding(rig, check, channel_index, prediction, delays_over_time),)
 
@@ -149,57 +151,63 @@ def _delays_over_time(
     """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
     it slips; None if they are alike or unknown."""
     check = linear_check(rig, spectra, channel_indices)
-    predicted_line = check.prediction(channel_indices).accelerations[channel_index]
-    signals = spectra.in_time(
-        np.stack([spectra.acceleration[channel_index], predicted_line]) / check.error_scale[channel_index]
+    predicted_spectrum = check.prediction(channel_indices).accelerations[channel_index]
+    measured_and_predicted = spectra.compared_signals(
+        np.stack([spectra.acceleration[channel_index], predicted_spectrum]) / check.error_scale[channel_index]
     )
     delays_s = []
-    for measured, predicted in np.array_split(signals, PART_COUNT, axis=1):
+    for measured, predicted in np.array_split(measured_and_predicted, PART_COUNT, axis=1):
         window = np.hanning(measured.size)
-        windowed_lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
-        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.in_time_rate_hz)
-        to_predicted = relation(omega[1:], windowed_lines[0][1:], windowed_lines[1][1:], np.ones(omega.size - 1))
-        if to_predicted.coherence >= MIN_PART_COHERENCE:
-            delays_s.append(to_predicted.delay_s)
+        windowed_spectra = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
+        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.compared_rate_hz)
+        relation_to_predicted = relation(
+            omega[1:], windowed_spectra[0][1:], windowed_spectra[1][1:], np.ones(omega.size - 1)
+        )
+        if relation_to_predicted.coherence >= MIN_PART_COHERENCE:
+            delays_s.append(relation_to_predicted.delay_s)
     return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
-def _force_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+def _force_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials that estimate one force from the sensors."""
     for force_index in range(len(check.spectra.forces)):
-        prediction = check.prediction(usable, doubted_force_index=force_index)
+        prediction = check.prediction(usable_indices, doubted_force_index=force_index)
         if np.isfinite(prediction.misfit):
-            findings = partial(_force_findings, check, usable, force_index, prediction)
-            yield Trial(prediction.misfit, usable, findings, False, ALLOWANCE)
+            findings = partial(_force_findings, check, usable_indices, force_index, prediction)
+            yield Trial(prediction.misfit, usable_indices, findings, False, FREED_CHANNEL_FACTOR)
 
 
 def _force_findings(
-    check: LinearCheck, usable: list[int], force_index: int, prediction: Prediction
+    check: LinearCheck, usable_indices: list[int], force_index: int, prediction: Prediction
 ) -> tuple[Finding, ...]:
     """Finding on a force by its estimate."""
-    force_accelerance = check.accelerance[force_index][usable]
-    response = force_accelerance / check.error_scale[usable]
+    force_accelerance = check.accelerance[force_index][usable_indices]
+    scaled_response = force_accelerance / check.error_scale[usable_indices]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        response = check.unknown_input_projection(usable).applied_to(force_accelerance)[0]
-    line_weights = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
+        scaled_response = check.unknown_input_projection(usable_indices).applied_to(force_accelerance)[0]
+    line_weights = np.sqrt(np.mean(np.abs(scaled_response) ** 2, axis=0))
     return (force_finding(check.spectra, force_index, prediction.force_spectra[force_index], line_weights),)
 
 
-def _swap_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+def _swap_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials that exchange two sensors or two forces."""
     spectra = check.spectra
-    for first, second in combinations(usable, 2):
-        rows = spectra.acceleration.copy()
-        rows[[first, second]] = rows[[second, first]]
-        names = spectra.sensors[first].name, spectra.sensors[second].name
-        trusted_indices = [i for i in usable if i not in (first, second)]
-        yield Trial(check.misfit(spectra.with_rows(rows), usable), trusted_indices, partial(_swap_findings, names))
+    for first_index, second_index in combinations(usable_indices, 2):
+        swapped_acceleration = spectra.acceleration.copy()
+        swapped_acceleration[[first_index, second_index]] = swapped_acceleration[[second_index, first_index]]
+        names = spectra.sensors[first_index].name, spectra.sensors[second_index].name
+        trusted_indices = [i for i in usable_indices if i not in (first_index, second_index)]
+        yield Trial(
+            check.misfit(spectra.with_acceleration(swapped_acceleration), usable_indices),
+            trusted_indices,
+            partial(_swap_findings, names),
+        )
     for force_pair in combinations(range(len(spectra.forces)), 2):
-        forces = spectra.forces.copy()
-        forces[[*force_pair]] = forces[[*force_pair[::-1]]]
+        swapped_forces = spectra.forces.copy()
+        swapped_forces[[*force_pair]] = swapped_forces[[*force_pair[::-1]]]
         names = spectra.force_names[force_pair[0]], spectra.force_names[force_pair[1]]
-        misfit = check.misfit(replace(spectra, forces=forces), usable)
-        yield Trial(misfit, usable, partial(_swap_findings, names), False)
+        misfit = check.misfit(replace(spectra, forces=swapped_forces), usable_indices)
+        yield Trial(misfit, usable_indices, partial(_swap_findings, names), False)
 
 
 def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
@@ -214,50 +222,58 @@ def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
     )
 
 
-def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trial: all channels' gains by linear least squares: the factors that minimise the projected residual.
 
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
     spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
-    scaled_rows = spectra.acceleration
+    scaled_acceleration = spectra.acceleration
     for _ in range(3):
-        check = check.with_spectra(spectra.with_rows(scaled_rows), usable)
-        projection = check.unknown_input_projection(usable)
-        columns = np.array([projection.applied_to(scaled_rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
-        force_column = projection.applied_to(check.acceleration_by_all_forces[usable])[0].ravel()
-        normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ force_column).real
-        factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), right_side)
-        if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
+        check = check.with_spectra(spectra.with_acceleration(scaled_acceleration), usable_indices)
+        projection = check.unknown_input_projection(usable_indices)
+        channel_columns = np.array(
+            [projection.applied_to(scaled_acceleration[[i]], [k])[0].ravel() for k, i in enumerate(usable_indices)]
+        )
+        force_column = projection.applied_to(check.acceleration_by_all_forces[usable_indices])[0].ravel()
+        normal_matrix = (channel_columns.conj() @ channel_columns.T).real
+        right_side = (channel_columns.conj() @ force_column).real
+        round_factors = np.linalg.solve(
+            normal_matrix + 1e-9 * np.trace(normal_matrix) * np.eye(len(usable_indices)), right_side
+        )
+        if not np.all(np.isfinite(round_factors)) or np.any(np.abs(round_factors) < 1e-9):
             return
-        scaled_rows = scaled_rows.copy()
-        scaled_rows[usable] *= factors[:, None]
-        gains[usable] /= factors
-    misfit = check.misfit(spectra.with_rows(scaled_rows), usable)
-    miscalibrated = [i for i in usable if abs(gains[i] - 1) > GAIN_ERROR]
+        scaled_acceleration = scaled_acceleration.copy()
+        scaled_acceleration[usable_indices] *= round_factors[:, None]
+        gains[usable_indices] /= round_factors
+    misfit = check.misfit(spectra.with_acceleration(scaled_acceleration), usable_indices)
+    miscalibrated = [i for i in usable_indices if abs(gains[i] - 1) > MIN_GAIN_ERROR]
     if miscalibrated:
         findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated]
-        trusted_indices = [i for i in usable if i not in miscalibrated]
-        yield Trial(misfit, trusted_indices, partial(merge_by_cause, findings, rig), allowance=ALLOWANCE**2)
+        trusted_indices = [i for i in usable_indices if i not in miscalibrated]
+        yield Trial(
+            misfit, trusted_indices, partial(merge_by_cause, findings, rig), misfit_factor=FREED_CHANNEL_FACTOR**2
+        )
 
 
 def _multiple_channel_faults(
-    rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra
+    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> GrossFaults | None:
     """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
-    trusted_indices, excluded_indices = list(usable), list[int]()
-    while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable) / 2:
+    trusted_indices, excluded_indices = list(usable_indices), list[int]()
+    while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
         trials = []
-        for index in trusted_indices:
-            remaining_indices = [i for i in trusted_indices if i != index]
-            trials.append((check.misfit(check.spectra, remaining_indices), index))
-        misfit, worst = min(trials)
-        trusted_indices, excluded_indices = [i for i in trusted_indices if i != worst], [*excluded_indices, worst]
+        for channel_index in trusted_indices:
+            remaining_indices = [i for i in trusted_indices if i != channel_index]
+            trials.append((check.misfit(check.spectra, remaining_indices), channel_index))
+        misfit, worst_index = min(trials)
+        trusted_indices = [i for i in trusted_indices if i != worst_index]
+        excluded_indices = [*excluded_indices, worst_index]
         if misfit < SOUND_MISFIT:
             check = check.with_spectra(check.spectra, trusted_indices)
             prediction = check.prediction(trusted_indices)
             findings = list[Finding]()
-            for index in sorted(excluded_indices):
-                findings += _channel_findings(rig, check, prediction, index, trusted_indices, full_spectra)
+            for channel_index in sorted(excluded_indices):
+                findings += _channel_findings(rig, check, prediction, channel_index, trusted_indices, all_line_spectra)
             return GrossFaults(merge_by_cause(findings, rig), trusted_indices, True)
     return None

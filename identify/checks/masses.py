@@ -31,13 +31,13 @@ INNER_CLEARANCE_SHARE = 0.5
 """Where several contacts join the same places, a soft one hides in the explained force: distances are then also below
 this share of the smallest clearance in rig.json."""
 MIN_PASSAGE_SAMPLES = 8
-RATE_BY_FORCE_HZ = 3.0
+HALF_RATE_TO_FORCE_HZ = 3.0
 """Half the decimated rate, over the force's highest frequency."""
 MAX_DEVIATIONS, MIN_TOLERANCE = 4.0, 2e-3
 """Largest error in standard spreads of tolerances and fit; smallest tolerance."""
 UNRELATED_SHARE = 0.3
 """Force and motion belong to different records if a smaller share of the force is explained."""
-CLOCK_PULL, CLOCK_REMAINDER, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
+MIN_CLOCK_DEVIATIONS, MAX_CLOCK_REMAINDER, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
 """A clock is wrong if its error exceeds so many standard spreads and leaves mass and frequency at most so many; no
 clock errs by more than the last share."""
 MAX_DELAY_S = 0.02
@@ -50,24 +50,24 @@ MIN_FORCE_SHARE = 0.05
 class MassFit:
     """Force per acceleration, velocity and displacement in the open passages (m, c, k), with standard errors.
 
-    delay_s is the delay of the force against the sensor with the best fit, explained the explained share of the force.
+    delay_s is the delay of the force against the sensor with the best fit, explained_share of the force is explained.
     """
 
     coefficients: Float[np.ndarray, "3"]
-    errors: Float[np.ndarray, "3"]
+    standard_errors: Float[np.ndarray, "3"]
     delay_s: float
-    explained: float
+    explained_share: float
 
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
     """Findings on the mass on which all forces act."""
-    body, row = _driven_body(rig, motion)
-    if not body.is_mass or row is None:
+    body, station_row = _driven_body(rig, motion)
+    if not body.is_mass or station_row is None:
         return []
-    fit = open_fit(rig, motion, row)
+    fit = open_fit(rig, motion, station_row)
     if fit is None:
         return []
-    sensor = motion.sensors[row]
+    sensor = motion.sensors[station_row]
     clock = _clock_finding(body, sensor.measures.order, fit, tolerances)
     return [clock] if clock else list(_comparison_findings(body, (*rig.force_names, sensor.name), fit, tolerances))
 
@@ -87,17 +87,17 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
 
     0 if nothing tells it, or other bodies' channels tell more.
     """
-    body, row = _driven_body(rig, motion)
-    if row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
+    body, station_row = _driven_body(rig, motion)
+    if station_row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
         return 0.0
-    fit = open_fit(rig, motion, row)
-    if fit is None or fit.explained < UNRELATED_SHARE:
+    fit = open_fit(rig, motion, station_row)
+    if fit is None or fit.explained_share < UNRELATED_SHARE:
         return 0.0
-    order = motion.sensors[row].measures.order
-    errors, spreads, log_change_per_clock_error = _mass_and_frequency_errors(body, order, fit, tolerances)
-    norm = float(np.linalg.norm(log_change_per_clock_error / spreads))
-    clock_pull = abs(log_change_per_clock_error / spreads @ (errors / spreads)) / norm
-    return float(max(clock_pull, *np.abs(errors / spreads)))
+    order = motion.sensors[station_row].measures.order
+    log_errors, spreads, clock_change = _mass_and_frequency_errors(body, order, fit, tolerances)
+    clock_change_norm = float(np.linalg.norm(clock_change / spreads))
+    clock_pull = abs(clock_change / spreads @ (log_errors / spreads)) / clock_change_norm
+    return float(max(clock_pull, *np.abs(log_errors / spreads)))
 
 
 def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
@@ -105,38 +105,41 @@ def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None
     best_fit: MassFit | None = None
     for quantile in OPEN_QUANTILES:
         fit = _fit_below_quantile(quantile, rig, motion, station_index)
-        if fit is None or (best_fit and fit.explained < best_fit.explained):
+        if fit is None or (best_fit and fit.explained_share < best_fit.explained_share):
             break
         best_fit = fit
-        if best_fit.explained > EXPLAINED_SHARE:
+        if best_fit.explained_share > EXPLAINED_SHARE:
             break
     return best_fit
 
 
 def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the samples below a quantile of the distance from the middle; None as in `open_fit`."""
-    high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
-    factor = max(1, int(motion.sample_rate_hz / 2 / (RATE_BY_FORCE_HZ * high_hz)))
-    rate_hz = motion.sample_rate_hz / factor
-    rows = (
+    force_high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
+    decimation = max(1, int(motion.sample_rate_hz / 2 / (HALF_RATE_TO_FORCE_HZ * force_high_hz)))
+    rate_hz = motion.sample_rate_hz / decimation
+    motion_rows = (
         motion.acceleration_m_per_s2[station_index],
         motion.velocity_m_per_s[station_index],
         motion.displacement_m[station_index],
     )
     signals = decimated(
-        np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *rows]), factor
+        np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *motion_rows]),
+        decimation,
     )
-    passages = _passages(_open_mask(rig, motion, station_index, factor, quantile), motion.excited_from // factor + 1)
-    if sum(p.stop - p.start for p in passages) < 50:
+    open_passages = _passages(
+        _open_mask(rig, motion, station_index, decimation, quantile), motion.excited_from // decimation + 1
+    )
+    if sum(p.stop - p.start for p in open_passages) < 50:
         return None
-    if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
+    if np.concatenate([signals[0, p] for p in open_passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
-    def fitted(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    def fit_at_delay(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         force = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
-        segments = [np.stack([force[p], *signals[1:, p]]) for p in passages]
-        centred = [segment - segment.mean(axis=1, keepdims=True) for segment in segments]
-        samples = np.concatenate(centred, axis=1)
+        segments = [np.stack([force[p], *signals[1:, p]]) for p in open_passages]
+        centred_segments = [segment - segment.mean(axis=1, keepdims=True) for segment in segments]
+        samples = np.concatenate(centred_segments, axis=1)
         motion_rms = samples[1:].std(axis=1)
         scaled_motion = samples[1:] / motion_rms[:, None]
         if not np.isfinite(scaled_motion).all():
@@ -144,29 +147,29 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
         pseudo_inverse = np.linalg.pinv(scaled_motion.T)
         coefficients = pseudo_inverse @ samples[0] / motion_rms
         residual = samples[0] - coefficients @ samples[1:]
-        boundaries = np.cumsum([s.shape[1] for s in centred])[:-1]
+        boundaries = np.cumsum([s.shape[1] for s in centred_segments])[:-1]
         segment_parts = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
         scores = [influence @ error for influence, error in segment_parts]
-        errors = np.sqrt(np.sum(np.square(scores), axis=0)) / motion_rms
-        return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), coefficients, errors, residual
+        standard_errors = np.sqrt(np.sum(np.square(scores), axis=0)) / motion_rms
+        return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), coefficients, standard_errors, residual
 
     delays_s = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz)
-    delay_s = float(delays_s[int(np.argmax([fitted(trial_s)[0] for trial_s in delays_s]))])
+    delay_s = float(delays_s[int(np.argmax([fit_at_delay(trial_delay_s)[0] for trial_delay_s in delays_s]))])
     fine_delays_s = delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz
-    delay_s = float(fine_delays_s[int(np.argmax([fitted(delay)[0] for delay in fine_delays_s]))])
-    undelayed_share = fitted(0.0)
-    if fitted(delay_s)[0] - undelayed_share[0] < 0.2 * (1 - undelayed_share[0]):
+    delay_s = float(fine_delays_s[int(np.argmax([fit_at_delay(fine_delay_s)[0] for fine_delay_s in fine_delays_s]))])
+    undelayed_fit = fit_at_delay(0.0)
+    if fit_at_delay(delay_s)[0] - undelayed_fit[0] < 0.2 * (1 - undelayed_fit[0]):
         delay_s = 0.0
-    explained, coefficients, errors, _ = fitted(delay_s)
-    return MassFit(coefficients, errors, delay_s, explained)
+    explained_share, coefficients, standard_errors, _ = fit_at_delay(delay_s)
+    return MassFit(coefficients, standard_errors, delay_s, explained_share)
 
 
 def _open_mask(
-    rig: Rig, motion: Kinematics, station_index: int, factor: int, quantile: float
+    rig: Rig, motion: Kinematics, station_index: int, decimation: int, quantile: float
 ) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
-    is_open = np.ones(-(-motion.samples // factor), dtype=bool)
+    is_open = np.ones(-(-motion.samples // decimation), dtype=bool)
     for group in contact_groups(rig):
         contact = group.contact
         if motion.stations[station_index].body not in (
@@ -174,26 +177,26 @@ def _open_mask(
             contact.against.body if contact.against else None,
         ):
             continue
-        if not all(rig.contacts[j].law.has_stops for j in group.contact_indices):
+        if not all(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices):
             return np.zeros_like(is_open)
         rows = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in rows:
             continue
         eta_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
-        distance_m = np.abs(eta_m - np.median(eta_m))[::factor]
-        is_open &= distance_m < np.quantile(distance_m[motion.excited_from // factor :], quantile)
+        distance_m = np.abs(eta_m - np.median(eta_m))[::decimation]
+        is_open &= distance_m < np.quantile(distance_m[motion.excited_from // decimation :], quantile)
         if len(group.contact_indices) > 1:
-            laws = [rig.contacts[j].law for j in group.contact_indices]
+            laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
             is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
 
 
-def _passages(is_open: Bool[np.ndarray, " fewer"], start: int) -> list[slice]:
-    """Runs of open samples that begin after `start` and are long enough."""
-    edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
-    runs = zip(edges[::2], edges[1::2], strict=True)
-    return [slice(first, end) for first, end in runs if first >= start and end - first >= MIN_PASSAGE_SAMPLES]
+def _passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) -> list[slice]:
+    """Runs of open samples that begin at `min_start` or later and are long enough."""
+    run_edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
+    runs = zip(run_edges[::2], run_edges[1::2], strict=True)
+    return [slice(first, end) for first, end in runs if first >= min_start and end - first >= MIN_PASSAGE_SAMPLES]
 
 
 def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
@@ -201,21 +204,21 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
 
     channels are those of the forces and, last, of the sensor.
     """
-    mass, damping, stiffness = fit.coefficients
-    if fit.explained < UNRELATED_SHARE:
+    mass_kg, damping_n_s_per_m, stiffness_n_per_m = fit.coefficients
+    if fit.explained_share < UNRELATED_SHARE:
         return [
             Finding(
                 cause="force",
                 channels=channels,
-                evidence=f"while its contacts are open, {100 * max(fit.explained, 0):.2g} % of the force shows in "
-                f"{channels[-1]}",
+                evidence=f"while its contacts are open, {100 * max(fit.explained_share, 0):.2g} % of the force shows "
+                f"in {channels[-1]}",
                 mend="check that both channels are of this record, and the quantity of the sensor",
             )
         ]
-    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
-    if fit.delay_s != 0 and not 0.5 < abs(ratio) < 2:  # fitted by chance
+    mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
+    if fit.delay_s != 0 and not 0.5 < abs(mass_ratio) < 2:  # fitted by chance
         return []
-    unexplained = 1 - fit.explained
+    unexplained_share = 1 - fit.explained_share
     findings = []
     if abs(fit.delay_s) > 1e-4:
         findings.append(
@@ -228,15 +231,17 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
             )
         )
     size_tolerances = [tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]
-    tolerance = MAX_DEVIATIONS * float(np.hypot.reduce(size_tolerances))
-    if abs(ratio - 1) > tolerance + MAX_DEVIATIONS * fit.errors[0] / abs(mass):
-        findings.append(_gain_finding(body, channels, ratio))
+    max_relative_error = MAX_DEVIATIONS * float(np.hypot.reduce(size_tolerances))
+    if abs(mass_ratio - 1) > max_relative_error + MAX_DEVIATIONS * fit.standard_errors[0] / abs(mass_kg):
+        findings.append(_gain_finding(body, channels, mass_ratio))
     natural_hz = _identifiable_hz(body)
     if natural_hz:
-        fitted_hz = float(np.sqrt(max(stiffness / mass, 0.0))) / (2 * np.pi)
-        relative_error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
-        tolerance = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
-        if abs(fitted_hz / natural_hz - 1) > tolerance + unexplained + MAX_DEVIATIONS * relative_error:
+        fitted_hz = float(np.sqrt(max(stiffness_n_per_m / mass_kg, 0.0))) / (2 * np.pi)
+        relative_error = 0.5 * float(
+            np.hypot(fit.standard_errors[2] / abs(stiffness_n_per_m), fit.standard_errors[0] / abs(mass_kg))
+        )
+        max_relative_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
+        if abs(fitted_hz / natural_hz - 1) > max_relative_error + unexplained_share + MAX_DEVIATIONS * relative_error:
             findings.append(
                 Finding(
                     cause="frequency",
@@ -246,11 +251,11 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
                     mend="correct its spring or frequency in rig.json, or check the sampling rate",
                 )
             )
-        stated_damping = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
-        damping_factor = damping / mass / stated_damping if stated_damping else 1.0
-        relative_error = fit.errors[1] / abs(mass) / (stated_damping or np.inf)
-        tolerance = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
-        if not findings and abs(damping_factor - 1) > tolerance + MAX_DEVIATIONS * relative_error:
+        stated_damping_per_s = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
+        damping_factor = damping_n_s_per_m / mass_kg / stated_damping_per_s if stated_damping_per_s else 1.0
+        relative_error = fit.standard_errors[1] / abs(mass_kg) / (stated_damping_per_s or np.inf)
+        max_relative_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
+        if not findings and abs(damping_factor - 1) > max_relative_error + MAX_DEVIATIONS * relative_error:
             findings.append(
                 Finding(
                     cause="damping",
@@ -269,14 +274,17 @@ def _clock_finding(body: Body, order: int, fit: MassFit, tolerances: Tolerances)
     Times that are too short by a factor s raise the frequency by s, and change the mass by s^(order - 2), with the
     order of the derivative that the sensor measures.
     """
-    mass, _, stiffness = fit.coefficients
-    if order > 1 or not _identifiable_hz(body) or mass <= 0 or stiffness <= 0:
+    mass_kg, _, stiffness_n_per_m = fit.coefficients
+    if order > 1 or not _identifiable_hz(body) or mass_kg <= 0 or stiffness_n_per_m <= 0:
         return None
-    errors, spreads, log_change_per_clock_error = _mass_and_frequency_errors(body, order, fit, tolerances)
-    norm = float(np.linalg.norm(log_change_per_clock_error / spreads))
-    clock_error = (log_change_per_clock_error / spreads @ (errors / spreads)) / norm**2
-    remainders = np.abs(errors - clock_error * log_change_per_clock_error) / spreads
-    is_plausible = CLOCK_PULL / norm < abs(clock_error) < MAX_CLOCK_ERROR and remainders.max() <= CLOCK_REMAINDER
+    log_errors, spreads, clock_change = _mass_and_frequency_errors(body, order, fit, tolerances)
+    clock_change_norm = float(np.linalg.norm(clock_change / spreads))
+    clock_error = (clock_change / spreads @ (log_errors / spreads)) / clock_change_norm**2
+    remainders = np.abs(log_errors - clock_error * clock_change) / spreads
+    is_plausible = (
+        MIN_CLOCK_DEVIATIONS / clock_change_norm < abs(clock_error) < MAX_CLOCK_ERROR
+        and remainders.max() <= MAX_CLOCK_REMAINDER
+    )
     if fit.delay_s or not is_plausible:
         return None
     return Finding(
@@ -299,27 +307,30 @@ def _mass_and_frequency_errors(
 
     An error is zero if it cannot be identified: of a mass without a spring, or where a sign is wrong.
     """
-    mass, _, stiffness = fit.coefficients
+    mass_kg, _, stiffness_n_per_m = fit.coefficients
     natural_hz = _identifiable_hz(body)
-    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
-    mass_error, stiffness_error = fit.errors[0] / abs(mass), fit.errors[2] / abs(stiffness)
-    fit_errors = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained])
+    mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
+    mass_error = fit.standard_errors[0] / abs(mass_kg)
+    stiffness_error = fit.standard_errors[2] / abs(stiffness_n_per_m)
+    fit_errors = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained_share])
     mass_tolerance = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]))
     spreads = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_errors)
-    frequency_known = natural_hz > 0 and stiffness > 0 and mass > 0
-    frequency_error = np.log(np.sqrt(stiffness / mass) / (2 * np.pi * natural_hz)) if frequency_known else 0.0
-    errors = np.array([np.log(ratio) if ratio > 0 else 0.0, frequency_error])
-    return errors, spreads, np.array([order - 2.0, 1.0])
+    is_frequency_known = natural_hz > 0 and stiffness_n_per_m > 0 and mass_kg > 0
+    frequency_error = (
+        np.log(np.sqrt(stiffness_n_per_m / mass_kg) / (2 * np.pi * natural_hz)) if is_frequency_known else 0.0
+    )
+    log_errors = np.array([np.log(mass_ratio) if mass_ratio > 0 else 0.0, frequency_error])
+    return log_errors, spreads, np.array([order - 2.0, 1.0])
 
 
-def _gain_finding(body: Body, channels: tuple[str, ...], ratio: float) -> Finding:
+def _gain_finding(body: Body, channels: tuple[str, ...], mass_ratio: float) -> Finding:
     """Finding: the sensor delivers 1 / ratio times what the force and the mass make."""
-    evidence = f"{channels[-1]} delivers {1 / ratio:.4g} times what the force and the mass of {body.name} make"
-    if ratio < 0 and 0.5 < -ratio < 2:
+    evidence = f"{channels[-1]} delivers {1 / mass_ratio:.4g} times what the force and the mass of {body.name} make"
+    if mass_ratio < 0 and 0.5 < -mass_ratio < 2:
         return Finding(
             cause="polarity", channels=channels, evidence=evidence, mend="turn it, or the force, with scale = -1"
         )
-    unit_words = unit_mistake(1 / ratio)
+    unit_words = unit_mistake(1 / mass_ratio)
     if unit_words:
         mend = f"correct the unit of the sensor or of the force in the import map, it looks like {unit_words}"
         return Finding(cause="units", channels=channels, evidence=evidence, mend=mend)

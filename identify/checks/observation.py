@@ -37,7 +37,7 @@ def observed_motion(
     sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
     prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
     signals = prediction.accelerations[channel_indices]
-    inputs = np.concatenate([prediction.force_spectra, prediction.contact_spectra])
+    input_spectra = np.concatenate([prediction.force_spectra, prediction.contact_spectra])
     responses = [response_of(rig, body, cache) for body in rig.bodies]
     return ObservedSignals(
         sensors=sensors,
@@ -48,32 +48,40 @@ def observed_motion(
         signals=signals,
         force_accelerations=check.acceleration_by_force[:, channel_indices],
         displacements=np.zeros_like(signals),
-        bodies=tuple(_body_motion(rig, response, inputs) for response in responses),
-        further_changes=tuple(c for r in responses for c in _truncation_changes(rig, r, sensors, inputs)),
+        bodies=tuple(_body_motion(rig, response, input_spectra) for response in responses),
+        further_changes=tuple(
+            c for response in responses for c in _truncation_changes(rig, response, sensors, input_spectra)
+        ),
     )
 
 
-def _body_motion(rig: Rig, response: Response, inputs: Inputs) -> BodyMotion:
+def _body_motion(rig: Rig, response: Response, input_spectra: Inputs) -> BodyMotion:
     """Modal accelerations by the forces and the contact forces."""
-    modal_force = real_product(input_shapes(rig, response, rig.forces).T, inputs)
-    elastic = elastic_modes(response, modes_near_band(response, MODE_MARGIN))
-    return BodyMotion(response, response.accelerance * modal_force, elastic)
+    modal_force = real_product(input_shapes(rig, response, rig.forces).T, input_spectra)
+    elastic_indices = elastic_modes(response, modes_near_band(response, MODE_MARGIN))
+    return BodyMotion(response, response.accelerance * modal_force, elastic_indices)
 
 
-def _truncation_changes(rig: Rig, response: Response, sensors: Sequence[Sensor], inputs: Inputs) -> Iterator[Change]:
+def _truncation_changes(
+    rig: Rig, response: Response, sensors: Sequence[Sensor], input_spectra: Inputs
+) -> Iterator[Change]:
     """Changes by the modes that a description leaves out, of each force on a body and each station there: the share
     of its highest modes, beyond the band, in the motion is the standard deviation of what modes beyond them would add.
     """
-    first_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
-    if response.body.is_mass or first_mode >= response.mode_count:
+    first_uncertain_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
+    if response.body.is_mass or first_uncertain_mode >= response.mode_count:
         return
-    stations = list(dict.fromkeys(s.station for s in sensors if s.station.body == response.body.name))
-    shapes = response.shapes(stations)[:, first_mode:]
+    stations = list(dict.fromkeys(sensor.station for sensor in sensors if sensor.station.body == response.body.name))
+    shapes = response.shapes(stations)[:, first_uncertain_mode:]
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
-    for name, input_shape, force in zip(input_names, input_shapes(rig, response, rig.forces), inputs, strict=True):
+    for name, input_shape, input_spectrum in zip(
+        input_names, input_shapes(rig, response, rig.forces), input_spectra, strict=True
+    ):
         if stations and np.any(input_shape):
-            accelerance = real_product(shapes * input_shape[first_mode:], response.accelerance[first_mode:])
-            for station, signal in zip(stations, accelerance * force, strict=True):
-                rows = [i for i, s in enumerate(sensors) if s.station == station]
-                parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[rows[0]].name} by {name}")
-                yield Change(parameter, rows, np.tile(signal, (len(rows), 1)))
+            accelerance = real_product(
+                shapes * input_shape[first_uncertain_mode:], response.accelerance[first_uncertain_mode:]
+            )
+            for station, signal in zip(stations, accelerance * input_spectrum, strict=True):
+                sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station == station]
+                parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[sensor_indices[0]].name} by {name}")
+                yield Change(parameter, sensor_indices, np.tile(signal, (len(sensor_indices), 1)))

@@ -81,36 +81,51 @@ class LinearCheck:
 
     def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
-        return LinearCheck(spectra, self.accelerance, _scale_of(spectra, channel_indices), driven_lines(spectra.forces))
+        return LinearCheck(
+            spectra, self.accelerance, _error_scale_of(spectra, channel_indices), driven_lines(spectra.forces)
+        )
 
     def unknown_input_projection(
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        unknown, scale = self.unknown_inputs(doubted_force_index)[:, channel_indices], self.error_scale[channel_indices]
-        return projection(unknown / scale, scale, len(unknown))
+        unknown_accelerances = self.unknown_inputs(doubted_force_index)[:, channel_indices]
+        error_scale = self.error_scale[channel_indices]
+        return projection(unknown_accelerances / error_scale, error_scale, len(unknown_accelerances))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
-        spectra, unknown = self.spectra, self.unknown_inputs(doubted_force_index)
+        spectra, unknown_accelerances = self.spectra, self.unknown_inputs(doubted_force_index)
         known_force_motion = self.acceleration_by_force
         if doubted_force_index is not None:
             known_force_motion = np.delete(known_force_motion, doubted_force_index, axis=0)
         known_motion = np.asarray(known_force_motion.sum(axis=0))
-        unexplained = (spectra.acceleration - known_motion)[channel_indices]
-        residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
-        freedom_count = len(channel_indices) - len(unknown)
-        line_squares, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channel_indices)
-        misfit_by_force = (
-            line_squares[lines & informative] for lines in self.driven_lines if np.any(lines & informative)
+        unexplained_spectra = (spectra.acceleration - known_motion)[channel_indices]
+        residual, input_spectra = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(
+            unexplained_spectra
         )
-        largest_median = max(float(np.median(squares)) for squares in (line_squares[informative], *misfit_by_force))
+        freedom_count = len(channel_indices) - len(unknown_accelerances)
+        line_squares = np.sum(np.abs(residual) ** 2, axis=0)
+        informative_lines = self._informative_lines(channel_indices)
+        line_squares_by_force = (
+            line_squares[driven_by_force & informative_lines]
+            for driven_by_force in self.driven_lines
+            if np.any(driven_by_force & informative_lines)
+        )
+        largest_median = max(
+            float(np.median(squares)) for squares in (line_squares[informative_lines], *line_squares_by_force)
+        )
         misfit = largest_median / freedom_count if freedom_count > 0 else np.nan
-        forces, contacts = spectra.forces, inputs
+        force_spectra, contact_spectra = spectra.forces, input_spectra
         if doubted_force_index is not None:
-            forces, contacts = forces.copy(), inputs[1:]
-            forces[doubted_force_index] = inputs[0]
-        return Prediction(misfit, known_motion + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
+            force_spectra, contact_spectra = force_spectra.copy(), input_spectra[1:]
+            force_spectra[doubted_force_index] = input_spectra[0]
+        return Prediction(
+            misfit,
+            known_motion + np.einsum("isl,il->sl", unknown_accelerances, input_spectra),
+            force_spectra,
+            contact_spectra,
+        )
 
     def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
@@ -118,9 +133,11 @@ class LinearCheck:
 
     def _informative_lines(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
-        noise = np.mean((self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]) ** 2, axis=0)
-        informative = noise < NOISE_SHARE
-        return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
+        relative_noise_power = np.mean(
+            (self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]) ** 2, axis=0
+        )
+        is_informative = relative_noise_power < NOISE_SHARE
+        return np.asarray(is_informative) if np.mean(is_informative) > MIN_LINES_SHARE else np.ones_like(is_informative)
 
 
 def linear_check(
@@ -132,32 +149,35 @@ def linear_check(
     """
     channel_indices = list(range(len(spectra.sensors))) if channel_indices is None else channel_indices
     accelerance = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
-    return LinearCheck(spectra, accelerance, _scale_of(spectra, channel_indices), driven_lines(spectra.forces))
+    return LinearCheck(spectra, accelerance, _error_scale_of(spectra, channel_indices), driven_lines(spectra.forces))
 
 
-def _scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
+def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
     """Scale of the median channel of each body, among channel_indices if any, so that no single one rules it."""
-    body_names = [s.station.body for s in spectra.sensors]
-    scale = np.empty(spectra.line_noise.shape)
-    for body in dict.fromkeys(body_names):
-        on_body = [i for i, name in enumerate(body_names) if name == body]
-        averaged_channels = [i for i in on_body if i in channel_indices] or on_body
-        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.line_level[averaged_channels], axis=0)
-    scale = np.hypot(scale, spectra.line_noise)
-    return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
+    body_names = [sensor.station.body for sensor in spectra.sensors]
+    error_scale = np.empty(spectra.line_noise.shape)
+    for body_name in dict.fromkeys(body_names):
+        body_channels = [i for i, name in enumerate(body_names) if name == body_name]
+        scale_channels = [channel for channel in body_channels if channel in channel_indices] or body_channels
+        error_scale[body_channels] = MODEL_ERROR_SHARE * np.median(spectra.line_level[scale_channels], axis=0)
+    error_scale = np.hypot(error_scale, spectra.line_noise)
+    return np.asarray(np.maximum(error_scale, 1e-9 * float(error_scale.max()) or 1.0))
 
 
 def acceleration_by_forces(
     rig: Rig, predicted: Prediction, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
     """Accelerations at any stations by the forces and the estimated contact forces."""
-    forces, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
+    input_spectra, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
     responses = (response_of(rig, body, cache) for body in rig.bodies)
-    rows = (
-        real_product(r.shapes(stations), r.accelerance * real_product(input_shapes(rig, r, rig.forces).T, forces))
-        for r in responses
+    accelerations_by_body = (
+        real_product(
+            response.shapes(stations),
+            response.accelerance * real_product(input_shapes(rig, response, rig.forces).T, input_spectra),
+        )
+        for response in responses
     )
-    return np.asarray(sum(rows))
+    return np.asarray(sum(accelerations_by_body))
 
 
 def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
@@ -169,7 +189,7 @@ def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray
 def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
     """Accelerances of each force, then of each contact (which drives by minus its force)."""
     responses = [response_of(rig, body, cache) for body in rig.bodies]
-    return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])
+    return accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
 
 
 class Projector:
@@ -179,25 +199,27 @@ class Projector:
     """
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
-        noise = check.spectra.line_noise[channel_indices]
-        signal_level = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
-        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * signal_level, noise)
+        line_noise = check.spectra.line_noise[channel_indices]
+        signal_level = (
+            np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
+        )
+        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * signal_level, line_noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = check.unknown_inputs(doubted_force_index)[:, channel_indices]
-        self._projection = projection(unknown / self._scale, self._scale, len(unknown))
+        unknown_accelerances = check.unknown_inputs(doubted_force_index)[:, channel_indices]
+        self._projection = projection(unknown_accelerances / self._scale, self._scale, len(unknown_accelerances))
         self._spectra = check.spectra
-        motion = self._spectra.in_time(check.spectra.acceleration[channel_indices] / self._scale)
-        duration_s = motion_duration_s(motion, self._spectra.in_time_rate_hz)
-        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
+        scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / self._scale)
+        duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
+        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(scaled_motion.T))))
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        return np.asarray(self._spectra.in_time(self._projection.applied_to(rows)[0]) * self._counted)
+        return np.asarray(self._spectra.compared_signals(self._projection.applied_to(rows)[0]) * self._counted)
 
 
-def motion_duration_s(motion: Float[np.ndarray, "sensors times"], per_s: float) -> float:
+def motion_duration_s(motion: Float[np.ndarray, "sensors times"], samples_per_s: float) -> float:
     """Seconds of motion: all of the record, unless most of the motion falls into less than half of it.
 
     With the power p, averaged over a second, it is STEADY_RATIO (sum of p)^2 / sum of p^2, at most the record's length.
     """
-    power = uniform_filter1d(np.mean(motion**2, axis=0, dtype=float), max(1, round(per_s)))
-    return float(min(power.size, STEADY_RATIO * np.sum(power) ** 2 / np.sum(power**2)) / per_s)
+    power = uniform_filter1d(np.mean(motion**2, axis=0, dtype=float), max(1, round(samples_per_s)))
+    return float(min(power.size, STEADY_RATIO * np.sum(power) ** 2 / np.sum(power**2)) / samples_per_s)

@@ -42,8 +42,8 @@ class Suspect:
 
     kind: str
     of: str
-    unit: float
-    is_told: bool = True
+    column_change: float
+    is_reportable: bool = True
 
 
 def suspects_of(
@@ -55,23 +55,25 @@ def suspects_of(
     tolerances: Tolerances,
 ) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
     """All nuisance parameters; then, with columns of their own, densities, the clock and delays of forces."""
-    names_beyond = {
+    modes_beyond_band = {
         (body.response.body.name, m + 1)
         for body in bodies
         for m in np.flatnonzero(body.response.dynamics.natural_hz > omega[-1] / (2 * np.pi)).tolist()
     }
-    suspects = [_suspect_of(p, tolerances, (p.owner, p.mode_number) not in names_beyond) for p in parameters]
+    suspects = [_suspect_of(p, tolerances, (p.owner, p.mode_number) not in modes_beyond_band) for p in parameters]
     added_suspects = []
     clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
         response = body.response
-        rows = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
-        shapes = response.shapes([sensors[i].station for i in rows])
+        sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
+        shapes = response.shapes([sensors[i].station for i in sensor_indices])
         frequency_motion = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
-        clock_column[rows] += frequency_motion
+        clock_column[sensor_indices] += frequency_motion
         if response.body.length_m and tolerances.mass:
             density_column = np.zeros_like(clock_column)
-            density_column[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * frequency_motion)
+            density_column[sensor_indices] = -tolerances.mass * (
+                real_product(shapes, body.acceleration) + 0.5 * frequency_motion
+            )
             added_suspects.append((Suspect("density", response.body.name, tolerances.mass), density_column))
     added_suspects.append((Suspect("clock", "", 1.0), clock_column))
     if tolerances.delay_s:
@@ -85,7 +87,7 @@ def suspects_of(
 def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -> Suspect:
     """Nuisance parameter with its tolerance as the unit."""
     sensor_tolerance = tolerances.of_sensor(parameter.owner)
-    unit = {
+    column_change = {
         "gain": sensor_tolerance.gain,
         "position": sensor_tolerance.position_m,
         "delay": sensor_tolerance.delay_s,
@@ -97,7 +99,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "modes left out at": 1.0,
     }[parameter.kind]
     name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
-    return Suspect(parameter.kind, name, unit, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
+    return Suspect(parameter.kind, name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def broken_tolerances(
     )
     columns += [_Column.of(projector(spectra)) for spectra in added_columns]
     residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
-    return _broken_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
+    return _violations_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
 def _nuisance_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
@@ -161,38 +163,42 @@ def misfit_within_tolerances(
     observed = observed_motion(rig, check, channel_indices, tolerances)
     for pull, change in zip(pulls, changes_of(observed), strict=True):
         acceleration[channel_indices] -= pull * change.at_all_sensors(len(channel_indices))
-    return check.misfit(check.spectra.with_rows(acceleration), channel_indices)
+    return check.misfit(check.spectra.with_acceleration(acceleration), channel_indices)
 
 
-def _broken_and_pulls(
+def _violations_and_pulls(
     residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
 ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
     broken: list[BrokenTolerance] = []
-    free_columns: list[int] = []
-    weights = np.ones(residual.shape[1], residual.dtype)
+    free_indices: list[int] = []
+    time_weights = np.ones(residual.shape[1], residual.dtype)
     while True:
-        scores = _scores(residual, columns, prior_count, free_columns, weights)
+        scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            free_residual = _column_sum([columns[k] for k in free_columns], scores.free_sizes)
-            remaining = residual - _column_sum(columns[:prior_count], scores.pulls) - free_residual
-            power_by_time = np.mean(remaining**2, axis=0)
-            weights = 1 / np.sqrt(1 + power_by_time / max(4 * np.median(power_by_time), np.float32(1)))
-            scores = _scores(residual, columns, prior_count, free_columns, weights)
+            free_residual = _column_sum([columns[k] for k in free_indices], scores.free_sizes)
+            remaining_residual = residual - _column_sum(columns[:prior_count], scores.pulls) - free_residual
+            power_by_time = np.mean(remaining_residual**2, axis=0)
+            time_weights = 1 / np.sqrt(1 + power_by_time / max(4 * np.median(power_by_time), np.float32(1)))
+            scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
         violated_indices = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.is_told
-            and k not in free_columns
+            if candidate.is_reportable
+            and k not in free_indices
             and abs(scores.scores[k]) > max(required_pull(candidate.kind), min_pull)
             and _exceeds_tolerance(candidate, float(scores.sizes[k]), tolerances)
         ]
         if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
             return broken, scores.pulls
-        worst = max(violated_indices, key=lambda k: abs(scores.scores[k]))
-        broken.append(BrokenTolerance(candidates[worst], float(scores.sizes[worst]), float(scores.scores[worst])))
-        free_columns.append(worst)
+        worst_index = max(violated_indices, key=lambda k: abs(scores.scores[k]))
+        broken.append(
+            BrokenTolerance(
+                candidates[worst_index], float(scores.sizes[worst_index]), float(scores.scores[worst_index])
+            )
+        )
+        free_indices.append(worst_index)
 
 
 @dataclass(frozen=True)
@@ -204,8 +210,8 @@ class _Column:
 
     @classmethod
     def of(cls, values: np.ndarray) -> "_Column":
-        largest = np.float32(max(float(np.max(np.abs(values))), 1e-30))
-        return cls((values / largest).astype(np.float16), largest)
+        largest_value = np.float32(max(float(np.max(np.abs(values))), 1e-30))
+        return cls((values / largest_value).astype(np.float16), largest_value)
 
     def values(self, samples: slice = slice(None)) -> np.ndarray:
         return np.asarray(self.largest_value * self.half_values[:, samples].astype(np.float32))
@@ -230,24 +236,28 @@ class _Scores:
 
 
 def _scores(
-    residual: np.ndarray, columns: list[_Column], prior_count: int, free_columns: list[int], weights: np.ndarray
+    residual: np.ndarray, columns: list[_Column], prior_count: int, free_indices: list[int], time_weights: np.ndarray
 ) -> _Scores:
-    """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_columns` none."""
-    fitted_indices = [*range(prior_count), *free_columns]
+    """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_indices` none."""
+    fitted_indices = [*range(prior_count), *free_indices]
     products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
     for first_sample in range(0, residual.shape[1], BATCH_SAMPLES):
-        batch = slice(first_sample, first_sample + BATCH_SAMPLES)
-        rows = np.stack([column.values(batch) * weights[batch] for column in columns]).reshape(len(columns), -1)
-        products += rows @ rows.T
-        correlations += rows @ (residual[:, batch] * weights[batch]).reshape(-1)
-    prior_precision = np.r_[np.ones(prior_count), np.full(len(free_columns), 1e-9)]
+        batch_samples = slice(first_sample, first_sample + BATCH_SAMPLES)
+        batch_rows = np.stack(
+            [column.values(batch_samples) * time_weights[batch_samples] for column in columns]
+        ).reshape(len(columns), -1)
+        products += batch_rows @ batch_rows.T
+        correlations += batch_rows @ (residual[:, batch_samples] * time_weights[batch_samples]).reshape(-1)
+    prior_precision = np.r_[np.ones(prior_count), np.full(len(free_indices), 1e-9)]
     covariance = np.linalg.inv(products[np.ix_(fitted_indices, fitted_indices)] + np.diag(prior_precision))
-    to_fitted = products[:, fitted_indices]
+    products_with_fitted = products[:, fitted_indices]
     estimates = covariance @ correlations[fitted_indices]
-    unexplained = correlations - to_fitted @ estimates
-    variance = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", to_fitted, covariance, to_fitted), 1e-12)
-    sizes, pulls, free_sizes = unexplained / variance, estimates[:prior_count], estimates[prior_count:]
-    return _Scores(unexplained / np.sqrt(variance), sizes, pulls, free_sizes)
+    unexplained_correlations = correlations - products_with_fitted @ estimates
+    variance = np.maximum(
+        np.diag(products) - np.einsum("ij,jk,ik->i", products_with_fitted, covariance, products_with_fitted), 1e-12
+    )
+    sizes, pulls, free_sizes = (unexplained_correlations / variance, estimates[:prior_count], estimates[prior_count:])
+    return _Scores(unexplained_correlations / np.sqrt(variance), sizes, pulls, free_sizes)
 
 
 def required_pull(kind: str) -> float:
@@ -260,15 +270,15 @@ def required_size(kind: str) -> float:
     return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_TOLERANCES
 
 
-def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
+def _exceeds_tolerance(candidate: Suspect, error_size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
-    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
+    return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
 
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
     """Finding on a broken tolerance, in words."""
-    suspect, error_size = violation.suspect, violation.size_in_tolerances * violation.suspect.unit
-    in_tolerances = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
+    suspect, error_size = violation.suspect, violation.size_in_tolerances * violation.suspect.column_change
+    tolerances_text = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
     if suspect.kind == "clock":
         return Finding(
             cause="clock",
@@ -279,7 +289,7 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
         return Finding(
             cause="gain",
             channels=("force" if suspect.of == SINGLE_FORCE_NAME else suspect.of,),
-            evidence=f"{suspect.of} is {100 * error_size:+.2g} % off what all sensors imply {in_tolerances}",
+            evidence=f"{suspect.of} is {100 * error_size:+.2g} % off what all sensors imply {tolerances_text}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )
     if suspect.kind == "force delay":
@@ -295,23 +305,23 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
             cause="mass",
             of=suspect.of,
             evidence=f"{suspect.of} moves as if its {suspect.kind} were {100 * error_size:+.2g} % off rig.json "
-            f"{in_tolerances}",
+            f"{tolerances_text}",
             mend="weigh it and correct rig.json",
         )
     if suspect.kind in ("frequency", "damping"):
         return Finding(
             cause="frequency" if suspect.kind == "frequency" else "damping",
             of=suspect.of,
-            evidence=f"the {suspect.kind} of {suspect.of} is {100 * error_size:+.2g} % off rig.json {in_tolerances}",
+            evidence=f"the {suspect.kind} of {suspect.of} is {100 * error_size:+.2g} % off rig.json {tolerances_text}",
             mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
         )
-    deviation_words = {
+    words_by_kind = {
         "gain": f"is {100 * error_size:+.2g} % off in gain against the others and the model",
         "position": f"moves as if it stood {1e3 * error_size:+.3g} mm from its station",
         "delay": f"comes {1e3 * abs(error_size):.2g} ms {'late' if error_size > 0 else 'early'} against the others",
         "high-pass": f"is high-passed at about {abs(error_size):.2g} Hz",
     }
-    remedy_words = {
+    remedy_by_kind = {
         "gain": "calibrate it again",
         "position": "measure its place and correct rig.json",
         "delay": f"set delay_s = {error_size:.2g} in rig.json, or synchronise its clock",
@@ -321,6 +331,6 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
     return Finding(
         cause=causes[suspect.kind],
         channels=(suspect.of,),
-        evidence=f"{suspect.of} {deviation_words[suspect.kind]} {in_tolerances}",
-        mend=remedy_words[suspect.kind],
+        evidence=f"{suspect.of} {words_by_kind[suspect.kind]} {tolerances_text}",
+        mend=remedy_by_kind[suspect.kind],
     )

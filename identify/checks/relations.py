@@ -37,36 +37,40 @@ def relation(
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
     predicted: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
+    line_weights: Float[np.ndarray, " lines"],
     max_delay_s: float = MAX_DELAY_S,
 ) -> Relation:
     """Relation at the delay of the highest coherence; the gain's sign makes the covariance positive there."""
-    cross = predicted.conj() * measured * weight**2
-    predicted_power = float(np.sum((np.abs(predicted) * weight) ** 2))
-    measured_power = float(np.sum((np.abs(measured) * weight) ** 2))
+    cross_spectrum = predicted.conj() * measured * line_weights**2
+    predicted_power = float(np.sum((np.abs(predicted) * line_weights) ** 2))
+    measured_power = float(np.sum((np.abs(measured) * line_weights) ** 2))
     if not (predicted_power > 0 and measured_power > 0):
         return Relation(0.0, 0.0, 0.0)
-    step_s = 0.25 * np.pi / float(omega[-1])
-    delays_to_try_s = step_s * np.arange(-int(max_delay_s / step_s), int(max_delay_s / step_s) + 1)
+    delay_step_s = 0.25 * np.pi / float(omega[-1])
+    delays_to_try_s = delay_step_s * np.arange(-int(max_delay_s / delay_step_s), int(max_delay_s / delay_step_s) + 1)
     cross_sums = np.concatenate(
-        [(np.exp(1j * delays_s[:, None] * omega) @ cross).real for delays_s in np.array_split(delays_to_try_s, 8)]
+        [
+            (np.exp(1j * delays_s[:, None] * omega) @ cross_spectrum).real
+            for delays_s in np.array_split(delays_to_try_s, 8)
+        ]
     )
     best_index = int(np.argmax(np.abs(cross_sums)))
     delay_s = delays_to_try_s[best_index]
     for _ in range(4):  # of the real part's slope
-        turned = np.exp(1j * delay_s * omega) * cross
-        slope, curvature = float(np.sum((1j * omega * turned).real)), float(np.sum((-(omega**2) * turned).real))
+        delayed_cross_spectrum = np.exp(1j * delay_s * omega) * cross_spectrum
+        slope = float(np.sum((1j * omega * delayed_cross_spectrum).real))
+        curvature = float(np.sum((-(omega**2) * delayed_cross_spectrum).real))
         if curvature:
-            delay_s -= float(np.clip(slope / curvature, -step_s, step_s))
-    covariance = float(np.sum((np.exp(1j * delay_s * omega) * cross).real))
+            delay_s -= float(np.clip(slope / curvature, -delay_step_s, delay_step_s))
+    covariance = float(np.sum((np.exp(1j * delay_s * omega) * cross_spectrum).real))
     return Relation(covariance / predicted_power, float(delay_s), covariance**2 / (predicted_power * measured_power))
 
 
 def unit_mistake(gain: float) -> str | None:
     """Mistake of units that multiplies a channel by this gain, or None."""
-    for name, factor in UNIT_FACTORS.items():
-        if any(abs(abs(gain) * f - 1) < UNIT_FACTOR_TOLERANCE for f in (factor, 1 / factor)):
-            return name
+    for mistake, factor in UNIT_FACTORS.items():
+        if any(abs(abs(gain) * tried_factor - 1) < UNIT_FACTOR_TOLERANCE for tried_factor in (factor, 1 / factor)):
+            return mistake
     return None
 
 
@@ -74,17 +78,18 @@ def gain_by_band(
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
     predicted: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
+    line_weights: Float[np.ndarray, " lines"],
 ) -> tuple[Float[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
     """Size of the complex gain in each band, unexplained share of the measured power, and the bands' centres, Hz."""
     edge_indices = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BAND_COUNT + 1)[1:-1])
-    bands = [band for band in np.split(np.arange(omega.size), edge_indices) if band.size > 5]
+    bands = [band_lines for band_lines in np.split(np.arange(omega.size), edge_indices) if band_lines.size > 5]
     gains, residual_power = [], 0.0
-    for band in bands:
-        measured_band, predicted_band = measured[band] * weight[band], predicted[band] * weight[band]
+    for band_lines in bands:
+        measured_band = measured[band_lines] * line_weights[band_lines]
+        predicted_band = predicted[band_lines] * line_weights[band_lines]
         gain = np.vdot(predicted_band, measured_band) / max(float(np.vdot(predicted_band, predicted_band).real), 1e-300)
         gains.append(gain)
         residual_power += float(np.sum(np.abs(measured_band - gain * predicted_band) ** 2))
-    total_power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
-    centres_hz = np.array([omega[band[band.size // 2]] for band in bands]) / (2 * np.pi)
-    return np.abs(gains), residual_power / total_power, centres_hz
+    measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
+    centres_hz = np.array([omega[band_lines[band_lines.size // 2]] for band_lines in bands]) / (2 * np.pi)
+    return np.abs(gains), residual_power / measured_power, centres_hz

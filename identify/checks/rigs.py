@@ -29,18 +29,18 @@ class Trial:
     misfit: float
     trusted_indices: list[int]
     findings: Callable[[], tuple[Finding, ...]]
-    sensors_alone: bool = True
-    allowance: float = 1.0
+    is_rest_right: bool = True
+    misfit_factor: float = 1.0
     changed_rig: Rig | None = None
-    factors: tuple[tuple[str, float], ...] = ()
+    tolerance_factors: tuple[tuple[str, float], ...] = ()
 
-    def tolerances_off(self, tolerances: Tolerances) -> float:
+    def distance_in_tolerances(self, tolerances: Tolerances) -> float:
         """Distance of the changed rig.json from the believed one, in standard deviations of the logarithms, as the
         values are positive; infinite where no tolerance allows the change at all."""
-        allowed = [(getattr(tolerances, name), factor) for name, factor in self.factors]
-        if not allowed or any(tolerance == 0 for tolerance, _ in allowed):
+        tolerances_and_factors = [(getattr(tolerances, name), factor) for name, factor in self.tolerance_factors]
+        if not tolerances_and_factors or any(tolerance == 0 for tolerance, _ in tolerances_and_factors):
             return np.inf
-        return float(np.linalg.norm([np.log(factor) / tolerance for tolerance, factor in allowed]))
+        return float(np.linalg.norm([np.log(factor) / tolerance for tolerance, factor in tolerances_and_factors]))
 
 
 MAX_CHANGE_FACTOR = 3.0
@@ -48,13 +48,13 @@ MAX_CHANGE_FACTOR = 3.0
 POSITION_COUNT = 21
 
 
-def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
+def rig_trials(rig: Rig, spectra: Spectra, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials of every usual change of rig.json, each with its best value."""
 
     cache = ResponseCache(spectra.omega)
 
-    def misfit(candidate: Rig, candidate_spectra: Spectra = spectra) -> float:
-        return linear_check(candidate, candidate_spectra, usable, cache).prediction(usable).misfit
+    def misfit_of(candidate: Rig, candidate_spectra: Spectra = spectra) -> float:
+        return linear_check(candidate, candidate_spectra, usable_indices, cache).prediction(usable_indices).misfit
 
     def trial(
         trial_misfit: float,
@@ -62,24 +62,38 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
         changed_rig: Rig | None = None,
         factors: tuple[tuple[str, float], ...] = (),
     ) -> Trial:
-        return Trial(trial_misfit, usable, lambda: (finding(),), False, changed_rig=changed_rig, factors=factors)
+        return Trial(
+            trial_misfit,
+            usable_indices,
+            lambda: (finding(),),
+            False,
+            changed_rig=changed_rig,
+            tolerance_factors=factors,
+        )
 
-    def best_factor(rig_of: Callable[[float], Rig], factor: float = MAX_CHANGE_FACTOR) -> tuple[float, float]:
-        grid = np.linspace(-np.log(factor), np.log(factor), 13)
-        misfits = [misfit(rig_of(float(np.exp(log_factor)))) for log_factor in grid]
-        best = int(np.argmin(misfits))
-        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+    def best_factor(
+        rig_of_factor: Callable[[float], Rig], max_factor: float = MAX_CHANGE_FACTOR
+    ) -> tuple[float, float]:
+        log_factors = np.linspace(-np.log(max_factor), np.log(max_factor), 13)
+        misfits = [misfit_of(rig_of_factor(float(np.exp(log_factor)))) for log_factor in log_factors]
+        best_index = int(np.argmin(misfits))
+        bounds = (log_factors[max(best_index - 1, 0)], log_factors[min(best_index + 1, len(log_factors) - 1)])
         optimum = minimize_scalar(
-            lambda x: misfit(rig_of(float(np.exp(x)))), bounds=bounds, method="bounded", options={"xatol": 2e-3}
+            lambda x: misfit_of(rig_of_factor(float(np.exp(x)))),
+            bounds=bounds,
+            method="bounded",
+            options={"xatol": 2e-3},
         )
         return float(np.exp(optimum.x)), float(optimum.fun)
 
     for body in rig.bodies:
         for changed_body, description in _other_ends(rig, body):
             changed_rig = _with_body(rig, changed_body)
-            yield trial(misfit(changed_rig), partial(_ends_finding, body.name, description), changed_rig)
+            yield trial(misfit_of(changed_rig), partial(_ends_finding, body.name, description), changed_rig)
         if body.length_m:
-            yield trial(misfit(rig, _mirrored_spectra(spectra, body)), partial(_mirrored_finding, body.name, spectra))
+            yield trial(
+                misfit_of(rig, _mirrored_spectra(spectra, body)), partial(_mirrored_finding, body.name, spectra)
+            )
         for finding_of, (change, exponents) in BODY_CHANGES.items():
             factor, least_misfit = best_factor(partial(_with_changed_body, rig, body, change))
             changed_rig = _with_changed_body(rig, body, change, factor)
@@ -88,32 +102,42 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
     clock_factor, least_misfit = best_factor(partial(_with_clock, rig), 1.2)
     factors = (("frequency", clock_factor),) * len(rig.bodies)
     yield trial(least_misfit, partial(_clock_finding, clock_factor), _with_clock(rig, clock_factor), factors)
-    for force_index, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
-        for other_station in _other_positions(rig.body(stated.body), stated):
+    for force_index, (name, stated_station) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
+        for other_station in _other_positions(rig.body(stated_station.body), stated_station):
             stations = (*rig.forces[:force_index], other_station, *rig.forces[force_index + 1 :])
             changed_rig = replace(rig, force_at=stations if len(stations) > 1 else other_station)
-            yield trial(misfit(changed_rig), partial(_force_place_finding, name, other_station), changed_rig)
+            yield trial(misfit_of(changed_rig), partial(_force_place_finding, name, other_station), changed_rig)
     for contact in rig.contacts:
-        for side in ("at", "against"):
-            stated_side = getattr(contact, side)
-            for other_station in _other_positions(rig.body(stated_side.body), stated_side) if stated_side else ():
-                contacts = tuple(replace(c, **{side: other_station}) if c is contact else c for c in rig.contacts)
+        for place_field in ("at", "against"):
+            stated_contact_station = getattr(contact, place_field)
+            for other_station in (
+                _other_positions(rig.body(stated_contact_station.body), stated_contact_station)
+                if stated_contact_station
+                else ()
+            ):
+                contacts = tuple(
+                    replace(c, **{place_field: other_station}) if c is contact else c for c in rig.contacts
+                )
                 changed_rig = replace(rig, contacts=contacts)
                 yield trial(
-                    misfit(changed_rig), partial(_contact_place_finding, contact.name, other_station), changed_rig
+                    misfit_of(changed_rig), partial(_contact_place_finding, contact.name, other_station), changed_rig
                 )
 
 
-def _with_clock(rig: Rig, factor: float) -> Rig:
-    return replace(rig, bodies=tuple(b.scale_frequencies(factor) for b in rig.bodies))
+def _with_clock(rig: Rig, frequency_factor: float) -> Rig:
+    return replace(rig, bodies=tuple(body.scale_frequencies(frequency_factor) for body in rig.bodies))
 
 
-def _other_positions(body: Body, stated: Station) -> list[Station]:
+def _other_positions(body: Body, stated_station: Station) -> list[Station]:
     """Other places along the body, at least a hundredth of its length away."""
     if not body.length_m:
         return []
     positions_m = np.linspace(0, body.length_m, POSITION_COUNT)
-    return [Station(body.name, float(x)) for x in positions_m if abs(x - stated.position_m) > 0.01 * body.length_m]
+    return [
+        Station(body.name, float(position_m))
+        for position_m in positions_m
+        if abs(position_m - stated_station.position_m) > 0.01 * body.length_m
+    ]
 
 
 def _with_changed_body(rig: Rig, body: Body, change: Callable[[Body, float], Body], factor: float) -> Rig:
@@ -126,17 +150,20 @@ def _with_body(rig: Rig, body: Body) -> Rig:
 
 def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
     for beam in (b for b in rig.beams if b == body):
-        for support, description in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
-            if beam.ends != support:
-                yield replace(beam, ends=support), description
+        for end_condition, description in (
+            ("free-free", "free at both ends"),
+            ("clamped-free", "clamped at its left end"),
+        ):
+            if beam.ends != end_condition:
+                yield replace(beam, ends=end_condition), description
 
 
 def _mirrored_spectra(spectra: Spectra, body: Body) -> Spectra:
     sensors = tuple(
-        replace(s, station=replace(s.station, position_m=body.length_m - s.station.position_m))
-        if s.station.body == body.name
-        else s
-        for s in spectra.sensors
+        replace(sensor, station=replace(sensor.station, position_m=body.length_m - sensor.station.position_m))
+        if sensor.station.body == body.name
+        else sensor
+        for sensor in spectra.sensors
     )
     return dataclasses.replace(spectra, sensors=sensors)
 
@@ -151,7 +178,7 @@ def _mirrored_finding(body: str, spectra: Spectra) -> Finding:
     return Finding(
         cause="mirrored",
         of=body,
-        channels=tuple(s.name for s in spectra.sensors if s.station.body == body),
+        channels=tuple(sensor.name for sensor in spectra.sensors if sensor.station.body == body),
         evidence=f"the channels of {body} fit if their positions count from its other end",
         mend="correct the positions in rig.json",
     )

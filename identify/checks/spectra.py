@@ -20,9 +20,9 @@ LOWEST_HZ = 2.0
 """Accelerometers show drift and AC coupling below."""
 LINES_TO_FORCE_HZ = 2.0
 """Highest frequency of the lines, over the force's."""
-RING_S, RING_CUT_S = 4.0, 2.5
+PADDING_S, UNCOMPARED_END_S = 4.0, 2.5
 """Silence after the record; part of its end that is not compared over time, as the ringing is cut off there."""
-LEAST_COMPARED_S = 0.25
+MIN_COMPARED_S = 0.25
 """Least time that is compared with the linear model."""
 MAX_LINES = 1600
 SMOOTHED_LINES = 41
@@ -44,7 +44,7 @@ class Spectra:
     line_noise: Float[np.ndarray, "sensors lines"]
     line_numbers: Int[np.ndarray, " line_numbers"]
     padded_length: int
-    compared_s: tuple[float, float]
+    compared_span_s: tuple[float, float]
     sample_rate_hz: float
 
     @cached_property
@@ -53,24 +53,24 @@ class Spectra:
         return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED_LINES, axis=1))
 
     @property
-    def in_time_rate_hz(self) -> float:
+    def compared_rate_hz(self) -> float:
         """Samples a second of `in_time`."""
         return 2 * (int(self.line_numbers[-1]) + 1) * self.sample_rate_hz / self.padded_length
 
-    def in_time(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
+    def compared_signals(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
         """Signals from consecutive lines over the compared time; their mean squares are those of the lines."""
         line_end = int(self.line_numbers[-1]) + 1
         full_spectra = np.zeros((*rows.shape[:-1], line_end + 1), np.complex64)
         full_spectra[..., self.line_numbers] = rows
         signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
-        start, stop = (round(time_s * self.in_time_rate_hz) for time_s in self.compared_s)
-        return np.asarray(signals[..., start:stop])
+        start_sample, stop_sample = (round(time_s * self.compared_rate_hz) for time_s in self.compared_span_s)
+        return np.asarray(signals[..., start_sample:stop_sample])
 
     @property
     def force_names(self) -> tuple[str, ...]:
         return force_names(len(self.forces))
 
-    def with_rows(self, acceleration: Complex[np.ndarray, "sensors lines"]) -> "Spectra":
+    def with_acceleration(self, acceleration: Complex[np.ndarray, "sensors lines"]) -> "Spectra":
         return replace(self, acceleration=acceleration)
 
 
@@ -82,32 +82,39 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
     rate_hz = recording.rig.sample_rate_hz
     forces_n, sample_count = recording.forces_n, recording.samples
     end_taper = taper(sample_count, min(round(TAPER_S * rate_hz), sample_count // 4))
-    padded_length = next_fast_len(sample_count + round(RING_S * rate_hz), real=True)
+    padded_length = next_fast_len(sample_count + round(PADDING_S * rate_hz), real=True)
     high_hz = min(LINES_TO_FORCE_HZ * force_band(forces_n, rate_hz)[1], PASSBAND * rate_hz)
     first_line, last_line = int(np.ceil(LOWEST_HZ * padded_length / rate_hz)), int(high_hz * padded_length / rate_hz)
     if last_line - first_line < SMOOTHED_LINES:
         raise RigError("the force's band is too low or too narrow")
-    lines = np.arange(first_line, last_line, 1 if max_lines is None else max(1, (last_line - first_line) // max_lines))
-    omega = 2 * np.pi * lines * rate_hz / padded_length
-    signals = np.stack([recording.values_of(s) for s in sensors])
-    sensor_spectra = rfft(signals * end_taper, padded_length)[:, lines]
+    line_numbers = np.arange(
+        first_line, last_line, 1 if max_lines is None else max(1, (last_line - first_line) // max_lines)
+    )
+    omega = 2 * np.pi * line_numbers * rate_hz / padded_length
+    signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+    sensor_spectra = rfft(signals * end_taper, padded_length)[:, line_numbers]
     quiet_count = quiet_samples(forces_n, rate_hz)
     quiet_signals = signals[:, :quiet_count]
-    chain_factors = np.stack([acceleration_by_signal(s, omega) for s in sensors])
+    chain_factors = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
     sensor_spectra *= chain_factors
     if quiet_signals.shape[1]:
         noise_rms = quiet_signals.std(axis=1)
     else:
-        noise_rms = np.array([s.noise_density * np.sqrt(rate_hz / 2) for s in sensors])
-    noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
-    compared_s = (quiet_count / rate_hz, max(sample_count / rate_hz - RING_CUT_S, 0.5 * sample_count / rate_hz))
-    if compared_s[1] - compared_s[0] < LEAST_COMPARED_S:
+        noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
+    line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
+    compared_span_s = (
+        quiet_count / rate_hz,
+        max(sample_count / rate_hz - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz),
+    )
+    if compared_span_s[1] - compared_span_s[0] < MIN_COMPARED_S:
         raise RigError(
-            f"the record lasts {sample_count / rate_hz:.3g} s, of which less than {LEAST_COMPARED_S:g} s can be "
+            f"the record lasts {sample_count / rate_hz:.3g} s, of which less than {MIN_COMPARED_S:g} s can be "
             "compared with the linear model; record longer"
         )
-    forces = rfft(forces_n * end_taper, padded_length)[:, lines]
-    return Spectra(sensors, omega, sensor_spectra, forces, noise, lines, padded_length, compared_s, rate_hz)
+    forces = rfft(forces_n * end_taper, padded_length)[:, line_numbers]
+    return Spectra(
+        sensors, omega, sensor_spectra, forces, line_noise, line_numbers, padded_length, compared_span_s, rate_hz
+    )
 
 
 def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:

@@ -15,31 +15,31 @@ from rig.model.quantities import QUANTITIES
 
 CLIPPED_SHARE = 1e-3
 """A channel is clipped if it has its largest or smallest value for a larger share of the record."""
-COARSE_STEP_SHARE = 0.01
+MAX_STEP_SHARE = 0.01
 """Largest step of a quantiser, as a share of the channel's root mean square."""
 MIN_RECURRENCE = 3.0
 """Levels that recur less often are not those of a quantiser."""
 LARGEST_FORCE_N = 1e9
-HELD_SAMPLES = 8
+MIN_HELD_SAMPLES = 8
 """Shortest run of repeated values that counts as held."""
-SPIKE_RATIO = 25.0
+MIN_SPIKE_RATIO = 25.0
 """Smallest deviation of a spike from its neighbours, over the usual one."""
-IMPACT_RATIO, SEPARATION_RATIO, MAX_SPIKES = 8.0, 2.0, 60
+MIN_IMPACT_RATIO, SPIKE_TO_IMPACT_RATIO, MAX_SPIKES = 8.0, 2.0, 60
 """Deviation of another channel that makes an impact of a spike; size of a spike over that of impacts; most spikes that
 are single faults."""
-TONE_RATIO = 3.0
+TONE_TO_BACKGROUND = 3.0
 """Mains hum is larger than twice this multiple of the neighbouring lines."""
-TONE_SHARE = 2e-3
+MIN_TONE_SHARE = 2e-3
 """Smallest hum, as a share of the channel's standard deviation."""
 DRIFT_BELOW_HZ, DRIFT_SHARE = 0.25, 0.05
 """Drift has a larger share of the root mean square below this frequency."""
-OFFSET_SHARE = 0.05
+MAX_OFFSET_SHARE = 0.05
 """Largest mean, as a share of the root mean square."""
-MOVING_SHARE = 0.3
+MIN_MOVING_SHARE = 0.3
 """Smallest share of its usual motion with which a channel moves from the first sample on."""
-ROUGHNESS_RATIO = 1.5
+NOISE_ROUGHNESS_RATIO = 1.5
 """Noise is rougher than motion by this factor."""
-NOISE_SHARE = 0.05
+MAX_QUIET_SHARE = 0.05
 """Largest share of its root mean square in a channel's quiet start."""
 
 Row = Float[np.ndarray, " samples"]
@@ -65,27 +65,29 @@ def out_of_range_finding(name: str, group: str, samples: Row) -> Finding | None:
 
     The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
-    largest, unit = (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
+    plausible, unit = (
+        (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
+    )
     reached_value = float(np.abs(samples).max())
-    if reached_value <= largest:
+    if reached_value <= plausible:
         return None
     return Finding(
         cause="units",
         channels=(name,),
-        evidence=f"{name} reaches {reached_value:.3g} {unit}, and nothing on a test rig exceeds {largest:g} {unit}",
+        evidence=f"{name} reaches {reached_value:.3g} {unit}, and nothing on a test rig exceeds {plausible:g} {unit}",
         mend="check the unit and the scale that it was recorded or imported with",
     )
 
 
 def clipped_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
-    for side, value in (("largest", samples.max()), ("smallest", samples.min())):
-        share = float(np.mean(samples == value))
-        if share > CLIPPED_SHARE and share * samples.size >= 4 and abs(value - samples.mean()) > 1.0 * samples.std():
+    for side, extreme in (("largest", samples.max()), ("smallest", samples.min())):
+        share = float(np.mean(samples == extreme))
+        if share > CLIPPED_SHARE and share * samples.size >= 4 and abs(extreme - samples.mean()) > 1.0 * samples.std():
             return Finding(
                 cause="clipped",
                 channels=(name,),
-                evidence=f"{name} stands at its {side} value, {value:.4g}, for {100 * share:.2g} % of the record",
+                evidence=f"{name} stands at its {side} value, {extreme:.4g}, for {100 * share:.2g} % of the record",
                 mend="take a larger measuring range or a weaker excitation, and record again",
             )
     return None
@@ -97,13 +99,13 @@ def quantised_finding(name: str, samples: Row) -> Finding | None:
     recurrence = (counts.sum() - counts.max()) / levels.size
     if levels.size > 2000 or levels.size < 3 or recurrence < MIN_RECURRENCE:
         return None
-    step, rms = float(np.median(np.diff(levels))), float(samples.std())
-    if step < COARSE_STEP_SHARE * rms:
+    level_step, rms = float(np.median(np.diff(levels))), float(samples.std())
+    if level_step < MAX_STEP_SHARE * rms:
         return None
     return Finding(
         cause="quantised",
         channels=(name,),
-        evidence=f"{name} moves in steps of {step:.3g}, {100 * step / rms:.2g} % of its root mean square",
+        evidence=f"{name} moves in steps of {level_step:.3g}, {100 * level_step / rms:.2g} % of its root mean square",
         mend="take a smaller measuring range or more bits, and record again",
     )
 
@@ -111,14 +113,16 @@ def quantised_finding(name: str, samples: Row) -> Finding | None:
 def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
     is_repeated = np.diff(samples) == 0
-    edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
-    starts, stops = edges[::2], edges[1::2]
+    run_edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
+    starts, stops = run_edges[::2], run_edges[1::2]
     if not starts.size or np.mean(is_repeated) > 0.3:
         return None
     force_size = np.abs(np.atleast_2d(forces_n))
-    onset = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
+    onset_sample = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
     is_held = (
-        (stops - starts >= HELD_SAMPLES) & (starts > onset) & ~np.isin(samples[starts], (samples.max(), samples.min()))
+        (stops - starts >= MIN_HELD_SAMPLES)
+        & (starts > onset_sample)
+        & ~np.isin(samples[starts], (samples.max(), samples.min()))
     )
     if name in force_names:
         is_held &= samples[starts] != 0
@@ -148,61 +152,67 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     A jump that another channel shows too is an impact. So is one if most of the jumps of at least half its size in this
     channel are impacts. In an only channel, spikes stand out from all impacts.
     """
-    margin = deviation.size // 50
-    interior = deviation[margin:-margin]
-    jumps = margin + np.flatnonzero(interior > SPIKE_RATIO / SEPARATION_RATIO)
-    jumps = jumps[[_is_single(deviation, int(k)) for k in jumps]]
-    sizes = deviation[jumps]
-    spikes = [int(k) for k in jumps[sizes > SPIKE_RATIO]]
-    if other_deviations and spikes:
-        largest_elsewhere = np.array([max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jumps])
-        is_unshared = largest_elsewhere < IMPACT_RATIO
-        spikes = [
+    margin_samples = deviation.size // 50
+    interior = deviation[margin_samples:-margin_samples]
+    jump_samples = margin_samples + np.flatnonzero(interior > MIN_SPIKE_RATIO / SPIKE_TO_IMPACT_RATIO)
+    jump_samples = jump_samples[[_is_single(deviation, int(k)) for k in jump_samples]]
+    jump_deviations = deviation[jump_samples]
+    spike_samples = [int(k) for k in jump_samples[jump_deviations > MIN_SPIKE_RATIO]]
+    if other_deviations and spike_samples:
+        largest_elsewhere = np.array(
+            [max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jump_samples]
+        )
+        is_unshared = largest_elsewhere < MIN_IMPACT_RATIO
+        spike_samples = [
             int(k)
-            for k, size in zip(jumps[is_unshared], sizes[is_unshared], strict=True)
-            if size > SPIKE_RATIO and np.mean(is_unshared[sizes > size / SEPARATION_RATIO]) > 0.5
+            for k, size in zip(jump_samples[is_unshared], jump_deviations[is_unshared], strict=True)
+            if size > MIN_SPIKE_RATIO and np.mean(is_unshared[jump_deviations > size / SPIKE_TO_IMPACT_RATIO]) > 0.5
         ]
-    elif spikes:
+    elif spike_samples:
         peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][
             : MAX_SPIKES + 1
         ]
-        ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
-        widest = int(np.argmax(ratios))
-        spikes = [k for k in spikes if deviation[k] >= peaks[widest]] if ratios[widest] > SEPARATION_RATIO else []
-    if not 0 < len(spikes) <= MAX_SPIKES:
+        peak_ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        widest_index = int(np.argmax(peak_ratios))
+        spike_samples = (
+            [k for k in spike_samples if deviation[k] >= peaks[widest_index]]
+            if peak_ratios[widest_index] > SPIKE_TO_IMPACT_RATIO
+            else []
+        )
+    if not 0 < len(spike_samples) <= MAX_SPIKES:
         return None
     return Finding(
         cause="spikes",
         channels=(name,),
-        evidence=f"{name} jumps for single samples in {len(spikes)} places, first at sample {spikes[0]}",
+        evidence=f"{name} jumps for single samples in {len(spike_samples)} places, first at sample {spike_samples[0]}",
         mend="check cables and connectors, and record again",
     )
 
 
-def _is_single(deviation: Row, k: int) -> bool:
+def _is_single(relative_deviation: Row, sample: int) -> bool:
     """True if sample k alone is off: two thirds of its deviation then show at its neighbours, a sixth at the next."""
-    nearest, second_nearest = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
+    nearest, second_nearest = relative_deviation[[sample - 1, sample + 1]], relative_deviation[[sample - 2, sample + 2]]
     return bool(
-        deviation[k] > 1.3 * nearest.max()
-        and nearest.min() > 0.45 * deviation[k]
-        and second_nearest.max() < 0.35 * deviation[k]
+        relative_deviation[sample] > 1.3 * nearest.max()
+        and nearest.min() > 0.45 * relative_deviation[sample]
+        and second_nearest.max() < 0.35 * relative_deviation[sample]
     )
 
 
 def _moving_mean(values: Row, width: int) -> Row:
     """Moving mean of both sides, without the middle sample."""
     sums = np.cumsum(np.r_[0.0, values])
-    low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
-    high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
-    return np.asarray((sums[high] - sums[low] - values) / np.maximum(high - low - 1, 1))
+    low_index = np.clip(np.arange(values.size) - width // 2, 0, values.size)
+    high_index = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
+    return np.asarray((sums[high_index] - sums[low_index] - values) / np.maximum(high_index - low_index - 1, 1))
 
 
 def copy_findings(names: list[str], rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
-    thinned = [r[:: max(1, r.size // 8192)] for r in rows]
+    thinned_rows = [row[:: max(1, row.size // 8192)] for row in rows]
     unit_vectors = [
         (row - row.mean()) / norm if (norm := float(np.linalg.norm(row - row.mean()))) > 0 else np.zeros_like(row)
-        for row in thinned
+        for row in thinned_rows
     ]
     correlation = np.abs(np.array(unit_vectors) @ np.array(unit_vectors).T)
     for i, name in enumerate(names):
@@ -220,25 +230,25 @@ def noise_finding(
     name: str, rate_hz: float, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
 ) -> Finding | None:
     """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
-    quiet = quiet_samples(forces_n, rate_hz)
-    share = float(samples[:quiet].std() / samples.std()) if quiet else 0.0
-    if share < NOISE_SHARE:
+    quiet_count = quiet_samples(forces_n, rate_hz)
+    quiet_share = float(samples[:quiet_count].std() / samples.std()) if quiet_count else 0.0
+    if quiet_share < MAX_QUIET_SHARE:
         return None
     quiet_roughness, driven_roughness = (
-        float(np.diff(part).std() / part.std()) for part in (samples[:quiet], samples[quiet:])
+        float(np.diff(part).std() / part.std()) for part in (samples[:quiet_count], samples[quiet_count:])
     )
-    if quiet_roughness < ROUGHNESS_RATIO * driven_roughness:
+    if quiet_roughness < NOISE_ROUGHNESS_RATIO * driven_roughness:
         return Finding(
             cause="force",
             channels=(*force_names, name),
-            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
+            evidence=f"{name} moves as it does later, with {100 * quiet_share:.2g} % of its root mean square, before "
             "the force begins",
             mend="check that the force is of this record and on its clock, or let the rig come to rest first",
         )
     return Finding(
         cause="noise",
         channels=(name,),
-        evidence=f"{name} shows {100 * share:.2g} % of its root mean square before the force begins",
+        evidence=f"{name} shows {100 * quiet_share:.2g} % of its root mean square before the force begins",
         mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
     )
 
@@ -248,35 +258,35 @@ def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, flo
     quiet_count = quiet_samples(forces_n, rate_hz)
     quiet_part = samples[:quiet_count] if quiet_count > 0.4 * rate_hz else samples
     centred = quiet_part - quiet_part.mean()
-    amplitude = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
-    hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
-    resolution_hz = hz[1]
+    line_amplitudes = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
+    line_hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
+    resolution_hz = line_hz[1]
     for mains_hz in (50.0, 60.0):
-        on_tone = np.abs(hz - mains_hz) <= max(0.15, 1.5 * resolution_hz)
-        off_tone = (np.abs(hz - mains_hz) > max(0.6, 3 * resolution_hz)) & (
-            np.abs(hz - mains_hz) < max(3.0, 9 * resolution_hz)
+        tone_mask = np.abs(line_hz - mains_hz) <= max(0.15, 1.5 * resolution_hz)
+        background_mask = (np.abs(line_hz - mains_hz) > max(0.6, 3 * resolution_hz)) & (
+            np.abs(line_hz - mains_hz) < max(3.0, 9 * resolution_hz)
         )
-        if not (on_tone.any() and off_tone.any()):
+        if not (tone_mask.any() and background_mask.any()):
             continue
-        tone_amplitude = float(amplitude[on_tone].max())
-        background_amplitude = float(np.sqrt(np.mean(amplitude[off_tone] ** 2)))
-        if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > TONE_SHARE * float(
+        tone_amplitude = float(line_amplitudes[tone_mask].max())
+        background_amplitude = float(np.sqrt(np.mean(line_amplitudes[background_mask] ** 2)))
+        if tone_amplitude > 2 * TONE_TO_BACKGROUND * background_amplitude and tone_amplitude > MIN_TONE_SHARE * float(
             samples.std()
         ):
-            return float(hz[on_tone][np.argmax(amplitude[on_tone])]), tone_amplitude
+            return float(line_hz[tone_mask][np.argmax(line_amplitudes[tone_mask])]), tone_amplitude
     return None
 
 
 def hum_finding(name: str, rate_hz: float, samples: Row, forces_n: Rows) -> Finding | None:
     """Finding: a mains tone."""
-    tone, channel_amplitude = mains_tone(rate_hz, samples, forces_n), float(samples.std() * np.sqrt(2))
-    if tone is None or channel_amplitude == 0:  # also of values so small that their squares are zero
+    tone_hz_and_amplitude, channel_amplitude = mains_tone(rate_hz, samples, forces_n), float(samples.std() * np.sqrt(2))
+    if tone_hz_and_amplitude is None or channel_amplitude == 0:  # also of values so small that their squares are zero
         return None
-    hz, tone_amplitude = tone
+    tone_hz, amplitude = tone_hz_and_amplitude
     return Finding(
         cause="hum",
         channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * tone_amplitude / channel_amplitude:.2g} % of its size, "
+        evidence=f"{name} holds a tone of {tone_hz:.3g} Hz, {100 * amplitude / channel_amplitude:.2g} % of its size, "
         "that the force does not make: mains hum",
         mend="ground the cables at one end, keep them away from mains cables, and record again",
     )
@@ -287,7 +297,7 @@ def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> F
     mean, rms = (
         (float(samples.mean()), float(samples.std())) if usual_rms is None else (float(samples.mean()), usual_rms)
     )
-    if abs(mean) <= OFFSET_SHARE * rms or not rms:
+    if abs(mean) <= MAX_OFFSET_SHARE * rms or not rms:
         return None
     return Finding(
         cause="offset",
@@ -301,22 +311,22 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
     sample_count = samples.size
     power = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(sample_count))) ** 2
-    slow_lines = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
-    share = float(np.sqrt(np.sum(power[1:slow_lines]) / np.sum(power)))
-    if share < DRIFT_SHARE:
+    slow_line_end = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
+    slow_share = float(np.sqrt(np.sum(power[1:slow_line_end]) / np.sum(power)))
+    if slow_share < DRIFT_SHARE:
         return None
     return Finding(
         cause="drift",
         channels=(name,),
-        evidence=f"{name} drifts: {100 * share:.2g} % of its root mean square lies below {DRIFT_BELOW_HZ:g} Hz",
+        evidence=f"{name} drifts: {100 * slow_share:.2g} % of its root mean square lies below {DRIFT_BELOW_HZ:g} Hz",
         mend="let the amplifier warm up, keep it from temperature changes, or high-pass it",
     )
 
 
-def motion_finding(name: str, rate_hz: float, samples: Row, first_s: float) -> Finding | None:
+def motion_finding(name: str, rate_hz: float, samples: Row, rest_s: float) -> Finding | None:
     """Finding: the channel moves by a part of its usual motion within the record's first moments."""
-    first_samples = samples[: max(8, round(first_s * rate_hz))]
-    if first_samples.std() < MOVING_SHARE * samples.std():
+    beginning = samples[: max(8, round(rest_s * rate_hz))]
+    if beginning.std() < MIN_MOVING_SHARE * samples.std():
         return None
     return Finding(
         cause="not at rest",

@@ -49,7 +49,7 @@ def contact(
 
     identify contact recordings --out results
     """
-    from identify.commands.contact_files import RESULTS, ContactSettings, identify_file, print_report
+    from identify.commands.contact_files import RESULT_NAMES, ContactSettings, identify_file, print_report
     from identify.commands.contact_folder import contact_folder
     from identify.commands.many import check_folder_options
     from identify.signals.spectra import WINDOW_POWERS, Averaging
@@ -73,7 +73,7 @@ def contact(
     if dask is not None:
         raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
     if out is not None:
-        for file_name in RESULTS:
+        for file_name in RESULT_NAMES:
             refuse_existing(out / file_name, force, file, new_folder=True)
     with progress_bar(f"identifying {file.name}") as progress:
         identification_share = 1.0 if out is None else DRAWING_START_SHARE

@@ -25,7 +25,7 @@ from rig.model.description import to_json
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-RESULTS = ("contact.json", "contact.html", "rig.json")
+RESULT_NAMES = ("contact.json", "contact.html", "rig.json")
 """Files of a result that must not be overwritten unasked."""
 
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
-from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
+from identify.commands.contact_files import RESULT_NAMES, ContactSettings, identify_file
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages.wording import interval
 from rig.commands.command_line import literal_console, print_sentence
 from rig.errors import RigError
 
-TABLE = "contacts"
+TABLE_NAME = "contacts"
 QUANTITIES = {"clearance": "m", "lower_clearance": "m", "upper_clearance": "m", "stiffness": "n_per_m"}
 QUANTITIES |= {"damping": "n_s_per_m"}
 COLUMNS = (
@@ -37,11 +37,11 @@ def contact_folder(
     folder: Path, out: Path, settings: ContactSettings, dask: str | None, as_json: bool, force: bool
 ) -> None:
     """Identify every recording of a folder, each with its files in DIR/NAME, and write the table of all contacts."""
-    tasks = tasks_of(folder, out, settings, RESULTS, force)
-    answers = answer_all(contact_rows, [tasks], out, settings, RESULTS[0], dask, force)
+    tasks = tasks_of(folder, out, settings, RESULT_NAMES, force)
+    answers = answer_all(contact_rows, [tasks], out, settings, RESULT_NAMES[0], dask, force)
     if not as_json:
         _print_contacts(answers)
-    finish(answers, COLUMNS, out, TABLE, as_json)
+    finish(answers, COLUMNS, out, TABLE_NAME, as_json)
 
 
 def contact_rows(task: RecordingTask) -> TableRows:

@@ -21,8 +21,8 @@ from rig.model.description import from_json, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-TABLE, NULL_REFERENCES = "gaps", "null_references"
-RESULTS = ("gap.json", "gap.html", "rig.json")
+TABLE_NAME, NULL_REFERENCES = "gaps", "null_references"
+RESULT_NAMES = ("gap.json", "gap.html", "rig.json")
 COLUMNS = (
     "recording",
     "rig",
@@ -70,7 +70,7 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
     first_task_by_reference: dict[str, RecordingTask] = {}
     tasks = []
     with working(f"reading {folder}"):
-        for task in tasks_of(folder, out, settings, RESULTS, force):
+        for task in tasks_of(folder, out, settings, RESULT_NAMES, force):
             reference_path = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
             tasks.append(msgspec.structs.replace(task, shared=reference_path))
             first_task_by_reference.setdefault(reference_path, tasks[-1])
@@ -79,13 +79,13 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
         list(first_task_by_reference.values()),
         [task for task in tasks if task not in first_task_by_reference.values()],
     ]
-    answers = answer_all(gap_rows, task_stages, out, settings, RESULTS[0], dask, force)
+    answers = answer_all(gap_rows, task_stages, out, settings, RESULT_NAMES[0], dask, force)
     task_positions = {task.path.name: position for position, task in enumerate(tasks)}
     answers.sort(key=lambda answer: task_positions[str(answer.rows[0]["recording"])])
     if not as_json:
         _print_diagnoses(answers)
     parameter_columns = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
-    finish(answers, (*COLUMNS, *parameter_columns), out, TABLE, as_json)
+    finish(answers, (*COLUMNS, *parameter_columns), out, TABLE_NAME, as_json)
 
 
 def gap_rows(task: RecordingTask) -> TableRows:
@@ -142,7 +142,7 @@ def _cause_cells(gap_report: Gap) -> dict[str, str | float | None]:
         "effects": " | ".join(cause.labels),
         "places": " | ".join(f"{field}={place}" for field, place in cause.places.items()),
         "probability": cause.probability,
-        "inclusion_probabilities": " | ".join(f"{s.inclusion_probability:.6g}" for s in cause.strengths),
+        "inclusion_probabilities": " | ".join(f"{strength.inclusion_probability:.6g}" for strength in cause.strengths),
         "explained": cause.explained,
     }
     for parameter_name, estimate in cause.parameters.items():

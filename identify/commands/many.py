@@ -17,7 +17,7 @@ from rig.errors import RigError, one_line
 from rig.files import contents, make_folder, sha256_of, write_json
 from rig.recording import recordings_in
 
-SETTINGS, KEPT_TASKS = "settings.json", "tasks"
+SETTINGS_NAME, KEPT_TASKS_FOLDER = "settings.json", "tasks"
 REFUSED, FAILED = "refused", "failed"
 """Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
 TEXT_COLUMNS = frozenset(
@@ -93,23 +93,28 @@ def tasks_of(
 ) -> list[RecordingTask]:
     """Task of every recording in a folder, by name, after a check that nothing else would be overwritten.
 
-    A folder of results goes on with the settings that it began with, which it keeps in SETTINGS; with `force` it begins
-    anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
+    A folder of results goes on with the settings that it began with, which it keeps in SETTINGS_NAME; with `force` it
+    begins anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
     """
     recordings = sorted_by_name(recordings_in(folder))
     if not recordings:
         raise RigError(f"{folder}: holds no recordings (*.mcap); give another folder")
-    settings_json, settings_path = msgspec.json.encode(settings), out / SETTINGS
-    is_begun = settings_path.exists() and not force
-    if is_begun and not _is_same_json(contents(settings_path), settings_json):
+    settings_json, settings_path = msgspec.json.encode(settings), out / SETTINGS_NAME
+    is_continued = settings_path.exists() and not force
+    if is_continued and not _is_same_json(contents(settings_path), settings_json):
         raise RigError(
             f"{settings_path}: {out} holds results by other settings; give another folder, or --force to begin anew"
         )
     tasks = [
-        RecordingTask(str(r.absolute()), _sha256(r), str((out / r.stem).absolute()), msgspec.Raw(settings_json))
-        for r in recordings
+        RecordingTask(
+            str(recording_path.absolute()),
+            _sha256(recording_path),
+            str((out / recording_path.stem).absolute()),
+            msgspec.Raw(settings_json),
+        )
+        for recording_path in recordings
     ]
-    for task in tasks if not is_begun else ():
+    for task in tasks if not is_continued else ():
         for result_name in result_names:
             refuse_existing(task.folder / result_name, force, task.path, new_folder=True)
     return tasks
@@ -129,17 +134,17 @@ def answer_all(
     `last_file_name` is the file of a recording's folder that is written last.
     """
     make_folder(out)
-    write_json(settings, out / SETTINGS)
+    write_json(settings, out / SETTINGS_NAME)
     answers: list[TableRows] = []
     for tasks in stages:
         for task in tasks:
-            answer_path = kept_path(answer_function, task, out / KEPT_TASKS)
+            answer_path = kept_path(answer_function, task, out / KEPT_TASKS_FOLDER)
             if answer_path.exists() and (force or not _is_answer_kept(answer_path, task.folder / last_file_name)):
                 answer_path.unlink()
             if not answer_path.exists():
                 # of a run that was cut short, or of other samples
                 (task.folder / last_file_name).unlink(missing_ok=True)
-        outcomes = outcomes_of_tasks(answer_function, tasks, TableRows, out / KEPT_TASKS, dask)
+        outcomes = outcomes_of_tasks(answer_function, tasks, TableRows, out / KEPT_TASKS_FOLDER, dask)
         answers += [
             refused_row(task.path, outcome, FAILED) if isinstance(outcome, BaseException) else outcome
             for task, outcome in zip(tasks, outcomes, strict=True)
@@ -175,9 +180,9 @@ def finish(
         raise typer.Exit(1)
 
 
-def _is_same_json(json_text: bytes, other_text: bytes) -> bool:
+def _is_same_json(json_text: bytes, other_json_text: bytes) -> bool:
     try:
-        return bool(msgspec.json.decode(json_text) == msgspec.json.decode(other_text))
+        return bool(msgspec.json.decode(json_text) == msgspec.json.decode(other_json_text))
     except msgspec.DecodeError:
         return False
 

@@ -61,7 +61,7 @@ class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changed(self) -> bool:
-        return any(p is not None and p < LEVEL for p in (self.p_different, self.p_trend))
+        return any(p_value is not None and p_value < LEVEL for p_value in (self.p_different, self.p_trend))
 
 
 class History(msgspec.Struct, frozen=True):
@@ -96,16 +96,18 @@ def history_of(observations: Sequence[Observation]) -> History:
 
 def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of the quantities of every contact that any report has."""
-    contacts_by_name = [{contact.name: contact for contact in report.contacts} for report in reports]
-    contact_names = list(dict.fromkeys(contact_name for by_name in contacts_by_name for contact_name in by_name))
+    contacts_by_recording = [{contact.name: contact for contact in report.contacts} for report in reports]
+    contact_names = list(
+        dict.fromkeys(contact_name for contact_by_name in contacts_by_recording for contact_name in contact_by_name)
+    )
     return [
         quantity_of(
             contact_name,
             field,
             unit,
             [
-                getattr(by_name[contact_name], field) if contact_name in by_name else None
-                for by_name in contacts_by_name
+                getattr(contact_by_name[contact_name], field) if contact_name in contact_by_name else None
+                for contact_by_name in contacts_by_recording
             ],
         )
         for contact_name in contact_names
@@ -115,16 +117,18 @@ def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory
 
 def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of frequency and damping of the modes that all reports have, without known errors."""
-    modes_by_name = [{f"mode {m.index} of {m.beam}": m for m in report.modes} for report in reports]
+    modes_by_recording = [{f"mode {mode.index} of {mode.beam}": mode for mode in report.modes} for report in reports]
     common_mode_names = [
-        mode_name for mode_name in modes_by_name[0] if all(mode_name in by_name for by_name in modes_by_name)
+        mode_name
+        for mode_name in modes_by_recording[0]
+        if all(mode_name in mode_by_name for mode_by_name in modes_by_recording)
     ]
     return [
         quantity_of(
             mode_name,
             field,
             unit,
-            [Estimate(getattr(by_name[mode_name], field), 0.0, 0.0) for by_name in modes_by_name],
+            [Estimate(getattr(mode_by_name[mode_name], field), 0.0, 0.0) for mode_by_name in modes_by_recording],
         )
         for mode_name in common_mode_names
         for field, unit in MODAL_UNITS.items()
@@ -133,16 +137,20 @@ def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
 
 def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
     """History of one quantity, with p-values not yet corrected for the number of tests."""
-    undetermined = Estimate(np.nan, np.nan)
-    filled_estimates = [e or undetermined for e in estimates]
-    values, standard_errors = np.array([(e.value, e.standard_error) for e in filled_estimates]).T
-    own_errors = np.array([e.standard_error if e.own_error is None else e.own_error for e in filled_estimates])
+    no_estimate = Estimate(np.nan, np.nan)
+    filled_estimates = [estimate or no_estimate for estimate in estimates]
+    values, standard_errors = np.array([(estimate.value, estimate.standard_error) for estimate in filled_estimates]).T
+    own_errors = np.array(
+        [estimate.standard_error if estimate.own_error is None else estimate.own_error for estimate in filled_estimates]
+    )
     is_determined = np.isfinite(values) & np.isfinite(own_errors)
     errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
-    weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
-    mean = float(np.average(values[is_determined], weights=weights[is_determined]))
+    recording_weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
+    mean = float(np.average(values[is_determined], weights=recording_weights[is_determined]))
     recording_positions = np.flatnonzero(is_determined).astype(float)
-    change_results = change_tests(recording_positions, values[is_determined], weights[is_determined], errors_known)
+    change_results = change_tests(
+        recording_positions, values[is_determined], recording_weights[is_determined], errors_known
+    )
     common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
@@ -160,8 +168,8 @@ def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate 
 
 def _with_common_error(drift: Estimate, mean: float, common_error: float) -> Estimate:
     """Drift whose standard error includes a relative error that all values have in common."""
-    share = common_error / abs(mean) if mean else 0.0
-    return Estimate(drift.value, float(np.hypot(drift.standard_error, share * drift.value)))
+    relative_common_error = common_error / abs(mean) if mean else 0.0
+    return Estimate(drift.value, float(np.hypot(drift.standard_error, relative_common_error * drift.value)))
 
 
 def _finite_values(values: PerRecording) -> tuple[float | None, ...]:
@@ -179,7 +187,7 @@ class ChangeTests:
 
 
 def change_tests(
-    recording_positions: PerRecording, values: PerRecording, weights: PerRecording, errors_known: bool
+    recording_positions: PerRecording, values: PerRecording, recording_weights: PerRecording, errors_known: bool
 ) -> ChangeTests:
     """Test whether the values x_i differ, and whether they follow a line over the positions t_i.
 
@@ -192,16 +200,20 @@ def change_tests(
     recording_count = values.size
     if recording_count < 2:
         return ChangeTests(None, None, None)
-    centred_positions = recording_positions - np.average(recording_positions, weights=weights)
-    centred_values = values - np.average(values, weights=weights)
+    centred_positions = recording_positions - np.average(recording_positions, weights=recording_weights)
+    centred_values = values - np.average(values, weights=recording_weights)
     p_different = (
-        float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1)) if errors_known else None
+        float(chi2.sf(recording_weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1))
+        if errors_known
+        else None
     )
     if recording_count < MIN_TREND_COUNT:
         return ChangeTests(p_different, None, None)
-    position_square_sum = weights @ centred_positions**2
-    slope = float(weights @ (centred_positions * centred_values) / position_square_sum)
-    residual_mean_square = float(weights @ (centred_values - slope * centred_positions) ** 2) / (recording_count - 2)
+    position_square_sum = recording_weights @ centred_positions**2
+    slope = float(recording_weights @ (centred_positions * centred_values) / position_square_sum)
+    residual_mean_square = float(recording_weights @ (centred_values - slope * centred_positions) ** 2) / (
+        recording_count - 2
+    )
     slope_error = float(np.sqrt(max(residual_mean_square, 1.0 if errors_known else 0.0) / position_square_sum))
     position_span = float(np.ptp(recording_positions))
     p_trend = (
@@ -215,9 +227,9 @@ def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHisto
     procedure", 1979)."""
     p_values = [
         (p_value, quantity_index, field_name)
-        for quantity_index, q in enumerate(quantities)
+        for quantity_index, quantity in enumerate(quantities)
         for field_name in ("p_different", "p_trend")
-        if (p_value := getattr(q, field_name)) is not None
+        if (p_value := getattr(quantity, field_name)) is not None
     ]
     adjusted_by_field: list[dict[str, float]] = [{} for quantity in quantities]
     adjusted_p = 0.0
@@ -225,5 +237,6 @@ def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHisto
         adjusted_p = max(adjusted_p, min(1.0, (len(p_values) - rank) * p_value))
         adjusted_by_field[quantity_index][field_name] = adjusted_p
     return tuple(
-        msgspec.structs.replace(q, **changes) for q, changes in zip(quantities, adjusted_by_field, strict=True)
+        msgspec.structs.replace(q, **adjusted_p_values)
+        for q, adjusted_p_values in zip(quantities, adjusted_by_field, strict=True)
     )

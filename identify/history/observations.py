@@ -32,7 +32,12 @@ def sources_in(folder: Path) -> list[Path]:
 
 def sorted_by_name(paths: Iterable[Path]) -> list[Path]:
     """Paths sorted by name, 2 before 10."""
-    return sorted(paths, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
+    return sorted(
+        paths,
+        key=lambda path: [
+            int(name_part) if name_part.isdigit() else name_part for name_part in re.split(r"(\d+)", path.name)
+        ],
+    )
 
 
 def observations(

@@ -27,10 +27,16 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    changes = "; ".join(f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed)
+    change_texts = "; ".join(
+        f"{quantity_name(quantity)} {_change_predicate(quantity)}"
+        for quantity in history.quantities
+        if quantity.changed
+    )
     recordings_phrase = f"{len(history.used)} recordings of {history.rig}"
     return (
-        f"{recordings_phrase}: {changes}." if changes else f"{recordings_phrase}: nothing changed by more than chance."
+        f"{recordings_phrase}: {change_texts}."
+        if change_texts
+        else f"{recordings_phrase}: nothing changed by more than chance."
     )
 
 
@@ -60,7 +66,8 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
     for quantity in history.quantities:
         _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
         p_texts = (
-            "" if p is None else f"{p:.2g}" if p > 0 else "< 1e-300" for p in (quantity.p_trend, quantity.p_different)
+            "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
+            for p_value in (quantity.p_trend, quantity.p_different)
         )
         yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *p_texts
 
@@ -75,9 +82,9 @@ def csv_of(history: History) -> bytes:
         recording_values = zip(
             history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True
         )
-        for observation, value, *errors in recording_values:
+        for observation, value, *two_errors in recording_values:
             if value is not None:
-                half_width_texts = ["" if not error else repr(COVERED * error) for error in errors]
+                half_width_texts = ["" if not error else repr(COVERED * error) for error in two_errors]
                 recording_cells = (observation.name, _date_text(observation))
                 writer.writerow(
                     [*recording_cells, quantity.of, quantity.quantity, quantity.unit, repr(value), *half_width_texts]
@@ -122,8 +129,10 @@ def history_figure(history: History) -> Picture:
                 for contact_name in contact_names
             ]
             for contact_index, quantity_history in enumerate(histories):
-                values = np.array([np.nan if v is None else v for v in quantity_history.values])
-                own_errors = np.array([np.nan if e is None else e for e in quantity_history.own_errors])
+                values = np.array([np.nan if value is None else value for value in quantity_history.values])
+                own_errors = np.array(
+                    [np.nan if own_error is None else own_error for own_error in quantity_history.own_errors]
+                )
                 shifted_positions = recording_positions + 0.08 * np.diff(recording_positions).min() * (
                     contact_index - (len(histories) - 1) / 2
                 )
@@ -153,7 +162,7 @@ def history_figure(history: History) -> Picture:
 def write_page(history: History, figure: Picture, path: Path) -> None:
     """Write history.html."""
     has_changes = any(quantity.changed for quantity in history.quantities)
-    has_findings = any(o.report.findings for o in history.used if o.report)
+    has_findings = any(observation.report.findings for observation in history.used if observation.report)
     page.write(
         path,
         title=f"{history.rig}: {len(history.used)} recordings compared",

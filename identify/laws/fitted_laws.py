@@ -4,7 +4,7 @@ Every law is evaluated finely along the relative displacement eta and low-passed
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
 
@@ -18,7 +18,7 @@ from identify.signals.scores import part_scores
 HAT_COUNT, HAT_GROUP_COUNT = 81, 9
 MAX_KNEES = 8
 BEND_PENALTY = 1e-3
-KNEE_ERROR_RATIO = 1.02
+DROPPED_KNEE_RATIO = 1.02
 """A knee is dropped if the error of the fit without it is at most this multiple."""
 ERROR_RESOLUTION = 1e-3
 """Resolution of errors, as a share of the force's standard deviation."""
@@ -39,22 +39,23 @@ Rows = slice
 
 
 @dataclass(frozen=True)
-class Course:
+class MonotonicRuns:
     """Relative displacement as monotonic runs between its turning points."""
 
-    steps_m: tuple[float, ...]
+    run_lengths_m: tuple[float, ...]
     """Displacement from each turning point to the next."""
     run_indices: Int[np.ndarray, " more"]
     """Index of the run of each sample."""
-    since_turn_m: Float[np.ndarray, " more"]
+    eta_since_turn_m: Float[np.ndarray, " more"]
 
 
-def course_of(eta_m: Float[np.ndarray, " more"]) -> Course:
+def monotonic_runs(eta_m: Float[np.ndarray, " more"]) -> MonotonicRuns:
     """Turning points of a relative displacement."""
     turn_samples = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
     run_starts = np.concatenate([[0], turn_samples])
     run_indices = np.repeat(np.arange(run_starts.size), np.diff(run_starts, append=eta_m.size))
-    return Course(tuple(np.diff(eta_m[run_starts]).tolist()), run_indices, eta_m - eta_m[run_starts][run_indices])
+    run_lengths_m = tuple(np.diff(eta_m[run_starts]).tolist())
+    return MonotonicRuns(run_lengths_m, run_indices, eta_m - eta_m[run_starts][run_indices])
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,9 @@ class ForceSamples:
         return self.eta_m[:: self.decimation][: self.force_n.size]
 
     @cached_property
-    def course(self) -> Course:
+    def course(self) -> MonotonicRuns:
         """Course of the interpolated displacement, for friction."""
-        return course_of(interpolated(self.eta_m, self.sample_rate_hz))
+        return monotonic_runs(interpolated(self.eta_m, self.sample_rate_hz))
 
     def low_passed(
         self, law: LawFunction, *arguments: Float[np.ndarray, " more"]
@@ -106,12 +107,12 @@ def force_without_low_pass(samples: ForceSamples, rows: Rows) -> Float[np.ndarra
     hat_forces = np.concatenate(
         [samples.low_passed(partial(_hats, group, width_m)) for group in np.split(centres_m, HAT_GROUP_COUNT)]
     ).T
-    bend_rows = (
+    bend_penalty_rows = (
         BEND_PENALTY * np.sqrt(np.sum(hat_forces[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
     )
-    system_rows = np.concatenate([hat_forces[rows], bend_rows])
+    equations = np.concatenate([hat_forces[rows], bend_penalty_rows])
     heights_n = np.linalg.lstsq(
-        system_rows, np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)]), rcond=None
+        equations, np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)]), rcond=None
     )[0]
     return (samples.force_n - hat_forces @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
 
@@ -154,14 +155,14 @@ def slope_jumps(law: LawFunction, low_m: float, high_m: float, jump_share: float
     """
     eta_m = np.linspace(low_m, high_m, 4001)
     slopes_n_per_m = np.gradient(law(eta_m), eta_m)
-    span_samples = 8
-    slope_changes = np.abs(slopes_n_per_m[span_samples:] - slopes_n_per_m[:-span_samples])
+    window = 8
+    slope_changes = np.abs(slopes_n_per_m[window:] - slopes_n_per_m[:-window])
     is_jump = slope_changes > jump_share * max(
         float(np.ptp(slopes_n_per_m)), 1e-9 * float(np.abs(slopes_n_per_m).max())
     )
     jump_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
-    middles_m = eta_m[span_samples // 2 : -span_samples // 2]
-    jump_runs = [(a, b) for a, b in zip(jump_edges[::2], jump_edges[1::2], strict=True) if b - a <= 3 * span_samples]
+    middles_m = eta_m[window // 2 : -window // 2]
+    jump_runs = [(a, b) for a, b in zip(jump_edges[::2], jump_edges[1::2], strict=True) if b - a <= 3 * window]
     jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MAX_KNEES])
     return np.array([np.average(middles_m[a:b], weights=slope_changes[a:b]) for a, b in jump_runs])
 
@@ -170,10 +171,10 @@ def mean_slopes(
     law: LawFunction, knees_m: Float[np.ndarray, " knees"], low_m: float, high_m: float
 ) -> tuple[float, ...]:
     """Mean slope (N/m) of a law on each piece between knees, a tenth of the piece away from them."""
-    edges_m = np.concatenate([[low_m], knees_m, [high_m]])
-    margins_m = 0.1 * np.diff(edges_m)
-    left_m, right_m = edges_m[:-1] + margins_m, edges_m[1:] - margins_m
-    return tuple(float(s) for s in (law(right_m) - law(left_m)) / (right_m - left_m))
+    piece_ends_m = np.concatenate([[low_m], knees_m, [high_m]])
+    margins_m = 0.1 * np.diff(piece_ends_m)
+    left_m, right_m = piece_ends_m[:-1] + margins_m, piece_ends_m[1:] - margins_m
+    return tuple(float(slope) for slope in (law(right_m) - law(left_m)) / (right_m - left_m))
 
 
 def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray, " knees"]) -> PiecewiseLinear:
@@ -184,16 +185,16 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     """
     law, error_n = _fit_pieces(samples, rows, np.sort(knees_m))
     while law.knees_m.size:
-        weakest_knee = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_knee))
-        if reduced_error_n > KNEE_ERROR_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
+        weakest_index = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
+        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_index))
+        if reduced_error_n > DROPPED_KNEE_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
         law, error_n = reduced_law, reduced_error_n
     return law
 
 
 def _fit_pieces(
-    samples: ForceSamples, rows: Rows, start_m: Float[np.ndarray, " knees"]
+    samples: ForceSamples, rows: Rows, start_knees_m: Float[np.ndarray, " knees"]
 ) -> tuple[PiecewiseLinear, float]:
     """Piecewise-linear law with as many knees as the start has, and its rms error (N)."""
     force_n = samples.force_n[rows]
@@ -203,7 +204,7 @@ def _fit_pieces(
     def linear_fit(relative_knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         linear_columns = samples.low_passed(
             lambda eta: np.stack(
-                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - k, 0.0) for k in relative_knees)]
+                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in relative_knees)]
             )
         )[:, rows].T
         heights = np.linalg.lstsq(linear_columns, force_n, rcond=None)[0]
@@ -211,7 +212,7 @@ def _fit_pieces(
 
     def knee_derivatives(relative_knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
         step_columns = samples.low_passed(
-            lambda eta: np.stack([(eta / span_m > k).astype(float) for k in relative_knees])
+            lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in relative_knees])
         )
         return (heights[2:, None] * step_columns[:, rows]).T
 
@@ -221,13 +222,13 @@ def _fit_pieces(
         height_derivatives = np.linalg.lstsq(linear_columns, knee_columns, rcond=None)[0]  # the slopes follow
         return knee_columns - linear_columns @ height_derivatives
 
-    relative_knees = np.clip(start_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
+    relative_knees = np.clip(start_knees_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
     if relative_knees.size:
         inverse_error = 1 / max(float(np.std(linear_fit(relative_knees)[2])), 1e-12)
         optimum = least_squares(
-            lambda k: inverse_error * linear_fit(k)[2],
+            lambda knee: inverse_error * linear_fit(knee)[2],
             relative_knees,
-            lambda k: inverse_error * jacobian(k),
+            lambda knee: inverse_error * jacobian(knee),
             bounds=(low_m / span_m, high_m / span_m),
             x_scale=0.05,
             max_nfev=30,
@@ -287,16 +288,16 @@ class SlidingFriction:
 
     def __call__(self, eta_m: Float[np.ndarray, " more"]) -> Float[np.ndarray, " more"]:
         """Force (N) along a relative displacement, all samples from the first on."""
-        return self.force_n(course_of(eta_m))
+        return self.force_n(monotonic_runs(eta_m))
 
-    def force_n(self, course: Course) -> Float[np.ndarray, " more"]:
+    def force_n(self, course: MonotonicRuns) -> Float[np.ndarray, " more"]:
         """Force at every sample of a course."""
         half_backlash_m, k = self.backlash_m / 2, self.stiffness_n_per_m
         low_m, high_m = -half_backlash_m - self.lower_n / k, half_backlash_m + self.upper_n / k
         slider_at_turns_m = [0.0]
-        for step_m in course.steps_m:
-            slider_at_turns_m.append(min(max(slider_at_turns_m[-1] + step_m, low_m), high_m))
-        slider_m = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.since_turn_m, low_m, high_m)
+        for run_m in course.run_lengths_m:
+            slider_at_turns_m.append(min(max(slider_at_turns_m[-1] + run_m, low_m), high_m))
+        slider_m = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.eta_since_turn_m, low_m, high_m)
         return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
 
 
@@ -306,15 +307,14 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     upper_n, lower_n = (
         max(float(np.quantile(sign * force_n, SLIDING_QUANTILE)), 1e-9 * np.ptp(force_n)) for sign in (1, -1)
     )
-    span_m, span_n = float(np.ptp(samples.eta_m)), upper_n + lower_n
-    log_scales = np.log([upper_n, lower_n, span_m, span_n / span_m])
+    eta_span_m, force_span_n = float(np.ptp(samples.eta_m)), upper_n + lower_n
+    log_scales = np.log([upper_n, lower_n, eta_span_m, force_span_n / eta_span_m])
 
-    def law(logarithms: Float[np.ndarray, " parameters"]) -> SlidingFriction:
-        upper, lower, backlash, stiffness = np.exp(log_scales + logarithms).tolist()
-        return SlidingFriction(upper, lower, backlash, stiffness)
+    def law_of_logarithms(logarithms: Float[np.ndarray, " parameters"]) -> SlidingFriction:
+        return SlidingFriction(*np.exp(log_scales + logarithms).tolist())
 
     def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
-        return (force_n - samples.low_passed(law(logarithms))[rows]) / span_n
+        return (force_n - samples.low_passed(law_of_logarithms(logarithms))[rows]) / force_span_n
 
     log_starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASHES, START_STIFFNESSES)]
     log_starts.sort(key=lambda log_start: float(np.sum(relative_residual(log_start) ** 2)))
@@ -332,8 +332,8 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     )
     relative_errors = np.sqrt(np.sum(scores**2, axis=0))
     parameters = np.exp(log_scales + optimum.x)
-    upper, lower, backlash, stiffness = parameters.tolist()
-    return SlidingFriction(upper, lower, backlash, stiffness, tuple((parameters * relative_errors).tolist()))
+    standard_errors = tuple((parameters * relative_errors).tolist())
+    return replace(law_of_logarithms(optimum.x), standard_errors=standard_errors)
 
 
 def _error_slopes(

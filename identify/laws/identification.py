@@ -53,7 +53,7 @@ FALLBACK_KNEE_COUNT = 4
 EDGE_SAMPLE_COUNT = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
 MIN_SAMPLE_COUNT = 500
-EQUIVALENT_RATIO = 1.05
+EQUAL_ERROR_RATIO = 1.05
 """An error counts as equal to the smallest up to this multiple of it."""
 
 
@@ -120,25 +120,23 @@ def identify_law(
     contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
     separation, refusals = contacts.separation, contacts.outcomes.refusals
-    joined_and_records = zip(separation.contact_groups, separation.records, strict=True)
-    chosen_contacts = [
-        (joined_contact, contact_record)
-        for joined_contact, contact_record in joined_and_records
-        if contact in (None, *(contact_names[j] for j in joined_contact.contact_indices))
+    groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
+    chosen = [
+        (contact_group, contact_record)
+        for contact_group, contact_record in groups_and_records
+        if contact in (None, *(contact_names[contact_index] for contact_index in contact_group.contact_indices))
     ]
     laws: list[ContactLawFit] = []
     refusal_by_name: dict[str, Refusal] = {}
-    for contact_number, (joined_contact, contact_record) in enumerate(chosen_contacts, start=1):
-        member_names = [contact_names[j] for j in joined_contact.contact_indices]
+    for number, (contact_group, contact_record) in enumerate(chosen, start=1):
+        member_names = [contact_names[contact_index] for contact_index in contact_group.contact_indices]
         if set(member_names) <= refusals.keys() and (
             contact_record.drift is not None or not np.ptp(contact_record.eta_m)
         ):
             refusal_by_name |= {name: refusals[name] for name in member_names}
         else:
-            laws.append(
-                _identify_contact(contacts, joined_contact, contact_record, seconds / len(chosen_contacts), seed)
-            )
-        progress(0.1 + 0.9 * contact_number / len(chosen_contacts))
+            laws.append(_identify_contact(contacts, contact_group, contact_record, seconds / len(chosen), seed))
+        progress(0.1 + 0.9 * number / len(chosen))
     report = LawReport(
         rig=recording.rig.name,
         laws=tuple(law.result for law in laws),
@@ -189,10 +187,10 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
+    contacts: Contacts, contact_group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
-    samples = _contact_samples(contacts, joined_contact, contact_record)
+    samples = _contact_samples(contacts, contact_group, contact_record)
     force_samples, error_resolution_n = samples.record, samples.error_resolution_n
     formula_fit = _search_formula(samples, search_s, seed)
     formula, low_m, high_m = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
@@ -206,21 +204,22 @@ def _identify_contact(
     candidates = tuple(
         TriedLaw(name, force_samples.error_n(law, samples.held_out_rows)) for name, law in candidate_laws.items()
     )
-    best_law = candidates[_simplest_equivalent_index([c.held_out_error_n for c in candidates], error_resolution_n)]
+    errors_n = [candidate.held_out_error_n for candidate in candidates]
+    best_law = candidates[_simplest_equivalent_index(errors_n, error_resolution_n)]
     # the final fit takes all excited rows
     pieces = straight_pieces(force_samples, samples.excited_rows, pieces.knees_m)
-    sliding = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
+    friction = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     law_estimate = ContactLawEstimate(
-        contact=joined_contact.contact.name,
-        verdict=verdict_sentence(pieces, formula_text, candidates, best_law, contact_record.sides_known, sliding),
+        contact=contact_group.contact.name,
+        verdict=verdict_sentence(pieces, formula_text, candidates, best_law, contact_record.sides_known, friction),
         best=best_law.law,
         formula=formula_text,
         knees_m=tuple(float(k) for k in knees_m),
         slopes_n_per_m=mean_slopes(formula, knees_m, low_m, high_m),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
-        sliding=None if sliding is None else sliding_estimates(sliding),
+        sliding=None if friction is None else sliding_estimates(friction),
         candidates=candidates,
         force_rms_n=float(np.std(force_samples.force_n[samples.excited_rows])),
         hysteresis_share=hysteresis_share(force_samples, samples.velocity_m_per_s, pieces, samples.held_out_rows),
@@ -230,13 +229,11 @@ def _identify_contact(
     )
     time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.decimation)
     return ContactLawFit(
-        law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, sliding, force_samples, time_s
+        law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, friction, force_samples, time_s
     )
 
 
-def _contact_samples(
-    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord
-) -> _ContactSamples:
+def _contact_samples(contacts: Contacts, contact_group: ContactGroup, contact_record: ContactRecord) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 
     Of several contacts between the same places the estimated damping is subtracted: it would hide the knee of a soft
@@ -245,12 +242,10 @@ def _contact_samples(
     Raises RigError if too little of the record is excited.
     """
     separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
-    signs_and_names = zip(
-        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.contact_indices), strict=True
-    )
+    member_names = [separation.rig.contacts[contact_index].name for contact_index in contact_group.contact_indices]
     estimates = tuple(
         estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed
-        for sign, name in signs_and_names
+        for sign, name in zip(contact_group.signs, member_names, strict=True)
         if name in estimates_by_name
     )
     force_samples, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
@@ -258,15 +253,15 @@ def _contact_samples(
         damping_n = force_samples.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
         force_samples = replace(force_samples, force_n=force_samples.force_n - damping_n)
     first_row = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
-    last_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
-    if last_row - first_row < MIN_SAMPLE_COUNT:
+    stop_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
+    if stop_row - first_row < MIN_SAMPLE_COUNT:
         raise RigError(
-            f"the excited part of the record holds {max(last_row - first_row, 0)} samples of the contact force; "
+            f"the excited part of the record holds {max(stop_row - first_row, 0)} samples of the contact force; "
             "record longer"
         )
-    middle_row = (first_row + last_row) // 2
+    middle_row = (first_row + stop_row) // 2
     return _ContactSamples(
-        force_samples, velocity_m_per_s, estimates, slice(first_row, middle_row), slice(middle_row, last_row)
+        force_samples, velocity_m_per_s, estimates, slice(first_row, middle_row), slice(middle_row, stop_row)
     )
 
 
@@ -276,9 +271,9 @@ def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _Fo
     eta_m, force_n = force_samples.eta_at_force_m[training_rows], force_without_low_pass(force_samples, training_rows)
     chosen_indices = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
     eta_m, force_n = eta_m[chosen_indices], force_n[chosen_indices]
-    eta_unit, force_unit = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
-    formula_search = search(eta_m / eta_unit, force_n / force_unit, search_s, seed)
-    formulas = [candidate.scaled(eta_unit, force_unit) for candidate in formula_search.formulas]
+    eta_unit_m, force_unit_n = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
+    formula_search = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
+    formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in formula_search.formulas]
     errors_n = [force_samples.error_n(candidate, training_rows) for candidate in formulas]
     formula = formulas[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
     return _FormulaFit(formula, min(errors_n), eta_m, force_n, formula_search.out_of_time)
@@ -294,7 +289,7 @@ def _fit_straight_pieces(
     candidate_laws = [straight_pieces(force_samples, training_rows, knees_m)]
     if (
         force_samples.error_n(candidate_laws[0], training_rows)
-        > EQUIVALENT_RATIO * formula_fit.least_error_n + samples.error_resolution_n
+        > EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
     ):
         candidate_laws.append(
             straight_pieces(force_samples, training_rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1])
@@ -323,8 +318,10 @@ def _add_drift(
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
     """Part of the force of joint estimates that vanishes at rest."""
     at_rest = np.zeros_like(rate_m_per_s)
-    parts = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates]
-    return np.asarray(np.sum(parts, axis=0))
+    damping_forces_n = [
+        estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates
+    ]
+    return np.asarray(np.sum(damping_forces_n, axis=0))
 
 
 def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
@@ -341,7 +338,7 @@ def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.
 def _simplest_equivalent_index(errors_n: list[float], resolution_n: float) -> int:
     """Index of the first, and so the simplest, law whose error equals the least."""
     least_error_n = min(errors_n)
-    return next(i for i, error_n in enumerate(errors_n) if error_n <= EQUIVALENT_RATIO * least_error_n + resolution_n)
+    return next(i for i, error_n in enumerate(errors_n) if error_n <= EQUAL_ERROR_RATIO * least_error_n + resolution_n)
 
 
 def _estimates(values: Float[np.ndarray, " n"], standard_errors: Float[np.ndarray, " n"]) -> tuple[Estimate, ...]:

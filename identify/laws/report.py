@@ -44,7 +44,7 @@ def write_page(
     """Write the page; the figures are those of `law_figures`, by their names."""
     laws, unanswered = report.laws, report.unanswered
     first_names = [name for name in figures if name == "law"]
-    findings_html = page.list_html(f.sentence for f in report.findings) if report.findings else ""
+    findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     found_html = f"<h2>What was found</h2>{''.join(map(_law_section, laws))}" if laws else ""
     page.write(
         path,
@@ -65,7 +65,12 @@ def write_page(
         ],
         sections=[
             *(
-                [("What was refused", page.table(("contact", "why"), [(s.name, s.reason) for s in unanswered]))]
+                [
+                    (
+                        "What was refused",
+                        page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered]),
+                    )
+                ]
                 if unanswered
                 else []
             ),

@@ -60,8 +60,8 @@ class Formula:
         if self.operation == "x":
             return replace(self, value=self.value * y_unit / x_unit)
         if self.operation == "*":
-            first, second = self.operands
-            return replace(self, operands=(first.scaled(x_unit, y_unit), second.scaled(x_unit, 1.0)))
+            first_operand, second_operand = self.operands
+            return replace(self, operands=(first_operand.scaled(x_unit, y_unit), second_operand.scaled(x_unit, 1.0)))
         return replace(self, operands=tuple(operand.scaled(x_unit, y_unit) for operand in self.operands))
 
     def text(self, variable_name: str) -> str:
@@ -93,7 +93,7 @@ def simplify(operation: str, operands: tuple[Formula, ...]) -> Formula:
         first, second = (operands[0], operands[1]) if operation == "+" else (operands[0], _times(operands[1], -1.0))
         return _plus(second, first.value) if operand_kinds[0] == "1" else _plus(first, second.value)
     if operation == "*":
-        (first_factor, first), (second_factor, second) = _factor_and_rest(operands[0]), _factor_and_rest(operands[1])
+        (first_factor, first), (second_factor, second) = (_factor_and_rest(operands[0]), _factor_and_rest(operands[1]))
         product = (
             (first if operand_kinds[1] == "1" else second)
             if "1" in operand_kinds

@@ -48,44 +48,56 @@ class FreeMotion:
     is_held: bool
 
 
-Prior = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " values"]]
+MeansAndDeviations = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " values"]]
 """Means and standard deviations."""
 
 
 def free_motions(
-    responses: Sequence[Response], motion: Kinematics, highest_hz: float, length: int
-) -> tuple[list[FreeMotion], Prior, Prior]:
+    responses: Sequence[Response], motion: Kinematics, highest_hz: float, sample_count: int
+) -> tuple[list[FreeMotion], MeansAndDeviations, MeansAndDeviations]:
     """Free motions of all modes below a frequency, with the priors of the initial values and of those at the end.
 
     The mean is what the stations show at the first sample, with a small deviation, if displacement sensors show all
     modes of the body; otherwise it is zero, with a wide one. A mode whose spring acts on the high-passed displacement
     moves as a free one: the part that integration loses.
     """
-    time_s = np.arange(max(motion.samples, length - motion.samples)) / motion.sample_rate_hz
-    motions, prior_mean, deviation, wide_deviation = list[FreeMotion](), list[float](), list[float](), list[float]()
+    time_s = np.arange(max(motion.samples, sample_count - motion.samples)) / motion.sample_rate_hz
+    motions = list[FreeMotion]()
+    prior_mean = list[float]()
+    prior_deviation = list[float]()
+    wide_deviation = list[float]()
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
-        on_body = np.flatnonzero([s.body == response.body.name for s in motion.stations])
-        mode_count = min(on_body.size, response.mode_count)
-        coordinates = np.linalg.pinv(shapes[on_body, :mode_count]) @ np.array(
-            [motion.displacement_m[on_body], motion.velocity_m_per_s[on_body]]
+        body_rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
+        mode_count = min(body_rows.size, response.mode_count)
+        coordinates = np.linalg.pinv(shapes[body_rows, :mode_count]) @ np.array(
+            [motion.displacement_m[body_rows], motion.velocity_m_per_s[body_rows]]
         )
         is_measured = mode_count == response.mode_count and motion.zero_known
         rms_m, rms_m_per_s2 = (
-            float(np.max(rows[on_body].std(axis=1))) for rows in (motion.displacement_m, motion.acceleration_m_per_s2)
+            float(np.max(derivatives[body_rows].std(axis=1)))
+            for derivatives in (motion.displacement_m, motion.acceleration_m_per_s2)
         )
-        for m in np.flatnonzero(hz < highest_hz).tolist():
-            largest_shape = float(np.max(np.abs(shapes[on_body, m])))
-            omega = 2 * np.pi * max(hz[m], MIN_FREQUENCY_HZ)
-            amplitude = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
+        for mode_index in np.flatnonzero(hz < highest_hz).tolist():
+            largest_shape = float(np.max(np.abs(shapes[body_rows, mode_index])))
+            omega = 2 * np.pi * max(hz[mode_index], MIN_FREQUENCY_HZ)
+            amplitude_m = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
             for order in range(2):
-                rows = free_motion(float(hz[m]), float(zeta[m]), order, time_s)
-                motions.append(FreeMotion(rows, shapes[:, m], m not in response.dynamics.high_passed))
-                prior_mean.append(float(coordinates[order, m, 0]) if is_measured else 0.0)
-                wide_deviation.append(WIDE_PRIOR * (amplitude * omega**order))
-                deviation.append(MEASURED_PRIOR * (amplitude * omega**order) if is_measured else wide_deviation[-1])
-    return motions, (np.array(prior_mean), np.array(deviation)), (np.zeros(len(prior_mean)), np.array(wide_deviation))
+                derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), order, time_s)
+                motions.append(
+                    FreeMotion(derivatives, shapes[:, mode_index], mode_index not in response.dynamics.high_passed)
+                )
+                prior_mean.append(float(coordinates[order, mode_index, 0]) if is_measured else 0.0)
+                wide_deviation.append(WIDE_PRIOR * (amplitude_m * omega**order))
+                prior_deviation.append(
+                    MEASURED_PRIOR * (amplitude_m * omega**order) if is_measured else wide_deviation[-1]
+                )
+    return (
+        motions,
+        (np.array(prior_mean), np.array(prior_deviation)),
+        (np.zeros(len(prior_mean)), np.array(wide_deviation)),
+    )
 
 
 @dataclass(frozen=True)
@@ -113,10 +125,12 @@ class StateEstimate:
     ) -> InitialStates:
         """Free motion by the initial values with these indices; `spectra` are those per unit of the first values."""
         covariance = self.covariance[np.ix_(indices, indices)]
-        scale = np.sqrt(np.diag(covariance))
-        eigenvalues, directions = np.linalg.eigh(covariance / (scale[:, None] * scale))
-        root = scale[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
-        return InitialStates(np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], root)
+        deviations = np.sqrt(np.diag(covariance))
+        eigenvalues, directions = np.linalg.eigh(covariance / (deviations[:, None] * deviations))
+        covariance_root = deviations[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
+        return InitialStates(
+            np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], covariance_root
+        )
 
 
 def unit_free_spectra(
@@ -124,16 +138,18 @@ def unit_free_spectra(
     orders: list[int],
     in_metres: Bool[np.ndarray, "stations lines"],
     omega: Float[np.ndarray, " lines"],
-    spectra: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
+    spectra_of: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
 ) -> Complex[np.ndarray, "values stations lines"]:
     """Spectra at the stations per unit of every initial value: accelerations, as (i omega)^(2 - order) times the
     spectrum of the derivative that the station's sensor measures, or displacements on the lines in metres."""
-    powers = {order: (1j * omega) ** (2 - order) for order in range(3)}
+    acceleration_factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
     unit_spectra = np.empty((len(motions), *in_metres.shape), dtype=complex)
     for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
-        rows = spectra(motion.derivatives)
-        for station, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
-            unit_spectrum[station] = shape * np.where(in_metres[station], rows[0], powers[order] * rows[order])
+        derivative_spectra = spectra_of(motion.derivatives)
+        for station_index, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
+            unit_spectrum[station_index] = shape * np.where(
+                in_metres[station_index], derivative_spectra[0], acceleration_factors[order] * derivative_spectra[order]
+            )
     return unit_spectra
 
 
@@ -141,9 +157,9 @@ def estimated_states(
     spectra: Complex[np.ndarray, "values stations lines"],
     prior_mean: Float[np.ndarray, " values"],
     prior_deviation: Float[np.ndarray, " values"],
-    unexplained: Complex[np.ndarray, "stations lines"],
-    by_contacts: Complex[np.ndarray, "contacts stations lines"],
-    errors: Covariances,
+    unexplained_spectra: Complex[np.ndarray, "stations lines"],
+    spectra_by_contact: Complex[np.ndarray, "contacts stations lines"],
+    error_covariances: Covariances,
     correlated_line_count: int,
 ) -> StateEstimate:
     """Initial values theta by generalised least squares, and their covariance.
@@ -152,17 +168,21 @@ def estimated_states(
     and the prior mean and deviation of theta. errors are the lines used, batch by batch, with their covariances; the
     errors of `correlated_line_count` neighbouring lines count as one. Poorly determined directions shrink to the mean.
     """
-    normal, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
-    unexplained = unexplained - np.einsum("i,isf->sf", prior_mean, spectra)
-    for rows in without_free_inputs([spectra, unexplained[None]], by_contacts, errors):
-        real_rows = np.concatenate([rows.real, rows.imag])
-        normal += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
+    normal_matrix, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
+    unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, spectra)
+    for residual_rows in without_free_inputs(
+        [spectra, unexplained_spectra[None]], spectra_by_contact, error_covariances
+    ):
+        real_rows = np.concatenate([residual_rows.real, residual_rows.imag])
+        normal_matrix += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
         gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
-    information, directions = np.linalg.eigh(normal * prior_deviation[:, None] * prior_deviation)
-    root = prior_deviation[:, None] * directions
+    information, directions = np.linalg.eigh(normal_matrix * prior_deviation[:, None] * prior_deviation)
+    scaled_directions = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    value_changes = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
-    return StateEstimate(prior_mean + root @ value_changes, (root / information) @ root.T)
+    value_changes = (information - 1) / (information + SHRINKAGE) / information * (scaled_directions.T @ gradient)
+    return StateEstimate(
+        prior_mean + scaled_directions @ value_changes, (scaled_directions / information) @ scaled_directions.T
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,20 +217,24 @@ class FreeMode:
 
 def free_modes(
     responses: Sequence[Response],
-    modes: Sequence[Int[np.ndarray, "_"]],
+    indices_by_body: Sequence[Int[np.ndarray, "_"]],
     sensor_stations: Sequence[Station | None],
     sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
     """Free modes of each body at zero amplitude; without a sampling the sensors miss nothing of them."""
     modes_at_rest = []
-    for body_index, (response, mode_indices) in enumerate(zip(responses, modes, strict=True)):
+    for body_index, (response, mode_indices) in enumerate(zip(responses, indices_by_body, strict=True)):
         dynamics, shapes = response.dynamics, response.shapes(sensor_stations)
-        for m in mode_indices.tolist():
-            hz, zeta = float(dynamics.natural_hz[m]), float(dynamics.damping_ratios[m])
-            accelerance = response.accelerance[m]
+        for mode_index in mode_indices.tolist():
+            hz, zeta = float(dynamics.natural_hz[mode_index]), float(dynamics.damping_ratios[mode_index])
+            accelerance = response.accelerance[mode_index]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
-            sensed = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
-            modes_at_rest.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
+            sensed_accelerations = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
+            modes_at_rest.append(
+                FreeMode(
+                    body_index, mode_index, shapes[:, mode_index], accelerations, sensed_accelerations, np.zeros(2)
+                )
+            )
     return tuple(modes_at_rest)
 
 
@@ -223,9 +247,14 @@ def tuning_derivative(
     if not hz:
         return np.zeros_like(mode.sensed_acceleration)
     step_factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
-    tuned_modes = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in step_factors)
-    below, above = (mode.initial_state @ sampled_accelerations(*tuned, sampling) for tuned in tuned_modes)
-    return np.outer(mode.shape, above - below) / (2 * RELATIVE_STEP)
+    tuned_modes = (
+        (hz * step_factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * step_factor)
+        for step_factor in step_factors
+    )
+    acceleration_below, acceleration_above = (
+        mode.initial_state @ sampled_accelerations(*hz_and_zeta, sampling) for hz_and_zeta in tuned_modes
+    )
+    return np.outer(mode.shape, acceleration_above - acceleration_below) / (2 * RELATIVE_STEP)
 
 
 def fitted_free_modes(
@@ -239,20 +268,36 @@ def fitted_free_modes(
     With the sensors' response S to acceleration, in standard deviations (scaled_response), their shapes Phi and the
     projection B T, the accelerations of any two modes are weighted line by line by N = Phi S* (1 - B T) S Phi'.
     """
-    shapes, per_unit = np.array([m.shape for m in motions]), np.array([m.sensed_unit_accelerations for m in motions])
+    shapes = np.array([motion.shape for motion in motions])
+    unit_accelerations = np.array([motion.sensed_unit_accelerations for motion in motions])
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
-    weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *per_unit.shape[::2]).astype(complex)
+    line_weights = (
+        (shape_products @ np.abs(scaled_response) ** 2)
+        .reshape(len(shapes), *unit_accelerations.shape[::2])
+        .astype(complex)
+    )
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
-        to_shapes = real_product(shapes, scaled_response.conj() * by_input)
-        weights -= to_shapes[:, None] * real_product(shapes, scaled_response * to_input)
-    weighted = (weights[:, :, None] * per_unit).reshape(len(per_unit), -1, per_unit.shape[2])
+        input_by_shape = real_product(shapes, scaled_response.conj() * by_input)
+        line_weights -= input_by_shape[:, None] * real_product(shapes, scaled_response * to_input)
+    weighted_accelerations = (line_weights[:, :, None] * unit_accelerations).reshape(
+        len(unit_accelerations), -1, unit_accelerations.shape[2]
+    )
     weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
-    normal = np.concatenate([_products(rows, columns) for rows, columns in zip(per_unit, weighted, strict=True)])
-    gradient = np.concatenate([_products(rows, row) for rows, row in zip(per_unit, weighted_residual, strict=True)])
-    norms = np.sqrt(np.diag(normal))
-    scale = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
-    states = scale * (np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ (scale * gradient[:, 0]))
-    return tuple(replace(m, initial_state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
+    normal_matrix = np.concatenate(
+        [_products(rows, columns) for rows, columns in zip(unit_accelerations, weighted_accelerations, strict=True)]
+    )
+    gradient = np.concatenate(
+        [_products(rows, row) for rows, row in zip(unit_accelerations, weighted_residual, strict=True)]
+    )
+    norms = np.sqrt(np.diag(normal_matrix))
+    inverse_norms = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
+    states = inverse_norms * (
+        np.linalg.pinv(inverse_norms[:, None] * normal_matrix * inverse_norms, hermitian=True)
+        @ (inverse_norms * gradient[:, 0])
+    )
+    return tuple(
+        replace(motion, initial_state=state) for motion, state in zip(motions, states.reshape(-1, 2), strict=True)
+    )
 
 
 def _products(
@@ -266,12 +311,12 @@ def state_changes(
     motions: Sequence[FreeMode],
     bodies: Sequence[str],
     sensor_response: Complex[np.ndarray, "sensors lines"],
-    norm: float,
+    signal_norm: float,
 ) -> Iterator[Change]:
     """Changes by each mode's initial displacement and velocity, scaled so that the sensors deliver this norm."""
     for motion in motions:
         parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body_index], motion.mode_index + 1)
         for unit_acceleration in motion.sensed_unit_accelerations:
             signals = sensor_response * np.outer(motion.shape, unit_acceleration)
-            scale = norm / max(float(np.linalg.norm(signals)), 1e-300)
-            yield Change(parameter, list(range(len(signals))), signals * scale)
+            signal_scale = signal_norm / max(float(np.linalg.norm(signals)), 1e-300)
+            yield Change(parameter, list(range(len(signals))), signals * signal_scale)

@@ -33,11 +33,11 @@ def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
         indices_by_places.setdefault(frozenset({contact.at, contact.against}), []).append(j)
     return tuple(
         ContactGroup(
-            replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *further))),
-            (first, *further),
-            tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *further)),
+            replace(contacts[first_index], name=" + ".join(contacts[j].name for j in (first_index, *further_indices))),
+            (first_index, *further_indices),
+            tuple(1 if contacts[j].at == contacts[first_index].at else -1 for j in (first_index, *further_indices)),
         )
-        for first, *further in indices_by_places.values()
+        for first_index, *further_indices in indices_by_places.values()
     )
 
 
@@ -56,19 +56,24 @@ class GroupLaw:
     @property
     def clearances_m(self) -> tuple[float, float]:
         """Clearances of the nearest stops below and above, m."""
-        sides = [
+        clearances_by_law = [
             (law.lower_clearance_m, law.upper_clearance_m)[::sign]
             for law, sign in zip(self.laws, self.signs, strict=True)
         ]
-        lower, upper = zip(*sides, strict=True)
+        lower, upper = zip(*clearances_by_law, strict=True)
         return min(lower), min(upper)
 
     def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
         """Sum of the contact forces, N."""
-        pairs = zip(self.signs, self.laws, strict=True)
-        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in pairs))
+        signs_and_laws = zip(self.signs, self.laws, strict=True)
+        return np.asarray(
+            sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in signs_and_laws)
+        )
 
 
 def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:
     """Laws of every pair of places."""
-    return tuple(GroupLaw(tuple(rig.contacts[j].law for j in p.contact_indices), p.signs) for p in contact_groups(rig))
+    return tuple(
+        GroupLaw(tuple(rig.contacts[contact_index].law for contact_index in group.contact_indices), group.signs)
+        for group in contact_groups(rig)
+    )

@@ -65,10 +65,10 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
 
     Raises RigError if a body has no station, or if these cannot tell the modes apart.
     """
-    station_rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
+    station_rows = tuple(i for i, station in enumerate(motion.stations) if station.body == body.name)
     if not station_rows:
         raise RigError(f"body {body.name!r} has no measured station; put a sensor on it")
-    positions_m = np.array([motion.stations[i].position_m for i in station_rows])
+    positions_m = np.array([motion.stations[row].position_m for row in station_rows])
     mode_count = min(len(station_rows), body.max_modes)
     shapes = body.shapes(positions_m, mode_count)
     condition_number = float(np.linalg.cond(shapes))
@@ -98,30 +98,32 @@ def modal_equations(
     transform = transformation(rig, body, motion)
     mode_count = min(mode_count, transform.inverse_shapes.shape[0])
     coordinates = [
-        transform.inverse_shapes[:mode_count] @ rows[list(transform.station_rows)]
-        for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+        transform.inverse_shapes[:mode_count] @ station_signals[list(transform.station_rows)]
+        for station_signals in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
     force_shapes = input_mode_shapes(rig, body, mode_count)
     largest_force_shapes = force_shapes[np.argmax(np.abs(force_shapes), axis=0), np.arange(mode_count)]
-    contact_rows = [contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]
-    eta_shapes = np.array(contact_rows).reshape(-1, mode_count)
+    eta_shape_rows = [contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]
+    eta_shapes = np.array(eta_shape_rows).reshape(-1, mode_count)
     largest_shapes = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
     return tuple(
         ModalEquation(
             body=body.name,
-            index=i + 1,
-            frequency_hz=float(body.frequencies_hz(mode_count)[i]),
-            damping_ratio=float(body.damping_ratios(mode_count)[i]),
-            shape_at_force=float(largest_force_shapes[i]),
-            shape_at_contacts=eta_shapes[:, i],
-            visibility=tuple(float(abs(a) / largest_shapes[i]) for a in eta_shapes[:, i]),
-            displacement=coordinates[0][i],
-            velocity=coordinates[1][i],
-            acceleration=coordinates[2][i],
+            index=mode_index + 1,
+            frequency_hz=float(body.frequencies_hz(mode_count)[mode_index]),
+            damping_ratio=float(body.damping_ratios(mode_count)[mode_index]),
+            shape_at_force=float(largest_force_shapes[mode_index]),
+            shape_at_contacts=eta_shapes[:, mode_index],
+            visibility=tuple(
+                float(abs(eta_shape) / largest_shapes[mode_index]) for eta_shape in eta_shapes[:, mode_index]
+            ),
+            displacement=coordinates[0][mode_index],
+            velocity=coordinates[1][mode_index],
+            acceleration=coordinates[2][mode_index],
         )
-        for i in range(mode_count)
+        for mode_index in range(mode_count)
     )
 
 
@@ -132,8 +134,8 @@ def equivalent_force_n(
     if len(forces_n) == 1 or equation.shape_at_force == 0:
         return forces_n[0]
     body = rig.body(equation.body)
-    shapes = input_mode_shapes(rig, body, equation.index)[:, -1]
-    return shapes / equation.shape_at_force @ forces_n
+    input_shapes = input_mode_shapes(rig, body, equation.index)[:, -1]
+    return input_shapes / equation.shape_at_force @ forces_n
 
 
 def correctable_samples(motion: Kinematics) -> int:
@@ -150,25 +152,27 @@ def _without_higher_modes(
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
     body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
-    length = next_fast_len(motion.samples, real=True)
-    frequency_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
-    force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
-    positions_m = np.array([motion.stations[i].position_m for i in transform.station_rows])
+    padded_length = next_fast_len(motion.samples, real=True)
+    line_hz = np.fft.rfftfreq(padded_length, 1 / motion.sample_rate_hz)
+    force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), padded_length)
+    positions_m = np.array([motion.stations[row].position_m for row in transform.station_rows])
     coordinate_shares = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
     eta_shapes = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
     input_shapes = np.stack([*input_mode_shapes(rig, body, body.max_modes), *eta_shapes])
     natural_hz, damping_ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
-    higher_spectra = np.zeros((len(coordinate_shares), frequency_hz.size), dtype=complex)
-    for m in range(fitted_count, body.max_modes):
-        modal_force = input_shapes[:, m] @ force_spectra
-        response = receptance(float(natural_hz[m]), float(damping_ratios[m]), frequency_hz) * modal_force
-        for i, weight in enumerate(coordinate_shares[:, m]):
-            higher_spectra[i] += weight * response
+    higher_spectra = np.zeros((len(coordinate_shares), line_hz.size), dtype=complex)
+    for mode_index in range(fitted_count, body.max_modes):
+        modal_force = input_shapes[:, mode_index] @ force_spectra
+        mode_response = (
+            receptance(float(natural_hz[mode_index]), float(damping_ratios[mode_index]), line_hz) * modal_force
+        )
+        for i, mode_share in enumerate(coordinate_shares[:, mode_index]):
+            higher_spectra[i] += mode_share * mode_response
     corrected_coordinates = []
-    for rows in coordinates:
-        higher_coordinates = [np.fft.irfft(spectrum, length)[:kept_samples] for spectrum in higher_spectra]
-        corrected_coordinates.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
-        higher_spectra *= 2j * np.pi * frequency_hz
+    for mode_coordinates in coordinates:
+        higher_coordinates = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
+        corrected_coordinates.append(mode_coordinates[:, :kept_samples] - np.stack(higher_coordinates))
+        higher_spectra *= 2j * np.pi * line_hz
     return corrected_coordinates
 
 
@@ -187,8 +191,8 @@ def receptance(
 def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Mode shapes in the relative displacement of a contact: that at its station minus that against it."""
     contact = rig.contacts[contact_index]
-    against = shape_at(body, contact.against, mode_count) if contact.against else 0.0
-    return np.asarray(shape_at(body, contact.at, mode_count) - against)
+    against_shape = shape_at(body, contact.against, mode_count) if contact.against else 0.0
+    return np.asarray(shape_at(body, contact.at, mode_count) - against_shape)
 
 
 def relative_motion(
@@ -206,21 +210,28 @@ def relative_motion(
         shape = shape_at(body, station, transform.inverse_shapes.shape[0])
         return np.asarray(shape @ transform.inverse_shapes @ station_signals[list(transform.station_rows)])
 
-    return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
+    return np.stack(
+        [
+            station_motion(contact.at) - (station_motion(contact.against) if contact.against else 0.0)
+            for contact in rig.contacts
+        ]
+    )
 
 
 def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
     """Shapes of a body through which the rig's inputs drive it; of a shaken base the participation of the modes."""
-    rows = [
+    shapes_by_input = [
         participation(rig, body, body, mode_count) if rig.is_on_ground(station) else shape_at(body, station, mode_count)
         for station in rig.inputs
     ]
-    return np.array(rows).reshape(len(rows), mode_count)
+    return np.array(shapes_by_input).reshape(len(shapes_by_input), mode_count)
 
 
-def force_on_mass(rig: Rig, mass: Body, forces_n: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, " samples"]:
+def force_on_mass(
+    rig: Rig, mass_body: Body, forces_n: Float[np.ndarray, "inputs samples"]
+) -> Float[np.ndarray, " samples"]:
     """Sum of the forces of all inputs on a mass, N."""
-    shapes = input_mode_shapes(rig, mass, 1)[:, 0] / mass.shapes(np.zeros(1), 1)[0, 0]
+    shapes = input_mode_shapes(rig, mass_body, 1)[:, 0] / mass_body.shapes(np.zeros(1), 1)[0, 0]
     return np.asarray(shapes @ forces_n)
 
 
@@ -245,11 +256,13 @@ def _truncation_shares(
         return np.zeros(fitted_count)
     natural_hz = body.frequencies_hz(mode_count)
     highest_hz = natural_hz[fitted_count - 1] or natural_hz[fitted_count]
-    response = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
-    contact_places = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
-    contact_shapes_at = body.shapes(np.array([s.position_m for s in contact_places]), mode_count)
-    input_shapes = np.concatenate([contact_shapes_at, input_mode_shapes(rig, body, mode_count)])
-    covariance = (response @ response.conj().T).real * (input_shapes.T @ input_shapes)
-    coordinate_error = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
-    error_power = np.diag(coordinate_error @ covariance @ coordinate_error.T)
-    return np.asarray(np.sqrt(error_power / np.diag(covariance)[:fitted_count]))
+    mode_responses = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
+    contact_places = [
+        station for contact in rig.contacts for station in contact_stations(contact) if station.body == body.name
+    ]
+    shapes_at_contacts = body.shapes(np.array([s.position_m for s in contact_places]), mode_count)
+    input_shapes = np.concatenate([shapes_at_contacts, input_mode_shapes(rig, body, mode_count)])
+    coordinate_covariance = (mode_responses @ mode_responses.conj().T).real * (input_shapes.T @ input_shapes)
+    error_shapes = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
+    error_power = np.diag(error_shapes @ coordinate_covariance @ error_shapes.T)
+    return np.asarray(np.sqrt(error_power / np.diag(coordinate_covariance)[:fitted_count]))

@@ -83,14 +83,14 @@ class ResponseCache:
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others: sum over modes of output, accelerance and input."""
 
-        def make() -> Complex[np.ndarray, "inputs outputs lines"]:
+        def make_transfer() -> Complex[np.ndarray, "inputs outputs lines"]:
             shape_products = (inputs[:, None, :] * outputs).reshape(-1, outputs.shape[1])
             products = real_product(shape_products, self.accelerance(dynamics))
             transfer = products.reshape(len(inputs), len(outputs), products.shape[-1])
             transfer.flags.writeable = False
             return transfer
 
-        return self._transfers.get((dynamics, outputs.tobytes(), inputs.tobytes(), len(inputs)), make)
+        return self._transfers.get((dynamics, outputs.tobytes(), inputs.tobytes(), len(inputs)), make_transfer)
 
 
 @dataclass(frozen=True)
@@ -115,39 +115,42 @@ class Response:
 
     def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
         """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
-        length = self.body.length_m
-        if not length:
+        length_m = self.body.length_m
+        if not length_m:
             return np.zeros((len(places), self.mode_count))
-        step, places_m = SLOPE_STEP * length, np.array([_station_of(place).position_m for place in places])
-        span_m = np.minimum(places_m + step, length) - np.maximum(places_m - step, 0.0)
-        return np.asarray((self._shapes_at(places, step) - self._shapes_at(places, -step)) / span_m[:, None])
+        step_m, places_m = SLOPE_STEP * length_m, np.array([_station_of(place).position_m for place in places])
+        span_m = np.minimum(places_m + step_m, length_m) - np.maximum(places_m - step_m, 0.0)
+        return np.asarray((self._shapes_at(places, step_m) - self._shapes_at(places, -step_m)) / span_m[:, None])
 
     def _shapes_at(self, places: Sequence[Place], offset_m: float) -> Float[np.ndarray, "places modes"]:
         """Rows of `shapes` with every place moved along the body, to its end at most."""
         rows = np.zeros((len(places), self.mode_count))
-        on_body = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == self.body.name]
+        body_indices = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == self.body.name]
         for are_gauges in (False, True):
-            place_indices = [i for i in on_body if _is_gauge(places[i]) == are_gauges]
+            place_indices = [i for i in body_indices if _is_gauge(places[i]) == are_gauges]
             if not place_indices:
                 continue
             places_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
             if offset_m:
                 places_m = np.clip(places_m, 0.0, self.body.length_m)
-            orders = range(3) if are_gauges else range(1)
-            derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in orders]
+            derivative_orders = range(3) if are_gauges else range(1)
+            derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in derivative_orders]
             rows[place_indices] = derivatives[0]
             for row, i in enumerate(place_indices if are_gauges else ()):
-                rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
+                rows[i] = _strain_row(places[i], self.body, np.array([derivative[row] for derivative in derivatives]))
         return rows
 
     def weights(self, sensor_stations: Stations, stations: Stations) -> Float[np.ndarray, "stations sensors"]:
         """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors."""
 
         def make() -> Float[np.ndarray, "stations sensors"]:
-            rows = [i for i, place in enumerate(sensor_stations) if place is not None and place.body == self.body.name]
-            weights, modes = np.zeros((len(stations), len(sensor_stations))), min(len(rows), self.mode_count)
-            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in rows])[:, :modes])
-            weights[:, rows] = self.shapes(stations)[:, :modes] @ inverse_shapes
+            sensor_indices = [
+                i for i, place in enumerate(sensor_stations) if place is not None and place.body == self.body.name
+            ]
+            mode_count = min(len(sensor_indices), self.mode_count)
+            weights = np.zeros((len(stations), len(sensor_stations)))
+            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensor_indices])[:, :mode_count])
+            weights[:, sensor_indices] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
             return weights
 
         return self._cache((tuple(sensor_stations), tuple(stations)), make)
@@ -195,12 +198,12 @@ class Response:
 
     def damped_by(self, dampers: Sequence[PointDamper]) -> "Response":
         """Response with those of some dampers that stand on the body; the modes stay as they are."""
-        on_body = [d for d in dampers if d.station.body == self.body.name and d.damping_n_s_per_m]
-        if not on_body:
+        body_dampers = [d for d in dampers if d.station.body == self.body.name and d.damping_n_s_per_m]
+        if not body_dampers:
             return self
-        undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in on_body])
-        damping = [d.damping_n_s_per_m for d in on_body]
-        return replace(self, dampers=damper_feedback(shapes, damping, undamped, self.cache.omega))
+        undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in body_dampers])
+        damping_n_s_per_m = [damper.damping_n_s_per_m for damper in body_dampers]
+        return replace(self, dampers=damper_feedback(shapes, damping_n_s_per_m, undamped, self.cache.omega))
 
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
@@ -233,8 +236,9 @@ def _strain_row(gauge: Place, body: Body, derivatives: Float[np.ndarray, "3 mode
 
 def response_of(rig: Rig, body: Body, cache: ResponseCache) -> Response:
     """Response of a body with what the rig attaches to it."""
-    modes, count = modes_of(rig, body), body.max_modes
-    return Response(body, modes, count, cache.dynamics(modes.frequencies_hz(count), modes.damping_ratios(count)), cache)
+    modes, mode_count = modes_of(rig, body), body.max_modes
+    dynamics = cache.dynamics(modes.frequencies_hz(mode_count), modes.damping_ratios(mode_count))
+    return Response(body, modes, mode_count, dynamics, cache)
 
 
 def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
@@ -262,7 +266,7 @@ def accelerances(
         inputs = input_shapes(rig, response, forces)
         driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
         if rows and driving_inputs.size:
-            outputs = response.shapes([places[i] for i in rows])
+            outputs = response.shapes([places[row] for row in rows])
             accelerance[driving_inputs[:, None], rows] = response.transfer(outputs, inputs[driving_inputs])
     return accelerance
 
@@ -283,10 +287,10 @@ def relative_shapes(rig: Rig, response: Response) -> Float[np.ndarray, "contacts
 
 
 def real_product(
-    real: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
+    real_matrix: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Product of a real and a complex matrix, twice as fast as with the real factor taken as complex."""
-    return np.asarray((real @ np.ascontiguousarray(spectra).view(spectra.real.dtype)).view(complex))
+    return np.asarray((real_matrix @ np.ascontiguousarray(spectra).view(spectra.real.dtype)).view(complex))
 
 
 def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Response, ...]:
@@ -318,11 +322,12 @@ def _high_passed_modes(
     responses: Sequence[Response], eta_shapes: Float[np.ndarray, "contacts modes"]
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
-    modes = [(k, m) for k, r in enumerate(responses) for m in range(r.mode_count)]
-    rigid_counts = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
+    modes = [(k, m) for k, response in enumerate(responses) for m in range(response.mode_count)]
+    rigid_counts = [max(response.body.rigid_modes, response.body.is_mass) for response in responses]
     high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid_counts[k]]
     rank = _force_rank(eta_shapes, high_passed)
-    for i in np.argsort(np.concatenate([r.dynamics.natural_hz for r in responses]), kind="stable").tolist():
+    natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
+    for i in np.argsort(natural_hz, kind="stable").tolist():
         if rank == len(eta_shapes):
             break
         if _force_rank(eta_shapes, [*high_passed, i]) > rank:
@@ -341,5 +346,5 @@ def eta_modes(
     rig: Rig, responses: Sequence[Response]
 ) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
     """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""
-    natural_hz = np.concatenate([r.dynamics.natural_hz for r in responses])
-    return np.concatenate([relative_shapes(rig, r) for r in responses], axis=1), 2 * np.pi * natural_hz
+    natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
+    return np.concatenate([relative_shapes(rig, response) for response in responses], axis=1), 2 * np.pi * natural_hz

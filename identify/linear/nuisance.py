@@ -116,15 +116,17 @@ class ObservedSignals:
     transverse: ObservedTransverse | None = None
     by_displacements: Bool[np.ndarray, "sensors lines"] | None = None
 
-    def share_of(self, channel: Sensor, row: int, base: ObservedBase | None = None) -> Bool[np.ndarray, " lines"]:
+    def share_of(
+        self, channel: Sensor, sensor_index: int, base: ObservedBase | None = None
+    ) -> Bool[np.ndarray, " lines"]:
         """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
-        sensor, displacement_sensor = self.sensors[row], self.displaced_by[row]
+        sensor, displacement_sensor = self.sensors[sensor_index], self.displaced_by[sensor_index]
         if base is not None:
             sensor, displacement_sensor = base.sensor, base.displaced_by
-        is_displaced = np.zeros(self.omega.size, dtype=bool)
+        from_displacement = np.zeros(self.omega.size, dtype=bool)
         if self.by_displacements is not None:
-            is_displaced = self.by_displacements[row]
-        return ((channel == sensor) & ~is_displaced) | ((channel == displacement_sensor) & is_displaced)
+            from_displacement = self.by_displacements[sensor_index]
+        return ((channel == sensor) & ~from_displacement) | ((channel == displacement_sensor) & from_displacement)
 
     @property
     def is_motion_sensed(self) -> bool:
@@ -152,9 +154,11 @@ def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[
     yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
-        rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
-        yield from _position_changes(observed, body, rows)
-        yield from _mode_changes(observed, body, rows, with_common)
+        sensor_indices = [
+            i for i, sensor in enumerate(observed.sensors) if sensor.station.body == body.response.body.name
+        ]
+        yield from _position_changes(observed, body, sensor_indices)
+        yield from _mode_changes(observed, body, sensor_indices, with_common)
     yield from observed.further_changes
 
 
@@ -173,24 +177,26 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
                     )
                     absolute_displacements = observed.displacements[[i]] + base_displacement
                     displacements = factor * absolute_displacements if channel == displacement_sensor else None
-                    pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
-                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
+                    sensor_pattern = (
+                        SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
+                    )
+                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, sensor_pattern)
 
 
 def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the share of the motion across that each sensor shows."""
     transverse = observed.transverse
-    for i, signals, displacements in (
+    for sensor_index, signals, displacements in (
         zip(transverse.sensors, transverse.signals, transverse.displacements, strict=True) if transverse else ()
     ):
-        sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
+        sensor, displacement_sensor = observed.sensors[sensor_index], observed.displaced_by[sensor_index]
         for channel in dict.fromkeys((sensor, displacement_sensor)):
-            if share := observed.tolerances.of_sensor(channel.name).cross_axis:
+            if cross_axis_share := observed.tolerances.of_sensor(channel.name).cross_axis:
                 yield Change(
                     Nuisance(NuisanceKind.CROSS_AXIS, channel.name),
-                    [i],
-                    share * signals[None] * (channel == sensor),
-                    share * displacements[None] if channel == displacement_sensor else None,
+                    [sensor_index],
+                    cross_axis_share * signals[None] * (channel == sensor),
+                    cross_axis_share * displacements[None] if channel == displacement_sensor else None,
                 )
 
 
@@ -201,12 +207,18 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     if base is None:
         return
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
-        for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
-            if np.any(factor):
-                shares = np.stack([observed.share_of(channel, i, base) for i in all_sensors])
+        for kind, chain_factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
+            if np.any(chain_factor):
+                channel_masks = np.stack(
+                    [observed.share_of(channel, sensor_index, base) for sensor_index in all_sensors]
+                )
                 station_accelerations = base.station_accelerations * (channel == base.sensor)
-                signals = -factor * observed.sensor_response * (shares * base.acceleration + station_accelerations)
-                displacements = np.tile(-factor * base.displacement, (len(all_sensors), 1))
+                signals = (
+                    -chain_factor
+                    * observed.sensor_response
+                    * (channel_masks * base.acceleration + station_accelerations)
+                )
+                displacements = np.tile(-chain_factor * base.displacement, (len(all_sensors), 1))
                 yield Change(
                     Nuisance(kind, channel.name),
                     all_sensors,
@@ -217,18 +229,28 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
 
 def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
-    crosstalk, sensors = observed.tolerances.crosstalk, observed.sensors
+    crosstalk_share, sensors = observed.tolerances.crosstalk, observed.sensors
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for first, second in pairwise(range(len(sensors)) if crosstalk else ()):
-        if sensors[first].measures != sensors[second].measures:
+    for left_index, right_index in pairwise(range(len(sensors)) if crosstalk_share else ()):
+        if sensors[left_index].measures != sensors[right_index].measures:
             continue
-        for source, target in ((first, second), (second, first)):
-            parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
-            are_displacements = is_displacement[source] and is_displacement[target]
-            displacements = crosstalk * observed.displacements[[source]] if are_displacements else None
-            response, weights = observed.sensor_response[[source]], np.eye(len(sensors))[source]
-            pattern = SensorPattern(crosstalk * response, weights) if observed.is_motion_sensed else None
-            yield Change(parameter, [target], crosstalk * observed.signals[[source]], displacements, pattern)
+        for source_index, target_index in ((left_index, right_index), (right_index, left_index)):
+            parameter = Nuisance(
+                NuisanceKind.CROSSTALK, f"{sensors[source_index].name} in {sensors[target_index].name}"
+            )
+            are_displacements = is_displacement[source_index] and is_displacement[target_index]
+            displacements = crosstalk_share * observed.displacements[[source_index]] if are_displacements else None
+            response, unit_weights = observed.sensor_response[[source_index]], np.eye(len(sensors))[source_index]
+            sensor_pattern = (
+                SensorPattern(crosstalk_share * response, unit_weights) if observed.is_motion_sensed else None
+            )
+            yield Change(
+                parameter,
+                [target_index],
+                crosstalk_share * observed.signals[[source_index]],
+                displacements,
+                sensor_pattern,
+            )
 
 
 def _chain_changes(
@@ -248,8 +270,8 @@ def _chain_changes(
 
 def _force_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the gain of each measured force, which is gain times the true one."""
-    count = len(observed.force_accelerations)
-    names = force_names(count) if count > 1 else (SINGLE_FORCE_NAME,) * count
+    force_count = len(observed.force_accelerations)
+    names = force_names(force_count) if force_count > 1 else (SINGLE_FORCE_NAME,) * force_count
     if gain := observed.tolerances.force_gain:
         for name, accelerations in zip(names, observed.force_accelerations, strict=True):
             signals = -gain * observed.sensor_response * accelerations
@@ -260,51 +282,65 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[
     """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
-    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
+    slopes = motion.response.slopes([observed.sensors[sensor_index] for sensor_index in rows])[:, motion.moving_modes]
     double_integral = integrated(observed.omega, -2, CORNER_HZ)
-    for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
-        sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
+    for sensor_index, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
+        sensor, displacement_sensor = observed.sensors[sensor_index], observed.displaced_by[sensor_index]
         for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
-                change = tolerance_m * slope_acceleration[None]
-                signals = observed.sensor_response[i] * change * observed.share_of(channel, i)
-                displacements = double_integral * change if channel == displacement_sensor else None
-                pattern = None
+                acceleration_change = tolerance_m * slope_acceleration[None]
+                signals = (
+                    observed.sensor_response[sensor_index]
+                    * acceleration_change
+                    * observed.share_of(channel, sensor_index)
+                )
+                displacements = double_integral * acceleration_change if channel == displacement_sensor else None
+                sensor_pattern = None
                 if motion.sensor_weights is not None:
                     weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
-                    pattern = SensorPattern(tolerance_m * observed.sensor_response[[i]], weights)
-                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], signals, displacements, pattern)
+                    sensor_pattern = SensorPattern(tolerance_m * observed.sensor_response[[sensor_index]], weights)
+                yield Change(
+                    Nuisance(NuisanceKind.POSITION, channel.name),
+                    [sensor_index],
+                    signals,
+                    displacements,
+                    sensor_pattern,
+                )
 
 
 def _mode_changes(
-    observed: ObservedSignals, motion: BodyMotion, rows: list[int], with_common: bool
+    observed: ObservedSignals, motion: BodyMotion, sensor_indices: list[int], with_common: bool
 ) -> Iterator[Change]:
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode.
 
     A body of another mass follows its base as before.
     """
     response, tolerances = motion.response, observed.tolerances
-    body, sensor_response = response.body, observed.sensor_response[rows]
-    shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
+    body, sensor_response = response.body, observed.sensor_response[sensor_indices]
+    shapes = response.shapes([observed.sensors[i] for i in sensor_indices])[:, motion.moving_modes]
     if with_common and tolerances.mass:
         driven_accelerations = real_product(shapes, motion.acceleration)
         if observed.base:
-            driven_accelerations -= observed.base.station_accelerations[rows]
+            driven_accelerations -= observed.base.station_accelerations[sensor_indices]
         signals = -tolerances.mass * sensor_response * driven_accelerations
-        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, signals)
+        yield Change(Nuisance(NuisanceKind.MASS, body.name), sensor_indices, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-        factors = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
+        sensitivities = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
         if with_common and (tolerance := _tolerance_of(tolerances, kind)):
-            signals = tolerance * sensor_response * real_product(shapes, factors * motion.acceleration)
-            yield Change(Nuisance(kind, body.name), rows, signals)
-        for m in motion.elastic_indices.tolist():
-            if tolerance := _tolerance_of(tolerances.of_mode(body.name, m + 1), kind):
-                response_by_mode = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
-                weights, pattern = motion.sensor_weights, None
-                if weights is not None and m < len(weights):
-                    pattern = SensorPattern(response_by_mode, weights[m])
-                signals = response_by_mode * motion.acceleration[m]
-                yield Change(Nuisance(kind, body.name, m + 1), rows, signals, sensor_pattern=pattern)
+            signals = tolerance * sensor_response * real_product(shapes, sensitivities * motion.acceleration)
+            yield Change(Nuisance(kind, body.name), sensor_indices, signals)
+        for mode_index in motion.elastic_indices.tolist():
+            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode_index + 1), kind):
+                response_by_mode = (
+                    tolerance * sensor_response * (shapes[:, mode_index, None] * sensitivities[mode_index])
+                )
+                weights, sensor_pattern = motion.sensor_weights, None
+                if weights is not None and mode_index < len(weights):
+                    sensor_pattern = SensorPattern(response_by_mode, weights[mode_index])
+                signals = response_by_mode * motion.acceleration[mode_index]
+                yield Change(
+                    Nuisance(kind, body.name, mode_index + 1), sensor_indices, signals, sensor_pattern=sensor_pattern
+                )
 
 
 def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:

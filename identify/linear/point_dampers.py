@@ -33,8 +33,8 @@ class DamperFeedback:
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others, from those without dampers."""
         reactions = np.einsum("del,iel->idl", self.reaction, undamped(self.shapes, inputs))
-        by_dampers = np.einsum("idl,dol->iol", reactions, undamped(outputs, self.shapes))
-        return np.asarray(undamped(outputs, inputs) - by_dampers)
+        acceleration_by_dampers = np.einsum("idl,dol->iol", reactions, undamped(outputs, self.shapes))
+        return np.asarray(undamped(outputs, inputs) - acceleration_by_dampers)
 
     def modal_reactions(self, accelerations: Complex[np.ndarray, "modes lines"]) -> Complex[np.ndarray, "modes lines"]:
         """Modal forces of the dampers against the accelerations that the modes would have without them."""
@@ -50,9 +50,9 @@ def damper_feedback(
 ) -> DamperFeedback:
     """Feedback of dampers above zero; at frequency zero there is none."""
     impedance = undamped(shapes, shapes).transpose(2, 0, 1).copy()
-    moving = omega > 0
-    diagonal = np.arange(len(shapes))
-    impedance[:, diagonal, diagonal] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
+    nonzero_lines = omega > 0
+    diagonal_indices = np.arange(len(shapes))
+    impedance[:, diagonal_indices, diagonal_indices] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
     reaction = np.zeros_like(impedance)
-    reaction[moving] = np.linalg.inv(impedance[moving])
+    reaction[nonzero_lines] = np.linalg.inv(impedance[nonzero_lines])
     return DamperFeedback(shapes, reaction.transpose(1, 2, 0))

@@ -42,11 +42,11 @@ class Projection:
 
         The inputs with a prior are the residual's last rows.
         """
-        standardised = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.empty_like(standardised, shape=(len(self.to_inputs), standardised.shape[1]))
+        standardised_signals = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.empty_like(standardised_signals, shape=(len(self.to_inputs), standardised_signals.shape[1]))
         for input_spectrum, to_input in zip(inputs, self.to_inputs[:, sensors], strict=True):
-            np.sum(to_input * standardised, axis=0, out=input_spectrum)
-        residual = input_residual(self.by_input, inputs, standardised, sensors)
+            np.sum(to_input * standardised_signals, axis=0, out=input_spectrum)
+        residual = input_residual(self.by_input, inputs, standardised_signals, sensors)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
     def in_single_precision(self) -> "Projection":
@@ -66,19 +66,21 @@ def projection(
 
 def estimated_inputs(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
-    standardised: Complex[np.ndarray, "sensors lines"],
+    standardised_signals: Complex[np.ndarray, "sensors lines"],
     free_count: int,
 ) -> tuple[Complex[np.ndarray, "inputs lines"], float]:
     """Inputs of one set of accelerations, both in standard deviations; and ln(det N / det N of the free inputs alone).
 
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
-    normal = _normal_matrices(by_input, by_input, free_count)
-    inputs = _line_solutions(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
+    normal_matrices = _normal_matrices(by_input, by_input, free_count)
+    inputs = _line_solutions(normal_matrices, np.einsum("isl,sl->il", by_input.conj(), standardised_signals)[:, None])[
+        :, 0
+    ]
     if free_count == len(by_input):
         return inputs, 0.0
     log_det, free_log_det = (
-        np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count])
+        np.linalg.slogdet(matrix)[1].sum() for matrix in (normal_matrices, normal_matrices[:, :free_count, :free_count])
     )
     return inputs, float(log_det - free_log_det)
 
@@ -86,14 +88,14 @@ def estimated_inputs(
 def input_residual(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
-    standardised: Complex[np.ndarray, "some lines"],
+    standardised_signals: Complex[np.ndarray, "some lines"],
     sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Residual r = y - B x of accelerations that some sensors deliver."""
     residual = np.zeros_like(by_input, shape=by_input.shape[1:])
     for signals_per_unit, input_spectrum in zip(by_input, inputs, strict=True):
         residual -= signals_per_unit * input_spectrum
-    residual[sensors] += standardised
+    residual[sensors] += standardised_signals
     return residual
 
 
@@ -104,16 +106,16 @@ def to_free_inputs(
 
     The condition number is infinite if the sensors cannot tell the inputs apart.
     """
-    to_inputs, condition = np.empty_like(by_input), 1.0
+    to_inputs, condition_number = np.empty_like(by_input), 1.0
     for lines, covariance in covariances:
         columns = by_input[..., lines]
-        weighted = np.linalg.solve(covariance, _lines_first(columns)).transpose(2, 1, 0)
-        normal = _normal_matrices(columns, weighted, len(columns))
-        if not np.isfinite(normal).all():
+        weighted_columns = np.linalg.solve(covariance, _lines_first(columns)).transpose(2, 1, 0)
+        normal_matrices = _normal_matrices(columns, weighted_columns, len(columns))
+        if not np.isfinite(normal_matrices).all():
             return to_inputs, np.inf
-        condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
-        to_inputs[..., lines] = _line_solutions(normal, weighted.conj())
-    return to_inputs, condition
+        condition_number = float(np.maximum(condition_number, np.max(np.linalg.cond(normal_matrices))))
+        to_inputs[..., lines] = _line_solutions(normal_matrices, weighted_columns.conj())
+    return to_inputs, condition_number
 
 
 def without_free_inputs(
@@ -127,10 +129,11 @@ def without_free_inputs(
     """
     input_count = len(by_input)
     for lines, covariance in covariances:
-        root = np.linalg.cholesky(covariance)
-        rows = _lines_first(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
-        standardised = np.linalg.solve(root, rows)
-        standardised_inputs, standardised_columns = standardised[..., :input_count], standardised[..., input_count:]
+        covariance_root = np.linalg.cholesky(covariance)
+        stacked_rows = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
+        standardised_signals = np.linalg.solve(covariance_root, stacked_rows)
+        standardised_inputs = standardised_signals[..., :input_count]
+        standardised_columns = standardised_signals[..., input_count:]
         products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
         input_rows = standardised_inputs.transpose(2, 1, 0)
         inputs = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
@@ -153,24 +156,24 @@ def input_complement(
 
 def _normal_matrices(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
-    weighted: Complex[np.ndarray, "inputs sensors lines"],
+    weighted_columns: Complex[np.ndarray, "inputs sensors lines"],
     free_count: int,
 ) -> Complex[np.ndarray, "lines inputs inputs"]:
     """N = weighted^H B + P, weighted = C^-1 B, line by line."""
     input_count, _, line_count = by_input.shape
-    normal = np.empty((line_count, input_count, input_count), dtype=complex)
-    for i, column in enumerate(weighted.conj()):
-        normal[:, i, i:] = np.einsum("sl,jsl->lj", column, by_input[i:])
-        normal[:, i:, i] = normal[:, i, i:].conj()
-        normal[:, i, i] += RIDGE_SHARE * normal[:, i, i].real + MIN_RIDGE + (i >= free_count)
-    return normal
+    normal_matrices = np.empty((line_count, input_count, input_count), dtype=complex)
+    for i, column in enumerate(weighted_columns.conj()):
+        normal_matrices[:, i, i:] = np.einsum("sl,jsl->lj", column, by_input[i:])
+        normal_matrices[:, i:, i] = normal_matrices[:, i, i:].conj()
+        normal_matrices[:, i, i] += RIDGE_SHARE * normal_matrices[:, i, i].real + MIN_RIDGE + (i >= free_count)
+    return normal_matrices
 
 
 def _line_solutions(
-    normal: Complex[np.ndarray, "lines inputs inputs"], right_side: Complex[np.ndarray, "inputs many lines"]
+    normal_matrices: Complex[np.ndarray, "lines inputs inputs"], right_side: Complex[np.ndarray, "inputs many lines"]
 ) -> Complex[np.ndarray, "inputs many lines"]:
     """N^-1 right_side, line by line."""
-    return np.ascontiguousarray(np.linalg.solve(normal, right_side.transpose(2, 0, 1)).transpose(1, 2, 0))
+    return np.ascontiguousarray(np.linalg.solve(normal_matrices, right_side.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
 def _lines_first(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:

@@ -28,9 +28,9 @@ def free_motion(
         ones, zeros = np.ones_like(time_s), np.zeros_like(time_s)
         return np.stack([time_s, ones, zeros] if order else [ones, zeros, zeros])
     poles = _poles(natural_hz, damping_ratio)
-    terms = [np.exp(p * time_s) for p in poles]
-    rows = [_pole_combination(poles, terms, order, k) / (poles[1] - poles[0]) for k in range(3)]
-    return np.asarray(np.real(rows))
+    exponentials = [np.exp(pole * time_s) for pole in poles]
+    derivatives = [_pole_combination(poles, exponentials, order, k) / (poles[1] - poles[0]) for k in range(3)]
+    return np.asarray(np.real(derivatives))
 
 
 def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] | Float[np.ndarray, "2"]:
@@ -43,10 +43,10 @@ def _pole_combination(
     poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"], terms: Sequence[np.ndarray], order: int, derivative: int
 ) -> np.ndarray:
     """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
-    first, second = poles
+    first_pole, second_pole = poles
     if order:
-        return np.asarray(second**derivative * terms[1] - first**derivative * terms[0])
-    return np.asarray(second * first**derivative * terms[0] - first * second**derivative * terms[1])
+        return np.asarray(second_pole**derivative * terms[1] - first_pole**derivative * terms[0])
+    return np.asarray(second_pole * first_pole**derivative * terms[0] - first_pole * second_pole**derivative * terms[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class Sampling:
     @cached_property
     def phases(self) -> tuple[Complex[np.ndarray, " lines"], ...]:
         """exp(-i omega n / rate) after one sample, after those that count in full, and after those that fade."""
-        counts = 1, self.sample_count - self.fading_samples, self.fading_samples
-        return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in counts)
+        sample_counts = 1, self.sample_count - self.fading_samples, self.fading_samples
+        return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in sample_counts)
 
 
 def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " lines"]:
@@ -76,8 +76,8 @@ def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " line
     """
     constant_count, fading_count = sampling.sample_count - sampling.fading_samples, sampling.fading_samples
     z, z_constant, z_fading = (
-        np.exp(pole * n / sampling.rate_hz) * phases
-        for n, phases in zip((1, constant_count, fading_count), sampling.phases, strict=True)
+        np.exp(pole * count / sampling.rate_hz) * phases
+        for count, phases in zip((1, constant_count, fading_count), sampling.phases, strict=True)
     )
     cosine, geometric_factor = np.cos(np.pi / fading_count), 1 / (z - 1)
     fading_sum = (z_fading - 1) * geometric_factor - (z_fading + 1) * (z - cosine) / (z * (z - 2 * cosine) + 1)
@@ -90,6 +90,8 @@ def sampled_accelerations(
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles = _poles(natural_hz, damping_ratio)
     poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
-    sums = [tapered_sum(complex(p), sampling) for p in poles]
-    power = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
-    return np.stack([power * _pole_combination(poles, sums, order, sampling.order) for order in range(2)])
+    tapered_sums = [tapered_sum(complex(pole), sampling) for pole in poles]
+    acceleration_factor = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
+    return np.stack(
+        [acceleration_factor * _pole_combination(poles, tapered_sums, order, sampling.order) for order in range(2)]
+    )

@@ -18,7 +18,7 @@ def slow_damping(
 ) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
     eta_shapes, omega = eta_modes(rig, responses)
-    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
+    zeta, is_held = np.concatenate([response.dynamics.damping_ratios for response in responses]), omega > 0
     held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
     return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
 
@@ -30,20 +30,20 @@ def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray,
     that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
     """
     eta_shapes, omega = eta_modes(rig, responses)
-    combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
-    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
-    held_combinations = combinations[:, np.count_nonzero(singular_values > least_value) :]
+    contact_combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
+    min_singular_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
+    held_combinations = contact_combinations[:, np.count_nonzero(singular_values > min_singular_value) :]
     if not (held_combinations.size and has_high_passed_springs(responses)):
         return np.zeros((len(eta_shapes), len(eta_shapes)))
     held_shapes = eta_shapes[:, omega > 0]
     compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
-    inverse = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
-    return np.asarray(held_combinations @ inverse @ held_combinations.T)
+    inverse_compliance = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
+    return np.asarray(held_combinations @ inverse_compliance @ held_combinations.T)
 
 
 def has_high_passed_springs(responses: Sequence[Response]) -> bool:
     """True if the spring of some mode acts on the high-passed displacement alone."""
-    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+    return any(np.any(response.dynamics.natural_hz[list(response.dynamics.high_passed)]) for response in responses)
 
 
 def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
@@ -53,7 +53,9 @@ def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np
         is_rigid_mode = response.modes.frequencies_hz(response.mode_count) == 0
         if response.body.is_mass:
             is_rigid_mode[:] = True
-        modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
+        modal_load_n = np.array([load.force_n for load in rig.loads]) @ response.shapes(
+            [load.station for load in rig.loads]
+        )
         if np.any(modal_load_n[is_rigid_mode]):
             forces_n += np.linalg.lstsq(
                 relative_shapes(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None

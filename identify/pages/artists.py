@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-MOST_POINTS = 2500
+MAX_POINTS = 2500
 """Most points of a curve; of more, the minimum and maximum of every bucket are kept, as a screen shows them."""
 COLOUR_BAR = "<colorbar>"
 """Label that matplotlib gives to the axes of a colour bar."""
@@ -111,13 +111,13 @@ def _draw_label(text: Any, plot: Any) -> None:
 
     if not text.get_text():
         return
-    (x, y), (dx, dy) = map(float, text.xy), map(float, text.xyann)
+    (x, y), (x_offset_pt, y_offset_pt) = map(float, text.xy), map(float, text.xyann)
     plot.add_layout(
         Label(
             x=x,
             y=y,
-            x_offset=_PX_PER_POINT * dx,
-            y_offset=_PX_PER_POINT * dy,
+            x_offset=_PX_PER_POINT * x_offset_pt,
+            y_offset=_PX_PER_POINT * y_offset_pt,
             text=PlainText(text=text.get_text()),
             text_font_size="11px",
             text_align=_ALIGNMENTS[text.get_ha()],
@@ -130,13 +130,13 @@ def _draw_line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     colour, alpha = _hex_colour(line.get_color()), line.get_alpha() or 1.0
     width_px = _PX_PER_POINT * line.get_linewidth()
     x, y = (np.asarray(coordinates, dtype=float) for coordinates in line.get_data())
-    dash = _DASHES.get(line.get_linestyle())
-    line_style = {"line_color": colour, "line_alpha": alpha, "line_width": width_px, "line_dash": dash or "solid"}
+    dash_name = _DASHES.get(line.get_linestyle())
+    line_style = {"line_color": colour, "line_alpha": alpha, "line_width": width_px, "line_dash": dash_name or "solid"}
     is_data_x, is_data_y = line.get_transform().contains_branch_seperately(axes.transData)
     if not (is_data_x and is_data_y):
         yield plot.vspan(x=x[:1], **line_style) if is_data_x else plot.hspan(y=y[:1], **line_style)
         return
-    is_joined = dash is not None and line.get_linewidth() > 0
+    is_joined = dash_name is not None and line.get_linewidth() > 0
     x, y = _thin_points(x, y, is_joined)
     if is_joined and line.get_drawstyle() == "steps-mid":
         yield plot.step(x, y, mode="center", **line_style)
@@ -219,8 +219,11 @@ def _draw_hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[A
     hexagon, centres = cells.get_paths()[0].vertices[:6], np.asarray(cells.get_offsets())
     values, colour_mapper = np.asarray(cells.get_array(), dtype=float), _colour_mapper(cells)
     corners = (centres[:, None] + hexagon).reshape(-1, 2)
-    rounded_corners = [[float(f"{value:.4g}") for value in row] for row in corners.T]
-    x, y = ([row[k : k + 6] for k in range(0, len(row), 6)] for row in rounded_corners)
+    rounded_corners = [[float(f"{value:.4g}") for value in coordinate_row] for coordinate_row in corners.T]
+    x, y = (
+        [coordinate_row[first_corner : first_corner + 6] for first_corner in range(0, len(coordinate_row), 6)]
+        for coordinate_row in rounded_corners
+    )
     source_columns = {"x": x, "y": y, "value": values.tolist()}
     yield plot.patches("x", "y", source=source_columns, fill_color=transform("value", colour_mapper), line_color=None)
     _add_colour_bar(plot, colour_mapper, figure)
@@ -231,14 +234,14 @@ def _draw_mesh(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
     from bokeh.transform import transform
 
     corners, values = cells.get_coordinates(), np.ma.filled(cells.get_array(), np.nan).astype(float)
-    x, y = corners[0, :, 0], corners[:, 0, 1]
+    edge_x, edge_y = corners[0, :, 0], corners[:, 0, 1]
     row_indices, column_indices = np.nonzero(np.isfinite(values))
     colour_mapper = _colour_mapper(cells)
     source_columns = {
-        "left": x[column_indices].tolist(),
-        "right": x[column_indices + 1].tolist(),
-        "bottom": y[row_indices].tolist(),
-        "top": y[row_indices + 1].tolist(),
+        "left": edge_x[column_indices].tolist(),
+        "right": edge_x[column_indices + 1].tolist(),
+        "bottom": edge_y[row_indices].tolist(),
+        "top": edge_y[row_indices + 1].tolist(),
         "value": [float(f"{value:.4g}") for value in values[row_indices, column_indices]],
     }
     yield plot.quad(
@@ -290,13 +293,17 @@ def _add_colour_bar(plot: Any, colour_mapper: Any, figure: Any) -> None:
 def _thin_points(
     x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], is_joined: bool
 ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
-    """Points in single precision, at most MOST_POINTS: extremes of every bucket of a line, every n-th of dots."""
-    indices = np.arange(0, x.size, -(-x.size // MOST_POINTS) or 1)
-    if x.size > MOST_POINTS and is_joined:
-        buckets = np.array_split(np.arange(x.size), MOST_POINTS // 2)
+    """Points in single precision, at most MAX_POINTS: extremes of every bucket of a line, every n-th of dots."""
+    indices = np.arange(0, x.size, -(-x.size // MAX_POINTS) or 1)
+    if x.size > MAX_POINTS and is_joined:
+        buckets = np.array_split(np.arange(x.size), MAX_POINTS // 2)
         extreme_positions = [sorted((int(np.argmin(y[bucket])), int(np.argmax(y[bucket])))) for bucket in buckets]
         indices = np.array(
-            [bucket[position] for bucket, pair in zip(buckets, extreme_positions, strict=True) for position in pair]
+            [
+                bucket[position]
+                for bucket, bucket_positions in zip(buckets, extreme_positions, strict=True)
+                for position in bucket_positions
+            ]
         )
     return x[indices].astype(np.float32), y[indices].astype(np.float32)
 

@@ -12,7 +12,7 @@ LINE_HEIGHT, LETTER_WIDTH, BOLD_LETTER_WIDTH = 17.0, 8.2, 9.0
 """Height of a line of text, and mean width of a letter and of a bold one, px."""
 STOP_DISTANCE, STOP_HALF_WIDTH = 11.0, 15.0
 """Distance of a stop from its body, and half its width, px."""
-MOST_LINE_LETTERS = 38
+MAX_LINE_LETTERS = 38
 """Letters in a line of a mark at most."""
 MARK_GAP = 8.0
 """Distance between the words of a mark and the line of the next one, px."""
@@ -72,12 +72,23 @@ def contact_text(x_px: float, text_lines: Sequence[str], text_spans: TextSpans, 
 def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence[float]) -> DrawnText:
     """Even lines of text centred about x, as far as the drawing's edges and the line of the next mark allow."""
     words = unbroken_html(words)
-    line_count = len(wrap(words, MOST_LINE_LETTERS))
-    right_px = min([other_px - MARK_GAP for other_px in marks_px if other_px > x_px + 1], default=WIDTH - 4)
-    texts = [
-        (_even_lines(words, count), right) for right in (right_px, WIDTH - 4) for count in (line_count, line_count + 1)
+    line_count = len(wrap(words, MAX_LINE_LETTERS))
+    right_px = min(
+        [other_mark_px - MARK_GAP for other_mark_px in marks_px if other_mark_px > x_px + 1], default=WIDTH - 4
+    )
+    lines_and_limits = [
+        (_even_lines(words, tried_line_count), right_limit_px)
+        for right_limit_px in (right_px, WIDTH - 4)
+        for tried_line_count in (line_count, line_count + 1)
     ]
-    text_lines, right_px = next((text for text in texts if 4 + _bold_width_px(text[0]) <= text[1]), texts[-1])
+    text_lines, right_px = next(
+        (
+            lines_and_limit
+            for lines_and_limit in lines_and_limits
+            if 4 + _bold_width_px(lines_and_limit[0]) <= lines_and_limit[1]
+        ),
+        lines_and_limits[-1],
+    )
     half_width_px = _bold_width_px(text_lines) / 2
     middle_px = max(min(x_px, right_px - half_width_px), half_width_px + 4)
     return DrawnText(
@@ -90,7 +101,9 @@ def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence
 
 def _even_lines(words: str, line_count: int) -> list[str]:
     """Words wrapped to at most `line_count` lines, whose longest is as short as it can be."""
-    return next(lines for letters in range(1, len(words) + 1) if len(lines := wrap(words, letters)) <= line_count)
+    return next(
+        lines for line_letters in range(1, len(words) + 1) if len(lines := wrap(words, line_letters)) <= line_count
+    )
 
 
 def _bold_width_px(text_lines: Sequence[str]) -> float:

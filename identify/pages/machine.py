@@ -85,7 +85,7 @@ class _Layout:
     @property
     def drawn_forces(self) -> tuple[Station, ...]:
         """Stations of the forces, those on the ground apart."""
-        return tuple(dict.fromkeys(s for s in self.rig.forces if not self.rig.is_on_ground(s)))
+        return tuple(dict.fromkeys(station for station in self.rig.forces if not self.rig.is_on_ground(station)))
 
     def force_span_px(self, station: Station) -> tuple[float, float]:
         """Left and right end of the arrow of a force and its letter."""
@@ -126,7 +126,9 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         text_spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
         marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
         mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, text_spans, marks_px)))
-    ringed = {(mark.station.body, round(layout.x_px(mark.station))): (mark, text) for mark, text in mark_texts[::-1]}
+    ringed_marks = {
+        (mark.station.body, round(layout.x_px(mark.station))): (mark, text) for mark, text in mark_texts[::-1]
+    }
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
@@ -140,7 +142,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         *_sensors(layout),
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
-        *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
+        *(element for mark, text in ringed_marks.values() for element in _mark_ring(layout, mark, text)),
         *(element for mark, text in mark_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
@@ -186,7 +188,7 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
     of text."""
     x_px, upper_body = layout.contact_x_px(contact), layout.upper_body(contact)
     top_px, bottom_px = layout.tops_px[upper_body.name], layout.bottom_px(upper_body)
-    carrier_names = [s.body for s in contact_stations(contact) if s.body != upper_body.name]
+    carrier_names = [station.body for station in contact_stations(contact) if station.body != upper_body.name]
     foot_px = (
         layout.tops_px[carrier_names[0]]
         if carrier_names

@@ -77,7 +77,9 @@ def nifo(
         )
     displacement = equation.displacement
     input_terms = [[Term(force_n, factor=equation.shape_at_force)]]
-    input_terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active_contacts]
+    input_terms += [
+        [Term(penetration_m[contact], factor=equation.shape_at_contacts[contact])] for contact in active_contacts
+    ]
     if form == "weak":
         input_terms[0].append(Term(displacement, derivative=2, factor=-1.0))
         input_terms.append([Term(displacement, derivative=1)])
@@ -91,9 +93,9 @@ def nifo(
             spectra[0] += derivative_factor * spectra[-2]
         return spectra
 
-    weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
-    frf = weights[:, 0]
-    stiffness_n_per_m = -weights[:, 1 : 1 + len(active_contacts)] / frf[:, None]
+    input_weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
+    frf = input_weights[:, 0]
+    stiffness_n_per_m = -input_weights[:, 1 : 1 + len(active_contacts)] / frf[:, None]
 
     def mean_stiffness_influence(
         changes: Complex[np.ndarray, "chunk blocks unknowns"], line_chunk: slice
@@ -107,7 +109,7 @@ def nifo(
 
     mean_variances = variance_of_sum(
         lambda block_indices: influences(
-            channel_spectra, block_indices, weights, inverse_normal, mean_stiffness_influence
+            channel_spectra, block_indices, input_weights, inverse_normal, mean_stiffness_influence
         ),
         len(blocks.starts),
     )

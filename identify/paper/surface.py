@@ -28,7 +28,7 @@ class Stops:
     upper_m: float
     lower_error_m: float
     upper_error_m: float
-    half_error_m: float
+    mean_error_m: float
     touched: tuple[bool, bool] = (True, True)
 
     @property
@@ -37,10 +37,10 @@ class Stops:
 
     @property
     def clearance_error_m(self) -> float:
-        return self._of_touched_stops(self.lower_error_m, self.upper_error_m, self.half_error_m)
+        return self._of_touched_stops(self.lower_error_m, self.upper_error_m, self.mean_error_m)
 
-    def _of_touched_stops(self, lower: float, upper: float, mean: float) -> float:
-        return mean if all(self.touched) else lower if self.touched[0] else upper
+    def _of_touched_stops(self, lower_value: float, upper_value: float, mean_value: float) -> float:
+        return mean_value if all(self.touched) else lower_value if self.touched[0] else upper_value
 
 
 @dataclass(frozen=True)
@@ -89,47 +89,49 @@ def fit_surface(
     linear_columns = decimated(np.stack([equation.velocity, equation.displacement]), decimation)
 
     def regression_columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
-        zone_columns = [
-            equation.shape_at_contacts[j]
-            * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), decimation)
-            for i, j in enumerate(contact_indices)
+        dead_zone_columns = [
+            equation.shape_at_contacts[contact_index]
+            * decimated(penetration_m(eta_m[contact_index], stops[2 * i], stops[2 * i + 1]), decimation)
+            for i, contact_index in enumerate(contact_indices)
         ]
-        return np.stack([*linear_columns, *zone_columns], axis=1)
+        return np.stack([*linear_columns, *dead_zone_columns], axis=1)
 
     def residual_force(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
         return measured_force - _projection(regression_columns(stops), measured_force)[0]
 
-    largest_m = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in contact_indices]).ravel()
+    largest_m = np.array(
+        [[-eta_m[contact_index].min(), eta_m[contact_index].max()] for contact_index in contact_indices]
+    ).ravel()
     scale_m = np.maximum(largest_m, 1e-12)
-    start_m = np.array([x for _, s in contacts_to_fit for x in (s.lower_m, s.upper_m)])
+    start_stops_m = np.array([x for _, s in contacts_to_fit for x in (s.lower_m, s.upper_m)])
     solution = least_squares(
         lambda s: residual_force(s * scale_m),
-        np.clip(start_m / scale_m, 0.0, 0.98),
+        np.clip(start_stops_m / scale_m, 0.0, 0.98),
         bounds=(0, 1),
         xtol=1e-9,
         ftol=1e-12,
     )
     stops = solution.x * scale_m
-    fitted_force, weights = _projection(regression_columns(stops), measured_force)
+    fitted_force, column_weights = _projection(regression_columns(stops), measured_force)
     covariance = _sandwich(
         np.concatenate([regression_columns(stops), solution.jac / scale_m], axis=1), measured_force - fitted_force
     )
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
     contact_forces = np.zeros((len(eta_m), measured_force.size))
     stiffness_n_per_m = np.full(len(eta_m), np.nan)
-    first_stop = len(linear_columns) + len(contact_indices)
+    first_stop_column = len(linear_columns) + len(contact_indices)
     for i, j in enumerate(contact_indices):
-        stop_rows = slice(first_stop + 2 * i, first_stop + 2 * i + 2)
-        stop_covariance = covariance[stop_rows, stop_rows]
-        stiffness_n_per_m[j] = weights[2 + i]
-        contact_forces[j] = weights[2 + i] * regression_columns(stops)[:, 2 + i]
+        stop_columns = slice(first_stop_column + 2 * i, first_stop_column + 2 * i + 2)
+        stop_covariance = covariance[stop_columns, stop_columns]
+        stiffness_n_per_m[j] = column_weights[2 + i]
+        contact_forces[j] = column_weights[2 + i] * regression_columns(stops)[:, 2 + i]
         closed_share = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
         if closed_share >= MIN_CONTACT_SHARE:
             variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
-            lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
+            lower_error_m, upper_error_m, mean_error_m = np.sqrt(variances).tolist()
             lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
             is_touched = contacts_to_fit[i][1].touched
-            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, is_touched)
+            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, mean_error_m, is_touched)
     return Surface(
         equation, decimation, measured_force, fitted_force, contact_forces, tuple(fitted_stops), stiffness_n_per_m
     )
@@ -145,7 +147,7 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     """
     edges_m = np.linspace(eta_m.min(), eta_m.max(), 401)
     deviation_m = float(np.std(eta_m))
-    x = (edges_m[:-1] + edges_m[1:]) / 2 / deviation_m
+    scaled_eta = (edges_m[:-1] + edges_m[1:]) / 2 / deviation_m
 
     def fit_density(
         sample_m: Float[np.ndarray, " samples"], start_parameters: list[Float[np.ndarray, " parameters"]]
@@ -154,30 +156,34 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
 
         def cost(parameters: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
             """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
-            depth, kappa = penetration_m(x, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
-            exponent = -parameters[0] * x - parameters[1] * x**2 / 2 - kappa * depth**2 / 2
+            depth, kappa = penetration_m(scaled_eta, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
+            exponent = -parameters[0] * scaled_eta - parameters[1] * scaled_eta**2 / 2 - kappa * depth**2 / 2
             largest_exponent = exponent.max()
             density = np.exp(exponent - largest_exponent)
             density_sum = density.sum()
             by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < MAX_LOG_KAPPA)
             by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
-            gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / density_sum - bin_shares)
+            gradient = np.array([-scaled_eta, -(scaled_eta**2) / 2, by_log_kappa, *by_stops]) @ (
+                density / density_sum - bin_shares
+            )
             return float(-(bin_shares @ exponent) + largest_exponent + np.log(density_sum)), gradient
 
-        attempts = [minimize(cost, x0, jac=True, method="BFGS", options={"gtol": 1e-8}) for x0 in start_parameters]
+        attempts = [
+            minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in start_parameters
+        ]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m
-    best_parameters = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
+    best_parameters = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
     parts_m = np.array_split(eta_m, PARTS)
     part_stops_m = np.array([np.abs(fit_density(part_m, [best_parameters])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
     lower_m, upper_m = np.abs(best_parameters[3:]) * deviation_m
-    lower_error_m, upper_error_m, half_error_m = (
-        float(np.std(x, ddof=1) / np.sqrt(PARTS))
-        for x in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
+    lower_error_m, upper_error_m, mean_error_m = (
+        float(np.std(stops_m, ddof=1) / np.sqrt(PARTS))
+        for stops_m in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
-    return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, half_error_m)
+    return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, mean_error_m)
 
 
 def _projection(
@@ -187,10 +193,10 @@ def _projection(
     column_norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     column_norms[column_norms == 0] = 1.0
     normal_matrix = (columns.T @ columns) / np.outer(column_norms, column_norms)
-    weights = (
+    column_weights = (
         np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / column_norms) / column_norms
     )
-    return columns @ weights, weights
+    return columns @ column_weights, column_weights
 
 
 def _sandwich(

@@ -11,7 +11,7 @@ STD_BY_MEDIAN = 1.4826
 """Standard deviation of normal samples, over the median of their sizes."""
 ONSET_DEVIATIONS = 6.0
 """Smallest force that counts as begun, in standard deviations of its noise."""
-REST_SHARE = 0.02
+MAX_REST_SHARE = 0.02
 """Largest standard deviation before the excitation of a channel at rest, over that of its whole record."""
 
 
@@ -27,12 +27,12 @@ def force_onset(force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: f
 
 def _onset(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int:
     """Onset of one force."""
-    size_n = np.abs(force_n)
-    start_n = size_n[: max(1, round(QUIET_S * sample_rate_hz))]
-    threshold_n = ONSET_DEVIATIONS * STD_BY_MEDIAN * float(np.median(start_n))
-    if threshold_n >= np.sqrt(np.mean(size_n**2)):
+    force_size_n = np.abs(force_n)
+    first_sizes_n = force_size_n[: max(1, round(QUIET_S * sample_rate_hz))]
+    threshold_n = ONSET_DEVIATIONS * STD_BY_MEDIAN * float(np.median(first_sizes_n))
+    if threshold_n >= np.sqrt(np.mean(force_size_n**2)):
         return 0
-    return int(np.argmax(size_n > max(threshold_n, 1e-3 * float(size_n.max()))))
+    return int(np.argmax(force_size_n > max(threshold_n, 1e-3 * float(force_size_n.max()))))
 
 
 def excitation_start(
@@ -42,7 +42,7 @@ def excitation_start(
 ) -> int:
     """First excited sample, as `force_onset`; 0 also if a channel scatters before it by over 2 % of its record."""
     onset = force_onset(force_n, sample_rate_hz)
-    is_moving = onset and any(np.std(channel[:onset]) > REST_SHARE * np.std(channel) for channel in channels)
+    is_moving = onset and any(np.std(channel[:onset]) > MAX_REST_SHARE * np.std(channel) for channel in channels)
     return 0 if is_moving else onset
 
 

@@ -61,12 +61,14 @@ def spline(sample_count: int, sample_rate_hz: float, drift: Drift | None, knot_s
         return Spline(empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
     times_s = np.arange(sample_count) / sample_rate_hz
     knot_times_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_s))) + 1)
-    spacing_s = knot_times_s[1]
+    knot_spacing_s = knot_times_s[1]
     knots_s = np.concatenate(
-        [-spacing_s * np.arange(3, 0, -1), knot_times_s, knot_times_s[-1] + spacing_s * np.arange(1, 4)]
+        [-knot_spacing_s * np.arange(3, 0, -1), knot_times_s, knot_times_s[-1] + knot_spacing_s * np.arange(1, 4)]
     )
-    second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knot_times_s.size, knots_s.size - 4)) / spacing_s**2
-    curvature_deviation = drift.noise_density / np.sqrt(2 * spacing_s)
+    second_difference = (
+        diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knot_times_s.size, knots_s.size - 4)) / knot_spacing_s**2
+    )
+    curvature_deviation = drift.noise_density / np.sqrt(2 * knot_spacing_s)
     return Spline(
         value=csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)),
         rate=_rate_matrix(times_s, knots_s),
@@ -77,8 +79,8 @@ def spline(sample_count: int, sample_rate_hz: float, drift: Drift | None, knot_s
 
 def _rate_matrix(times_s: Float[np.ndarray, " samples"], knots_s: Float[np.ndarray, " places"]) -> csr_matrix:
     """First derivative by differences of quadratic splines: b' = sum_i (c_i - c_(i-1)) / h B2_i."""
-    spacing_s = knots_s[1] - knots_s[0]
+    knot_spacing_s = knots_s[1] - knots_s[0]
     quadratic_splines = csr_matrix(BSpline.design_matrix(times_s, knots_s[1:-1], 2))
     spline_count = knots_s.size - 4
-    differences = diags([-1.0, 1.0], [0, 1], shape=(spline_count - 1, spline_count)) / spacing_s
-    return csr_matrix(quadratic_splines @ differences)
+    difference_matrix = diags([-1.0, 1.0], [0, 1], shape=(spline_count - 1, spline_count)) / knot_spacing_s
+    return csr_matrix(quadratic_splines @ difference_matrix)

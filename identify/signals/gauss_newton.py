@@ -48,22 +48,24 @@ def gauss_newton(
     its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
     than `min_fall_of` the state before it, and before a step that promises less than `negligible_share` of that.
     """
-    state, cost, slow_steps = initial_state, initial_state.cost, 0
+    state, cost, slow_step_count = initial_state, initial_state.cost, 0
     for _ in range(max_steps):
-        step, share, min_fall = linearize(state), 1.0, min_fall_of(state)
-        if step.predicted_decrease < negligible_share * min_fall:
+        step, step_share, min_cost_fall = linearize(state), 1.0, min_fall_of(state)
+        if step.predicted_decrease < negligible_share * min_cost_fall:
             break
-        candidate_state, fall = None, -np.inf
+        candidate_state, cost_fall = None, -np.inf
         for _ in range(MAX_STEP_LENGTHS):
-            candidate_state = step.state_after(share)
-            fall = cost - candidate_state.cost if candidate_state is not None else -np.inf
-            if fall > 0 or step.predicted_decrease < min_fall:
+            candidate_state = step.state_after(step_share)
+            cost_fall = cost - candidate_state.cost if candidate_state is not None else -np.inf
+            if cost_fall > 0 or step.predicted_decrease < min_cost_fall:
                 break
-            share *= np.clip(step.predicted_decrease * share / (2 * step.predicted_decrease * share - fall), 0.1, 0.5)
-        if candidate_state is None or not fall > 0:
+            step_share *= np.clip(
+                step.predicted_decrease * step_share / (2 * step.predicted_decrease * step_share - cost_fall), 0.1, 0.5
+            )
+        if candidate_state is None or not cost_fall > 0:
             break
-        state, cost = candidate_state, cost - fall
-        slow_steps = slow_steps + 1 if fall < min_fall else 0
-        if slow_steps and (share == 1 or slow_steps == 2):
+        state, cost = candidate_state, cost - cost_fall
+        slow_step_count = slow_step_count + 1 if cost_fall < min_cost_fall else 0
+        if slow_step_count and (step_share == 1 or slow_step_count == 2):
             break
     return state, step

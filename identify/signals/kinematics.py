@@ -106,8 +106,14 @@ class Kinematics:
     @property
     def without_rows(self) -> "Kinematics":
         """Kinematics without the motion of any station, which takes much memory."""
-        none = np.empty((0, self.samples))
-        return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
+        empty_rows = np.empty((0, self.samples))
+        return replace(
+            self,
+            displacement_m=empty_rows,
+            velocity_m_per_s=empty_rows,
+            acceleration_m_per_s2=empty_rows,
+            lost_m_per_s2=empty_rows,
+        )
 
 
 @dataclass(frozen=True)
@@ -192,8 +198,8 @@ def kinematics(
     return Kinematics(
         stations=body_stations,
         channels=motion.channels,
-        sensors=tuple(_nearest_sensor(station_sensors[s], 2) for s in body_stations),
-        displaced_by=tuple(_nearest_sensor(station_sensors[s], 0) for s in body_stations),
+        sensors=tuple(_nearest_sensor(station_sensors[station], 2) for station in body_stations),
+        displaced_by=tuple(_nearest_sensor(station_sensors[station], 0) for station in body_stations),
         sample_rate_hz=rate_hz,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
         zero_known=not integrates or _contacts_show_zero(recording.rig, station_sensors, transform.excited_from),
@@ -215,7 +221,7 @@ def _motion_sensors(recording: Recording, use: MotionQuantity) -> list[Sensor]:
     """
     base_sensors = recording.rig.base_sensors
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
-    sensors = [s for s in sensors if s not in base_sensors]
+    sensors = [sensor for sensor in sensors if sensor not in base_sensors]
     if not sensors:
         required_words = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
@@ -248,7 +254,9 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
     padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
-    excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate_hz)
+    excited_from = excitation_start(
+        excitations(recording), (recording.values_of(sensor) for sensor in sensors), rate_hz
+    )
     return _PaddedTransform(
         corner_hz=corner_hz,
         end_taper=end_taper,
@@ -263,39 +271,39 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
 def _motion(recording: Recording, station_sensors: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
     """Motion of every station in time, from the orders `least_order` to 2."""
     omega, corner_hz = transform.omega, transform.corner_hz
-    order_factor = cache(lambda power: integrated(omega, power, corner_hz))
-    below_corner = 1 - _high_pass(omega, corner_hz)
-    contact_places = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
+    integration_factor = cache(lambda power: integrated(omega, power, corner_hz))
+    low_pass = 1 - _high_pass(omega, corner_hz)
+    contact_places = {ON_GROUND, *(s for contact in recording.rig.contacts for s in contact_stations(contact))}
     derivatives = tuple(
         np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
     lost_m_per_s2 = np.zeros((len(station_sensors), transform.usable_count))
     channels: dict[str, None] = {}
     for row, (station, by_order) in enumerate(station_sensors.items()):
-        spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
+        spectrum_by_sensor: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
             sensor = _nearest_sensor(by_order, order)
             differentiations = order - sensor.measures.order
             lead_samples = (
                 transform.lead_samples if differentiations > 0 else 0
             )  # nothing may precede the record in an integral
-            if (sensor.name, lead_samples) not in spectra:
-                spectra[sensor.name, lead_samples] = transform.spectrum(
+            if (sensor.name, lead_samples) not in spectrum_by_sensor:
+                spectrum_by_sensor[sensor.name, lead_samples] = transform.spectrum(
                     sensor, recording.values_of(sensor), lead_samples
                 )
-            spectrum = spectra[sensor.name, lead_samples] * order_factor(differentiations)
+            spectrum = spectrum_by_sensor[sensor.name, lead_samples] * integration_factor(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
         if station in contact_places and 0 not in by_order:  # the spectrum is the acceleration's
-            lost_m_per_s2[row] = transform.usable_samples(spectrum * below_corner)
+            lost_m_per_s2[row] = transform.usable_samples(spectrum * low_pass)
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 
 
 def _contacts_show_zero(rig: Rig, station_sensors: ByStation, excited_from: int) -> bool:
     """True if displacements are measured at both sides of every contact, in a record that begins at rest."""
-    sides = {side for contact in rig.contacts for side in contact_stations(contact)}
-    sides |= {ON_GROUND} if rig.base_sensors else set()
-    return bool(rig.contacts) and excited_from > 0 and all(0 in station_sensors.get(side, {}) for side in sides)
+    contact_sides = {side for contact in rig.contacts for side in contact_stations(contact)}
+    contact_sides |= {ON_GROUND} if rig.base_sensors else set()
+    return bool(rig.contacts) and excited_from > 0 and all(0 in station_sensors.get(side, {}) for side in contact_sides)
 
 
 def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
@@ -313,11 +321,11 @@ def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: in
 def _nearest_sensor(by_order: dict[int, Sensor], derivative_order: int) -> Sensor:
     """Sensor of this derivative, else one that needs differentiation, else one that needs integration."""
 
-    def cost(sensor: Sensor) -> int:
+    def distance(sensor: Sensor) -> int:
         missing_orders = derivative_order - sensor.measures.order
         return missing_orders if missing_orders >= 0 else 10 - missing_orders
 
-    return min(by_order.values(), key=cost)
+    return min(by_order.values(), key=distance)
 
 
 def integrated(omega: Float[np.ndarray, " lines"], exponent: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
@@ -335,8 +343,8 @@ def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np
 
 def taper(sample_count: int, fading_samples: int) -> Float[np.ndarray, " samples"]:
     """Weights of one that fall smoothly to zero over the last `fading_samples`."""
-    weights = np.ones(sample_count)
-    weights[sample_count - fading_samples :] = 0.5 * (
+    taper_weights = np.ones(sample_count)
+    taper_weights[sample_count - fading_samples :] = 0.5 * (
         1 + np.cos(np.pi * (np.arange(fading_samples) + 1) / fading_samples)
     )
-    return weights
+    return taper_weights

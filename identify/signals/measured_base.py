@@ -50,12 +50,12 @@ def excitations(recording: Recording) -> Float[np.ndarray, "excitations samples"
     rig = recording.rig
     if not rig.base_sensors:
         return recording.forces_n
-    return np.stack([*forces_on_bodies(recording), *(recording.values_of(s) for s in rig.base_sensors)])
+    return np.stack([*forces_on_bodies(recording), *(recording.values_of(sensor) for sensor in rig.base_sensors)])
 
 
 def excitation_names(rig: Rig) -> tuple[str, ...]:
     """Channels of the `excitations`."""
-    return (*rig.force_names[: count_on_bodies(rig)], *(s.name for s in rig.base_sensors))
+    return (*rig.force_names[: count_on_bodies(rig)], *(sensor.name for sensor in rig.base_sensors))
 
 
 def forces_on_bodies(recording: Recording) -> Float[np.ndarray, "forces samples"]:

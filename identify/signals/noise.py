@@ -14,14 +14,16 @@ from identify.signals.kinematics import Kinematics
 from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND
 
-Source = Literal["the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"]
+NoiseSource = Literal[
+    "the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"
+]
 NOISE_BAND = (0.3, 0.4)
 """Band that shows the noise of a record without a quiet start, as shares of the sampling rate."""
 PART_S, QUIET_QUANTILE = 0.05, 0.05
 """The noise is this quantile of the power in parts of this length."""
 SEGMENT_SAMPLES, CELL_LINES = 256, 16
 """Samples of a segment of the spectrogram, and lines of one of its cells."""
-CELL_FREEDOM = 2 * CELL_LINES * 18 / 35
+CELL_DEGREES_OF_FREEDOM = 2 * CELL_LINES * 18 / 35
 LOWEST_RATE_SHARE = 0.1
 """Lowest frequency at which noise is estimated, over the sampling rate."""
 FLAT_RATIO, MIN_SEGMENTS = 2.0, 5
@@ -37,7 +39,9 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     if source == "noise_density in rig.json":
         base_noise = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
-        return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), base_noise) for s in motion.sensors])
+        return np.array(
+            [np.hypot(_described_noise(sensor, motion.sample_rate_hz), base_noise) for sensor in motion.sensors]
+        )
     return np.array(
         [
             _noise_from_high_band(row, max(0, 2 - s.measures.order), motion.sample_rate_hz)
@@ -50,22 +54,22 @@ def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
     quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
     derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    rows = [derivatives[s.measures.order][i] for i, s in enumerate(motion.displaced_by)]
+    sensor_signals = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
-        return np.array([row[: motion.quiet_samples].std() for row in rows])
+        return np.array([row[: motion.quiet_samples].std() for row in sensor_signals])
     if source == "noise_density in rig.json":
         base_density = motion.base.displaced_by.noise_density if motion.base else 0.0
-        densities = [np.hypot(s.noise_density, base_density) for s in motion.displaced_by]
-        return np.sqrt(motion.sample_rate_hz / 2) * np.array(densities)
-    return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in rows])
+        noise_densities = [np.hypot(sensor.noise_density, base_density) for sensor in motion.displaced_by]
+        return np.sqrt(motion.sample_rate_hz / 2) * np.array(noise_densities)
+    return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in sensor_signals])
 
 
-def noise_source(motion: Kinematics, rig: Rig) -> Source:
+def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:
     """Source of the noise: the quiet start; without one, the description if it states any noise."""
     if motion.quiet_samples:
         return "the quiet start of the record"
-    if any(s.noise_density > 0 for s in rig.sensors):
+    if any(sensor.noise_density > 0 for sensor in rig.sensors):
         return "noise_density in rig.json"
     return "the highest frequencies of the record"
 
@@ -80,14 +84,16 @@ def _described_noise(sensor: Sensor, rate_hz: float) -> float:
     )
 
 
-def _noise_from_high_band(row: Float[np.ndarray, " samples"], differentiations: int, rate_hz: float) -> float:
+def _noise_from_high_band(signal: Float[np.ndarray, " samples"], differentiations: int, rate_hz: float) -> float:
     """White noise, differentiated so often, as loud as the quietest parts of a high band: an upper bound of its rms."""
-    low_share, high_share = (noise_power_ratio * 2 for noise_power_ratio in NOISE_BAND)
-    high_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), row)
+    low_share, high_share = (rate_share * 2 for rate_share in NOISE_BAND)
+    band_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), signal)
     part_samples = max(1, round(PART_S * rate_hz))
-    part_powers = (high_passed[: row.size // part_samples * part_samples].reshape(-1, part_samples) ** 2).mean(axis=1)
-    share = high_share ** (2 * differentiations + 1) - low_share ** (2 * differentiations + 1)
-    return float(np.sqrt(np.quantile(part_powers[1:], QUIET_QUANTILE) / share))
+    part_powers = (band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples) ** 2).mean(
+        axis=1
+    )
+    noise_power_share = high_share ** (2 * differentiations + 1) - low_share ** (2 * differentiations + 1)
+    return float(np.sqrt(np.quantile(part_powers[1:], QUIET_QUANTILE) / noise_power_share))
 
 
 def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> tuple[float, bool]:
@@ -99,17 +105,19 @@ def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: fl
     is divided by that of this distribution.
     """
     segment_samples = min(SEGMENT_SAMPLES, signal.size)
-    hz, _, power = spectrogram(signal, rate_hz, "hann", segment_samples, segment_samples // 2, detrend="linear")
-    power = power[(hz > LOWEST_RATE_SHARE * rate_hz) & (hz < PASSBAND * rate_hz)]
+    line_hz, _, power = spectrogram(signal, rate_hz, "hann", segment_samples, segment_samples // 2, detrend="linear")
+    power = power[(line_hz > LOWEST_RATE_SHARE * rate_hz) & (line_hz < PASSBAND * rate_hz)]
     cell_count = len(power) // CELL_LINES
     if not cell_count:
         return 0.0, False
-    cells = power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
-    power_density = float(np.quantile(cells, QUIET_QUANTILE)) / (chi2.ppf(QUIET_QUANTILE, CELL_FREEDOM) / CELL_FREEDOM)
-    segment_power = np.median(cells, axis=0)
+    cell_powers = power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
+    power_density = float(np.quantile(cell_powers, QUIET_QUANTILE)) / (
+        chi2.ppf(QUIET_QUANTILE, CELL_DEGREES_OF_FREEDOM) / CELL_DEGREES_OF_FREEDOM
+    )
+    segment_power = np.median(cell_powers, axis=0)
     quiet_share = max(QUIET_QUANTILE, MIN_SEGMENTS / segment_power.size)
-    quiet_cells = cells[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
-    return float(np.sqrt(power_density)), bool(np.max(quiet_cells) < FLAT_RATIO * np.min(quiet_cells))
+    quiet_cell_powers = cell_powers[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
+    return float(np.sqrt(power_density)), bool(np.max(quiet_cell_powers) < FLAT_RATIO * np.min(quiet_cell_powers))
 
 
 def rounding_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> float:

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from rig.errors import RigError
 
-Spectra = Callable[[Sequence[int]], Complex[np.ndarray, "channels blocks lines"]]
+SpectraOfBlocks = Callable[[Sequence[int]], Complex[np.ndarray, "channels blocks lines"]]
 """Spectra of the blocks with these numbers; the last channel is the response, the others are the inputs."""
 BLOCKS_PER_BATCH = 16
 """Blocks whose spectra are in memory at once."""
@@ -18,7 +18,7 @@ MAX_PAIRS = 20
 
 
 def line_by_line(
-    spectra: Spectra, block_count: int
+    spectra_of: SpectraOfBlocks, block_count: int
 ) -> tuple[Complex[np.ndarray, "lines inputs"], Complex[np.ndarray, "lines inputs inputs"]]:
     """Weights of the inputs in the response at each line, and the inverse of the inputs' normal matrix.
 
@@ -29,38 +29,38 @@ def line_by_line(
     """
     normal_matrix = np.zeros((0, 0, 0), dtype=complex)
     for first_block in range(0, block_count, BLOCKS_PER_BATCH):
-        block_spectra = spectra(range(first_block, min(first_block + BLOCKS_PER_BATCH, block_count)))
+        block_spectra = spectra_of(range(first_block, min(first_block + BLOCKS_PER_BATCH, block_count)))
         channel_count, _, line_count = block_spectra.shape
         if first_block == 0:
             normal_matrix = np.zeros((line_count, channel_count, channel_count), dtype=complex)
-        for lines in _chunks(line_count):
-            rows = _by_line(block_spectra, lines)
-            normal_matrix[lines] += rows.conj().transpose(0, 2, 1) @ rows
+        for line_chunk in _chunks(line_count):
+            channel_rows = _by_line(block_spectra, line_chunk)
+            normal_matrix[line_chunk] += channel_rows.conj().transpose(0, 2, 1) @ channel_rows
     input_count = normal_matrix.shape[1] - 1
-    weights = np.empty((len(normal_matrix), input_count), dtype=complex)
+    input_weights = np.empty((len(normal_matrix), input_count), dtype=complex)
     inverse_normal = normal_matrix[:, :input_count, :input_count]
-    for lines in _chunks(len(normal_matrix)):
-        scale = np.sqrt(np.einsum("lii->li", normal_matrix[lines]).real[:, :input_count])
-        scale[scale == 0] = 1.0
-        scales = scale[:, :, None] * scale[:, None, :]
+    for line_chunk in _chunks(len(normal_matrix)):
+        input_scale = np.sqrt(np.einsum("lii->li", normal_matrix[line_chunk]).real[:, :input_count])
+        input_scale[input_scale == 0] = 1.0
+        scale_products = input_scale[:, :, None] * input_scale[:, None, :]
         try:
-            scaled_inverse = np.linalg.inv(normal_matrix[lines, :input_count, :input_count] / scales)
+            scaled_inverse = np.linalg.inv(normal_matrix[line_chunk, :input_count, :input_count] / scale_products)
         except np.linalg.LinAlgError as error:
             raise RigError(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        weights[lines] = (scaled_inverse @ (normal_matrix[lines, :input_count, input_count:] / scale[:, :, None]))[
-            :, :, 0
-        ] / scale
-        inverse_normal[lines] = scaled_inverse / scales
-    return weights, inverse_normal
+        input_weights[line_chunk] = (
+            scaled_inverse @ (normal_matrix[line_chunk, :input_count, input_count:] / input_scale[:, :, None])
+        )[:, :, 0] / input_scale
+        inverse_normal[line_chunk] = scaled_inverse / scale_products
+    return input_weights, inverse_normal
 
 
 def influences(
-    spectra: Spectra,
+    spectra_of: SpectraOfBlocks,
     block_numbers: Sequence[int],
-    weights: Complex[np.ndarray, "lines inputs"],
+    input_weights: Complex[np.ndarray, "lines inputs"],
     inverse_normal: Complex[np.ndarray, "lines inputs inputs"],
     quantities_of: Callable[[Complex[np.ndarray, "some blocks inputs"], slice], Float[np.ndarray, "blocks quantities"]],
 ) -> Float[np.ndarray, "chosen quantities"]:
@@ -70,16 +70,16 @@ def influences(
     """
     batches = []
     for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
-        block_spectra = spectra(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
+        block_spectra = spectra_of(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
         chunk_sums = []
-        for lines in _chunks(len(weights)):
-            spectra_by_line = _by_line(block_spectra, lines)
+        for line_chunk in _chunks(len(input_weights)):
+            spectra_by_line = _by_line(block_spectra, line_chunk)
             inputs, response = spectra_by_line[:, :, :-1], spectra_by_line[:, :, -1]
-            weight_changes = inputs.conj() @ inverse_normal[lines].transpose(0, 2, 1)
+            weight_changes = inputs.conj() @ inverse_normal[line_chunk].transpose(0, 2, 1)
             leverage = np.sum(inputs * weight_changes, axis=2).real
-            residual = response - (inputs @ weights[lines, :, None])[:, :, 0]
+            residual = response - (inputs @ input_weights[line_chunk, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
-            chunk_sums.append(quantities_of(weight_changes, lines))
+            chunk_sums.append(quantities_of(weight_changes, line_chunk))
         batches.append(np.sum(chunk_sums, axis=0))
     return np.concatenate(batches)
 
@@ -95,20 +95,22 @@ def variance_of_sum(
     block_numbers = np.union1d(pair_starts, pair_starts + 1)
     block_influences = influences_of([int(block) for block in block_numbers])
     pair_rows = np.searchsorted(block_numbers, pair_starts)
-    independent = block_count * np.mean(block_influences**2, axis=0)
-    with_neighbours = independent + 2 * (block_count - 1) * np.mean(
+    independent_variance = block_count * np.mean(block_influences**2, axis=0)
+    neighbour_variance = independent_variance + 2 * (block_count - 1) * np.mean(
         block_influences[pair_rows] * block_influences[pair_rows + 1], axis=0
     )
-    return np.maximum(with_neighbours, independent / 4)
+    return np.maximum(neighbour_variance, independent_variance / 4)
 
 
 def _chunks(line_count: int) -> list[slice]:
     """Slices of the lines."""
-    return [slice(first, min(first + CHUNK_LINES, line_count)) for first in range(0, line_count, CHUNK_LINES)]
+    return [
+        slice(first_line, min(first_line + CHUNK_LINES, line_count)) for first_line in range(0, line_count, CHUNK_LINES)
+    ]
 
 
 def _by_line(
-    spectra: Complex[np.ndarray, "channels blocks lines"], lines: slice
+    spectra_of: Complex[np.ndarray, "channels blocks lines"], line_chunk: slice
 ) -> Complex[np.ndarray, "some blocks channels"]:
     """Spectra on a slice of the lines, with the line as the first axis."""
-    return np.ascontiguousarray(spectra[:, :, lines].transpose(2, 1, 0))
+    return np.ascontiguousarray(spectra_of[:, :, line_chunk].transpose(2, 1, 0))

@@ -12,7 +12,7 @@ COUNTED_HZ = 20.0
 def part_scores(
     influence: Float[np.ndarray, "samples parameters"],
     residual: Float[np.ndarray, " samples"],
-    starts: Int[np.ndarray, " parts"] | None = None,
+    part_starts: Int[np.ndarray, " parts"] | None = None,
 ) -> Float[np.ndarray, "parts parameters"]:
     """Scores influence' residual of each part: by how much its residuals move the parameters.
 
@@ -20,9 +20,11 @@ def part_scores(
     products of the scores is a covariance of the parameters that allows for residuals correlated within a part (White,
     Econometrica 48, 1980, by clusters).
     """
-    starts = even_parts(residual.size) if starts is None else starts
-    stops = np.append(starts[1:], residual.size)
-    return np.array([influence[start:stop].T @ residual[start:stop] for start, stop in zip(starts, stops, strict=True)])
+    part_starts = even_parts(residual.size) if part_starts is None else part_starts
+    part_stops = np.append(part_starts[1:], residual.size)
+    return np.array(
+        [influence[start:stop].T @ residual[start:stop] for start, stop in zip(part_starts, part_stops, strict=True)]
+    )
 
 
 def even_parts(sample_count: int) -> Int[np.ndarray, " parts"]:
@@ -37,16 +39,16 @@ def informative_parts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarra
 
     Of parts with shares w of the squared influence, 1 / sum(w^2) are effective. Few are, for instance, in a decay.
     """
-    starts = even_parts(influence.size)
-    cumulative = np.cumsum(influence**2)
-    share_by_part = np.add.reduceat(influence**2, starts) / max(float(cumulative[-1]), 1e-300)
+    even_starts = even_parts(influence.size)
+    cumulative_influence = np.cumsum(influence**2)
+    share_by_part = np.add.reduceat(influence**2, even_starts) / max(float(cumulative_influence[-1]), 1e-300)
     if share_by_part.sum() == 0 or 1 / np.sum(share_by_part**2) >= MIN_EFFECTIVE_PARTS:
-        return starts
-    boundaries = np.searchsorted(cumulative, cumulative[-1] * np.arange(1, PARTS) / PARTS)
-    return np.unique(np.append(0, boundaries))
+        return even_starts
+    part_boundaries = np.searchsorted(cumulative_influence, cumulative_influence[-1] * np.arange(1, PARTS) / PARTS)
+    return np.unique(np.append(0, part_boundaries))
 
 
 def quiet_deviation(signal: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows"]:
     """Standard deviation that a quarter of the sixteenths of each row do not exceed: a bound of lasting noise."""
-    deviations = [samples.std(axis=-1) for samples in np.array_split(signal, PARTS, axis=-1)]
-    return np.asarray(np.quantile(deviations, QUIET_QUANTILE, axis=0))
+    part_deviations = [samples.std(axis=-1) for samples in np.array_split(signal, PARTS, axis=-1)]
+    return np.asarray(np.quantile(part_deviations, QUIET_QUANTILE, axis=0))

@@ -57,18 +57,18 @@ class Blocks:
     """Blocks of a record: their first samples, their length in samples, and the spectral lines in use."""
 
     starts: tuple[int, ...]
-    length: int
+    block_samples: int
     window: str
     sample_rate_hz: float
     lines: slice
 
     @property
     def frequency_hz(self) -> Float[np.ndarray, " lines"]:
-        return np.arange(self.length // 2 + 1)[self.lines] * (self.sample_rate_hz / self.length)
+        return np.arange(self.block_samples // 2 + 1)[self.lines] * (self.sample_rate_hz / self.block_samples)
 
     @property
     def resolution_hz(self) -> float:
-        return self.sample_rate_hz / self.length
+        return self.sample_rate_hz / self.block_samples
 
     def spectra(
         self, signal: Float[np.ndarray, " samples"], derivative: int = 0
@@ -80,71 +80,79 @@ class Blocks:
         self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
     ) -> Complex[np.ndarray, "channels blocks lines"]:
         """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
-        windows = window_derivatives(self.window, self.length, self.sample_rate_hz)
-        weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
-        windowed = np.empty((len(channels), self.length))
+        windows = window_derivatives(self.window, self.block_samples, self.sample_rate_hz)
+        window_weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
+        windowed_channels = np.empty((len(channels), self.block_samples))
         spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
-        for block, start in enumerate(starts):
-            samples = slice(start, start + self.length)
-            for channel, terms in enumerate(channels):
-                first, *other_terms = zip(weights[channel], terms, strict=True)
-                np.multiply(first[0], first[1].signal[samples], out=windowed[channel])
-                for weight, term in other_terms:
-                    windowed[channel] += weight * term.signal[samples]
-            spectra[:, block] = scipy.fft.rfft(windowed, axis=1)[:, self.lines]
+        for block_index, first_sample in enumerate(starts):
+            samples = slice(first_sample, first_sample + self.block_samples)
+            for channel_index, terms in enumerate(channels):
+                first_term, *other_terms = zip(window_weights[channel_index], terms, strict=True)
+                np.multiply(first_term[0], first_term[1].signal[samples], out=windowed_channels[channel_index])
+                for window_weight, term in other_terms:
+                    windowed_channels[channel_index] += window_weight * term.signal[samples]
+            spectra[:, block_index] = scipy.fft.rfft(windowed_channels, axis=1)[:, self.lines]
         return spectra
 
 
-def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:
+def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:
     """Blocks that cover `samples` samples, with the lines in the band.
 
     Raises RigError if a block is longer than the record or the band holds no line.
     """
     if averaging.block_s is None:
-        length = int(samples / (1 + (averaging.averages - 1) * (1 - averaging.overlap)))
+        block_samples = int(sample_count / (1 + (averaging.averages - 1) * (1 - averaging.overlap)))
     else:
-        length = round(averaging.block_s * sample_rate_hz)
-    length -= length % 2
-    if not 16 <= length <= samples:
+        block_samples = round(averaging.block_s * sample_rate_hz)
+    block_samples -= block_samples % 2
+    if not 16 <= block_samples <= sample_count:
         raise RigError(
-            f"a block of {length / sample_rate_hz:.4g} s does not fit a record with {samples / sample_rate_hz:.4g} "
-            "usable seconds; choose another block or record longer"
+            f"a block of {block_samples / sample_rate_hz:.4g} s does not fit a record with "
+            f"{sample_count / sample_rate_hz:.4g} usable seconds; choose another block or record longer"
         )
     if band_hz[0] >= band_hz[1]:
         raise RigError(
             f"the force, or what the sensors show, begins at {band_hz[0]:.4g} Hz, and {sample_rate_hz:g} samples a "
             f"second show the motion up to {band_hz[1]:.4g} Hz; excite below that, or sample faster"
         )
-    resolution = sample_rate_hz / length
-    lines = slice(int(np.ceil(band_hz[0] / resolution - 1e-9)), int(np.floor(band_hz[1] / resolution + 1e-9)) + 1)
-    if lines.stop <= lines.start or lines.stop > length // 2:
+    resolution_hz = sample_rate_hz / block_samples
+    band_lines = slice(
+        int(np.ceil(band_hz[0] / resolution_hz - 1e-9)), int(np.floor(band_hz[1] / resolution_hz + 1e-9)) + 1
+    )
+    if band_lines.stop <= band_lines.start or band_lines.stop > block_samples // 2:
         raise RigError(
-            f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution:.4g} Hz "
-            f"and {sample_rate_hz:g} samples a second; choose another band or block"
+            f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution_hz:.4g} "
+            f"Hz and {sample_rate_hz:g} samples a second; choose another band or block"
         )
-    hop = max(1, int(length * (1 - averaging.overlap) + 1e-6))
-    return Blocks(tuple(range(0, samples - length + 1, hop)), length, averaging.window, sample_rate_hz, lines)
+    hop_samples = max(1, int(block_samples * (1 - averaging.overlap) + 1e-6))
+    return Blocks(
+        tuple(range(0, sample_count - block_samples + 1, hop_samples)),
+        block_samples,
+        averaging.window,
+        sample_rate_hz,
+        band_lines,
+    )
 
 
 def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
     """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
-    power = WINDOW_POWERS[window_name]
+    exponent = WINDOW_POWERS[window_name]
     phase_rad = np.pi * np.arange(block_samples) / block_samples
     rate_rad_per_s = np.pi * sample_rate_hz / block_samples
-    s, c = np.sin(phase_rad), np.cos(phase_rad)
+    sine, cosine = np.sin(phase_rad), np.cos(phase_rad)
     return np.stack(
         [
-            s**power,
-            rate_rad_per_s * power * s ** (power - 1) * c,
-            rate_rad_per_s**2 * power * ((power - 1) * s ** (power - 2) * c**2 - s**power),
+            sine**exponent,
+            rate_rad_per_s * exponent * sine ** (exponent - 1) * cosine,
+            rate_rad_per_s**2 * exponent * ((exponent - 1) * sine ** (exponent - 2) * cosine**2 - sine**exponent),
         ]
     )
 
 
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
-    ramped = _ramped(signals, 1)
-    fine_signals = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
+    ramped_signals = _ramped(signals, 1)
+    fine_signals = scipy.signal.resample(ramped_signals, factor * ramped_signals.shape[-1], axis=-1)
     return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
@@ -152,33 +160,33 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
     """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
     if factor == 1:
         return signals
-    ramped = _ramped(signals, factor)
-    length = ramped.shape[-1] // factor
-    subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], length, factor), -1, -2)
-    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), scipy.fft.rfft(subsequences))
-    if length % 2 == 0:
-        lines[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
+    ramped_signals = _ramped(signals, factor)
+    new_length = ramped_signals.shape[-1] // factor
+    subsequences = np.moveaxis(ramped_signals.reshape(*ramped_signals.shape[:-1], new_length, factor), -1, -2)
+    low_spectra = np.einsum("pk,...pk->...k", _phase_factors(new_length, factor), scipy.fft.rfft(subsequences))
+    if new_length % 2 == 0:
+        low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
     first_sample, new_count = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
-    return np.asarray(scipy.fft.irfft(lines / factor, length)[..., first_sample : first_sample + new_count])
+    return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., first_sample : first_sample + new_count])
 
 
 @lru_cache(maxsize=4)
-def _phase_factors(length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
-    """Phase factors exp(-2 pi i j k / (length factor)) of subsequence j at line k.
+def _phase_factors(new_length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
+    """Phase factors exp(-2 pi i j k / (new_length factor)) of subsequence j at line k.
 
     With them the low lines of a transform of length * factor samples are sums of the transforms of every factor-th
     sample, each from another first one on: no other line is computed, and all transforms are short.
     """
-    phase_products = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
-    return np.asarray(np.exp(-2j * np.pi * phase_products / (length * factor)))
+    phase_products = np.arange(factor)[:, None] * np.arange(new_length // 2 + 1)
+    return np.asarray(np.exp(-2j * np.pi * phase_products / (new_length * factor)))
 
 
 def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
     sample_count, rise_samples = signals.shape[-1], RAMP_SAMPLES * factor
-    length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
-    fall_samples = length - sample_count - rise_samples
-    ramped = np.empty((*signals.shape[:-1], length))
+    padded_length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
+    fall_samples = padded_length - sample_count - rise_samples
+    ramped = np.empty((*signals.shape[:-1], padded_length))
     ramped[..., :rise_samples] = signals[..., :1] * (np.arange(rise_samples) / rise_samples)
     ramped[..., rise_samples : rise_samples + sample_count] = signals
     ramped[..., rise_samples + sample_count :] = signals[..., -1:] * (np.arange(fall_samples)[::-1] / fall_samples)
@@ -186,25 +194,27 @@ def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[n
 
 
 def force_band(
-    force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, share: float = 1e-3
+    force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, outside_share: float = 1e-3
 ) -> tuple[float, float]:
     """Band that holds all but `share` of the force's power at either end, Hz; the union of the bands of several forces.
 
     Raises RigError if no force differs from zero, or one is constant.
     """
-    rows = np.atleast_2d(force_n)
-    acting_forces = [row for row in rows if np.any(row)] or rows[:1]
-    lows_hz, highs_hz = zip(*(_band_of(row, sample_rate_hz, share) for row in acting_forces), strict=True)
+    forces_n = np.atleast_2d(force_n)
+    acting_forces = [row_n for row_n in forces_n if np.any(row_n)] or forces_n[:1]
+    lows_hz, highs_hz = zip(*(_band_of(row_n, sample_rate_hz, outside_share) for row_n in acting_forces), strict=True)
     return min(lows_hz), max(highs_hz)
 
 
-def _band_of(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float) -> tuple[float, float]:
+def _band_of(
+    force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, outside_share: float
+) -> tuple[float, float]:
     """Band of one force, Hz."""
     cumulative_power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
     if not cumulative_power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
     low_line, high_line = np.searchsorted(
-        cumulative_power, [share * cumulative_power[-1], (1 - share) * cumulative_power[-1]]
+        cumulative_power, [outside_share * cumulative_power[-1], (1 - outside_share) * cumulative_power[-1]]
     )
     if not high_line:
         raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")

@@ -146,11 +146,11 @@ def fitted(text: str, width: int) -> str:
     Longer words, such as paths, stay whole, and so does a value with its interval and its percent sign.
     """
     indent = text[: len(text) - len(text.lstrip())]
-    bound_text = re.sub(r"(?<=\d) (?=[±%])|(?<=±) ", "\u2060", text.lstrip())
+    text_without_breaks = re.sub(r"(?<=\d) (?=[±%])|(?<=±) ", "\u2060", text.lstrip())
     wrapper = TextWrapper(
         width, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
-    return wrapper.fill(bound_text).replace("\u2060", " ")
+    return wrapper.fill(text_without_breaks).replace("\u2060", " ")
 
 
 def _print_fitted(line: str, is_error: bool = False) -> None:

@@ -141,10 +141,10 @@ def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> N
     from rig.simulation.reference import BarrelCradle
 
     _print_commands(commands)
-    settings = BarrelCradle()
+    true_settings = BarrelCradle()
     contact_json = json.loads((folder / "contact.json").read_text(encoding="utf-8"))
-    clearances_m = settings.clearance_1_m, settings.clearance_2_m
-    stiffnesses_n_per_m = settings.stiffness_1_n_per_m, settings.stiffness_2_n_per_m
+    clearances_m = true_settings.clearance_1_m, true_settings.clearance_2_m
+    stiffnesses_n_per_m = true_settings.stiffness_1_n_per_m, true_settings.stiffness_2_n_per_m
     for contact, clearance_m, stiffness_n_per_m in zip(
         contact_json["contacts"], clearances_m, stiffnesses_n_per_m, strict=True
     ):

@@ -29,7 +29,7 @@ Completions = Generator[tuple[int, Future[Any]], None, None]
 Dask = Annotated[
     str | None, typer.Option("--dask", help="Address of a dask scheduler, or local; by default a process a core.")
 ]
-MAX_LOSSES = 3
+MAX_LOST_PROCESSES = 3
 """So many times the process of a task may be lost before the task is given up."""
 
 
@@ -63,25 +63,30 @@ def outcomes_of_tasks(
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
     not computed again; an error is not kept. Processes of one thread each run the tasks: one a core, or those of
-    `dask`. A task whose process is lost is tried again by itself, at most MAX_LOSSES times; the others go on. Raises
-    RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
+    `dask`. A task whose process is lost is tried again by itself, at most MAX_LOST_PROCESSES times; the others go on.
+    Raises RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
     """
     make_folder(folder)
-    result_paths = [kept_path(function, p, folder) for p in parameter_sets]
-    missing_numbers = [task_number for task_number, result_path in enumerate(result_paths) if not result_path.exists()]
-    tasks = [parameter_sets[task_number] for task_number in missing_numbers]
-    completions = _on_dask(function, tasks, dask) if dask else _on_processes(function, tasks)
+    result_paths = [kept_path(function, parameters, folder) for parameters in parameter_sets]
+    unfinished_numbers = [
+        task_number for task_number, result_path in enumerate(result_paths) if not result_path.exists()
+    ]
+    tasks = [parameter_sets[task_number] for task_number in unfinished_numbers]
+    completions = _completions_on_dask(function, tasks, dask) if dask else _completions_on_processes(function, tasks)
     error_by_number: dict[int, BaseException] = {}
     finished_count = 0
     try:
-        with closing(completions), progress_bar(f"{len(missing_numbers)} of {len(parameter_sets)} tasks") as progress:
+        with (
+            closing(completions),
+            progress_bar(f"{len(unfinished_numbers)} of {len(parameter_sets)} tasks") as progress,
+        ):
             for index, future in completions if tasks else ():
                 if error := future.exception():
-                    error_by_number[missing_numbers[index]] = error
+                    error_by_number[unfinished_numbers[index]] = error
                 else:
-                    write_bytes(msgspec.json.encode(future.result()), result_paths[missing_numbers[index]])
+                    write_bytes(msgspec.json.encode(future.result()), result_paths[unfinished_numbers[index]])
                 finished_count += 1
-                progress(finished_count / len(missing_numbers))
+                progress(finished_count / len(unfinished_numbers))
     except KeyboardInterrupt:
         kept_count = sum(result_path.exists() for result_path in result_paths)
         raise StoppedError(
@@ -102,7 +107,9 @@ def kept_path(function: Callable[[Parameters], TaskResult], parameters: Paramete
     return folder / f"{hashlib.sha256(hashed_name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
 
 
-def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], dask: str) -> Completions:
+def _completions_on_dask(
+    function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], dask: str
+) -> Completions:
     """Yield index and future of each task as it completes; dask itself repeats a task whose worker is lost."""
     with needs_extra("cluster", "--dask"):
         from distributed import Client
@@ -111,13 +118,13 @@ def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Param
         client = Client(**local_options) if dask == "local" else Client(dask, timeout=10)
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
-    with client, client.get_executor(retries=MAX_LOSSES) as executor:
+    with client, client.get_executor(retries=MAX_LOST_PROCESSES) as executor:
         index_by_future = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
         for future in as_completed(index_by_future):
             yield index_by_future[future], future
 
 
-def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters]) -> Completions:
+def _completions_on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters]) -> Completions:
     """Yield index and future of each task as it completes, on a process a core.
 
     A process that is lost breaks its pool, and which of the running tasks it had is unknown: each of these runs again
@@ -126,25 +133,27 @@ def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[
     suspect_indices: list[int] = []
     waiting_indices = deque(range(len(tasks)))
     while waiting_indices:
-        for index, future in _on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
+        for index, future in _completions_on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
             if _is_lost(future):
                 suspect_indices.append(index)
             else:
                 yield index, future
     for index in suspect_indices:
-        for _ in range(MAX_LOSSES - 1):
-            ((_, future),) = _on_pool(function, tasks, deque([index]), 1)
+        for _ in range(MAX_LOST_PROCESSES - 1):
+            ((_, future),) = _completions_on_pool(function, tasks, deque([index]), 1)
             if not _is_lost(future):
                 break
         else:
             future = Future()
             future.set_exception(
-                RigError(f"its process was lost {MAX_LOSSES} times (out of memory?); run the command again to go on")
+                RigError(
+                    f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?); run the command again to go on"
+                )
             )
         yield index, future
 
 
-def _on_pool(
+def _completions_on_pool(
     function: Callable[[Parameters], TaskResult],
     tasks: Sequence[Parameters],
     waiting_indices: deque[int],

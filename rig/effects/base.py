@@ -63,9 +63,14 @@ class Scale:
 
     def contact_mass_kg(self) -> float:
         """Mass of the lightest body at the contacts of the place."""
-        contacts = [c for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
+        contacts = [contact for contact in self.rig.contacts if self.place.get("contact") in (None, contact.name)]
         return min(
-            (self.with_place({"body": s.body}).mass_kg() for c in contacts for s in contact_stations(c)), default=np.inf
+            (
+                self.with_place({"body": station.body}).mass_kg()
+                for contact in contacts
+                for station in contact_stations(contact)
+            ),
+            default=np.inf,
         )
 
     def mass_kg(self) -> float:
@@ -97,7 +102,11 @@ class Scale:
         The statistic as in `stiffness_n_per_m`.
         """
         body = self._body()
-        touching_contacts = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
+        touching_contacts = [
+            contact
+            for contact in self.rig.contacts
+            if any(station.body == body.name for station in contact_stations(contact))
+        ]
         clearances_m = [contact.law.clearance_m for contact in touching_contacts if contact.law.sides]
         return max(self.force_rms_n / self.stiffness_n_per_m(statistic), *clearances_m, 0.0)
 
@@ -107,7 +116,7 @@ class Scale:
         return 2 / self.duration_s, 0.4 * self.rig.sample_rate_hz
 
     def _contact_laws(self) -> list[ContactLaw]:
-        return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
+        return [contact.law for contact in self.rig.contacts if self.place.get("contact") in (None, contact.name)]
 
     def _body(self) -> Body:
         return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
@@ -158,16 +167,16 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Places to try: every contact, body, beam or sensor; with several contacts also all of them, tied."""
         contact_names: list[str | None] = [contact.name for contact in rig.contacts]
-        targets_by_field: dict[str, list[str | None]] = {
+        places_by_field: dict[str, list[str | None]] = {
             "contact": [*contact_names, None] if len(contact_names) > 1 else contact_names,
             "body": [body.name for body in rig.bodies],
             "beam": [beam.name for beam in rig.beams],
             "sensor": list(sensors),
         }
-        place_fields = [t for t in targets_by_field if t in cls.__struct_fields__]
+        place_fields = [field for field in places_by_field if field in cls.__struct_fields__]
         return [
             dict(zip(place_fields, field_values, strict=True))
-            for field_values in product(*(targets_by_field[t] for t in place_fields))
+            for field_values in product(*(places_by_field[field] for field in place_fields))
         ]
 
     @classmethod
@@ -233,7 +242,9 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def beams_of(self, rig: Rig, beam_name: str | None, end_condition: str | None = None) -> tuple[Beam, ...]:
         """Beams with these end conditions and this name, where given; raises RigError if there is none."""
-        beams = tuple(b for b in rig.beams if end_condition in (None, b.ends) and beam_name in (None, b.name))
+        beams = tuple(
+            beam for beam in rig.beams if end_condition in (None, beam.ends) and beam_name in (None, beam.name)
+        )
         if not beams:
             raise self.missing_place(
                 rig, f"{end_condition or ''} beam {'' if beam_name is None else repr(beam_name)}".strip()
@@ -245,17 +256,19 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         chosen_sensors = [sensor for sensor in rig.sensors if sensor_name in (None, sensor.name)][-1:]
         if not chosen_sensors:
             raise self.missing_place(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
-        return replace(rig, sensors=tuple(change_sensor(s) if s in chosen_sensors else s for s in rig.sensors))
+        return replace(
+            rig, sensors=tuple(change_sensor(sensor) if sensor in chosen_sensors else sensor for sensor in rig.sensors)
+        )
 
 
 def parameters_of(effect_type: type[Effect]) -> ParameterSet:
     """Declared parameters of an effect, in the order of its fields."""
-    hints = get_type_hints(effect_type, include_extras=True)
+    type_by_field = get_type_hints(effect_type, include_extras=True)
     return ParameterSet(
         tuple(
             dataclasses.replace(annotation, name=field_name)
-            for field_name, hint in hints.items()
-            for annotation in get_args(hint)
+            for field_name, field_type in type_by_field.items()
+            for annotation in get_args(field_type)
             if isinstance(annotation, Parameter)
         )
     )

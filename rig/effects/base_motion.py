@@ -26,7 +26,7 @@ class ShakingBase(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice what the exciting force gives the lightest body, at the frequencies that a record tells."""
         highest_m_per_s2 = (
-            2 * scale.force_rms_n / min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+            2 * scale.force_rms_n / min(scale.with_place({"body": body.name}).mass_kg() for body in scale.rig.bodies)
         )
         return cls.ranged(
             acceleration_rms_m_per_s2=(0.0, highest_m_per_s2), low_hz=scale.band_hz, high_hz=scale.band_hz
@@ -34,7 +34,7 @@ class ShakingBase(Effect, frozen=True):
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        lightest_kg = min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        lightest_kg = min(scale.with_place({"body": body.name}).mass_kg() for body in scale.rig.bodies)
         low_hz, high_hz = scale.band_hz
         middle_hz = (low_hz * high_hz) ** 0.5
         return cls(

@@ -24,13 +24,15 @@ class OneStop(Effect, frozen=True):
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Either side that has a stop, of every contact and of all."""
-        places = super().placements(rig, sensors)
-        sides_by_contact = {place["contact"]: _stop_sides(rig, place["contact"]) for place in places}
+        single_stops = super().placements(rig, sensors)
+        sides_by_contact = {
+            single_stop["contact"]: _stop_sides(rig, single_stop["contact"]) for single_stop in single_stops
+        }
         return [
-            {**place, "side": side_name}
-            for place in places
+            {**single_stop, "side": side_name}
+            for single_stop in single_stops
             for side_name, side in (("upper", 1), ("lower", -1))
-            if side in sides_by_contact[place["contact"]]
+            if side in sides_by_contact[single_stop["contact"]]
         ]
 
     def applied_to(self, rig: Rig) -> Rig:

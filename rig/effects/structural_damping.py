@@ -27,4 +27,6 @@ class StructuralDamping(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         damped_bodies = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
-        return replace(rig, bodies=tuple(b.scale_damping(self.factor) if b in damped_bodies else b for b in rig.bodies))
+        return replace(
+            rig, bodies=tuple(body.scale_damping(self.factor) if body in damped_bodies else body for body in rig.bodies)
+        )

@@ -9,7 +9,7 @@ from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig, Station, Support
 from rig.model.parameters import Parameter, ParameterSet
 
-Holding = TypeVar("Holding", Support, PointSpring)
+SupportOrSpring = TypeVar("SupportOrSpring", Support, PointSpring)
 MAX_SHIFT_SHARE = 0.1
 """Largest shift, as a share of the body's length."""
 
@@ -38,8 +38,12 @@ class SupportPosition(Effect, frozen=True):
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         """A hundredth of the body, towards the side with more room."""
-        shift = cls.parameters(scale)["shift_m"]
-        return cls.placed(scale, shift_m=MAX_SHIFT_SHARE * (shift.high if shift.high >= -shift.low else shift.low))
+        shift_parameter = cls.parameters(scale)["shift_m"]
+        return cls.placed(
+            scale,
+            shift_m=MAX_SHIFT_SHARE
+            * (shift_parameter.high if shift_parameter.high >= -shift_parameter.low else shift_parameter.low),
+        )
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
@@ -60,11 +64,13 @@ class SupportPosition(Effect, frozen=True):
         shifted_supports = _supports(rig, self.supported_body(rig))
         return replace(
             rig,
-            supports=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.supports),
+            supports=tuple(
+                self._shifted(support) if support in shifted_supports else support for support in rig.supports
+            ),
             springs=tuple(self._shifted(spring) if spring in shifted_supports else spring for spring in rig.springs),
         )
 
-    def _shifted(self, support: Holding) -> Holding:
+    def _shifted(self, support: SupportOrSpring) -> SupportOrSpring:
         station = support.station
         return replace(support, station=Station(station.body, station.position_m + self.shift_m))
 

@@ -139,27 +139,27 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
     """Sampling rate of time stamps (Hz), and their irregularity in words; empty if they are even."""
     if time_s.size < 2:
         raise RigError("it holds fewer than two samples; export more")
-    steps_s = np.diff(time_s)
-    if not (steps_s > 0).all():
-        first_fault = int(np.argmin(steps_s > 0))
+    intervals_s = np.diff(time_s)
+    if not (intervals_s > 0).all():
+        first_fault = int(np.argmin(intervals_s > 0))
         raise RigError(
             f"its time does not increase after {time_s[first_fault]:.6f} s (sample {first_fault}); sort or mend it"
         )
-    interval_s = float(np.median(steps_s))
+    interval_s = float(np.median(intervals_s))
     duration_s = float(time_s[-1] - time_s[0])
-    gap_indices = np.flatnonzero(steps_s > MIN_GAP_INTERVALS * interval_s)
+    gap_indices = np.flatnonzero(intervals_s > MIN_GAP_INTERVALS * interval_s)
     if gap_indices.size:
-        widest_gap = int(np.argmax(steps_s))
-        if steps_s[widest_gap] > MAX_BRIDGED_INTERVALS * interval_s:
+        widest_gap = int(np.argmax(intervals_s))
+        if intervals_s[widest_gap] > MAX_BRIDGED_INTERVALS * interval_s:
             raise RigError(
-                f"its time stamps have a gap of {steps_s[widest_gap]:.6g} s after {time_s[widest_gap]:.6f} s; cut the "
-                "record there and import the longer part"
+                f"its time stamps have a gap of {intervals_s[widest_gap]:.6g} s after {time_s[widest_gap]:.6f} s; cut "
+                "the record there and import the longer part"
             )
-        interval_count = float(np.round(steps_s / interval_s).sum())
+        interval_count = float(np.round(intervals_s / interval_s).sum())
         return float(
             np.divide(interval_count, duration_s)
         ), f"its time stamps have {gap_indices.size} gaps, the first after {time_s[gap_indices[0]]:.6f} s"
-    del steps_s
+    del intervals_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
     deviations_intervals = time_s - time_s[0]
     deviations_intervals *= rate_hz

@@ -87,20 +87,20 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
         else cell_count
     )
     # of last columns without a name there may be any number
-    for other_count, line_number in sample_lines_shape.first_line_by_count.items():
+    for line_cell_count, line_number in sample_lines_shape.first_line_by_count.items():
         if (
-            other_count != cell_count
-            and (other_count < used_column_count or used_column_count == cell_count)
+            line_cell_count != cell_count
+            and (line_cell_count < used_column_count or used_column_count == cell_count)
             and not form.cut_incomplete_end
         ):
             raise RigError(
-                f"{path}: the number of columns changed from {cell_count} to {other_count} in line {line_number}; "
+                f"{path}: the number of columns changed from {cell_count} to {line_cell_count} in line {line_number}; "
                 "check delimiter"
             )
     column_names = (
         tuple(names_in_line[:used_column_count])
         if has_names
-        else tuple(f"column {k}" for k in range(1, used_column_count + 1))
+        else tuple(f"column {column_number}" for column_number in range(1, used_column_count + 1))
     )
     yield ColumnBlock(
         column_names,
@@ -154,16 +154,16 @@ def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _Sample
         if trailing_empty_count:
             trailing_empty_count = min(trailing_empty_count, _trailing_empty_count(line, delimiter))
         sample_count += 1
-    width_without_empty = len(
+    filled_cell_count = len(
         cells_of(
             first_line.rsplit(delimiter, trailing_empty_count)[0] if trailing_empty_count else first_line, delimiter
         )
     )
-    surplus_count = next(iter(first_line_by_count)) - width_without_empty
+    empty_cell_count = next(iter(first_line_by_count)) - filled_cell_count
     return _SampleLines(
-        width_without_empty,
+        filled_cell_count,
         sample_count,
-        {cell_count - surplus_count: line_number for cell_count, line_number in first_line_by_count.items()},
+        {cell_count - empty_cell_count: line_number for cell_count, line_number in first_line_by_count.items()},
         trailing_empty_count,
     )
 
@@ -177,7 +177,7 @@ def _read_columns(
     column_indices: Sequence[int],
 ) -> list[Column]:
     values = np.empty((len(column_indices), sample_count))
-    row_start = 0
+    read_count = 0
     remaining_lines = sample_lines(path, form, skipped_line_count)
     while numbered_lines := list(islice(remaining_lines, LINES_PER_BLOCK)):
         if form.decimal != ".":
@@ -188,7 +188,7 @@ def _read_columns(
         if not number_texts:
             continue
         try:
-            rows = np.loadtxt(
+            number_rows = np.loadtxt(
                 number_texts,
                 delimiter=None if form.delimiter == " " else form.delimiter,
                 ndmin=2,
@@ -198,13 +198,14 @@ def _read_columns(
             )
         except ValueError as error:
             raise _no_number_error(path, form, column_names, column_indices, numbered_lines) from error
-        values[:, row_start : row_start + len(rows)] = rows.T
-        row_start += len(rows)
-    values = values[:, :row_start]
-    if not row_start:
+        values[:, read_count : read_count + len(number_rows)] = number_rows.T
+        read_count += len(number_rows)
+    values = values[:, :read_count]
+    if not read_count:
         raise RigError(f"{path}: has no line with numbers in all columns of the map; check its columns")
     return [
-        Column(column_names[k], row, _unit_of(column_names[k])) for k, row in zip(column_indices, values, strict=True)
+        Column(column_names[column_index], row, _unit_of(column_names[column_index]))
+        for column_index, row in zip(column_indices, values, strict=True)
     ]
 
 
@@ -226,10 +227,13 @@ def _complete_lines(
     def is_whole(line: str) -> bool:
         cells = cells_of(line, form.delimiter)
         return len(cells) > max(column_indices) and all(
-            number_in(cells[k], form.decimal) is not None for k in column_indices
+            number_in(cells[column_index], form.decimal) is not None for column_index in column_indices
         )
 
-    whole_count = next((k for k, (_, line) in enumerate(numbered_lines) if not is_whole(line)), len(numbered_lines))
+    whole_count = next(
+        (column_index for column_index, (_, line) in enumerate(numbered_lines) if not is_whole(line)),
+        len(numbered_lines),
+    )
     if whole_count < len(numbered_lines):
         for line_number, line in chain(numbered_lines[whole_count:], remaining_lines):
             if is_whole(line):
@@ -306,10 +310,16 @@ def _trailing_empty_count(line: str, delimiter: str) -> int:
 
 def _used_column_count(path: Path, column_names: list[str], column_count: int, trailing_empty_count: int) -> int:
     """Number of leading columns with a name and values; raises RigError if any but trailing columns lack either."""
-    last_named = next((k for k in range(len(column_names), 0, -1) if column_names[k - 1]), 0)
-    if column_count > len(column_names) or last_named > column_count + trailing_empty_count or not last_named:
-        raise RigError(f"{path}: {last_named} names for {column_count} columns; check the line of names")
-    return min(last_named, column_count)
+    last_named_number = next(
+        (column_number for column_number in range(len(column_names), 0, -1) if column_names[column_number - 1]), 0
+    )
+    if (
+        column_count > len(column_names)
+        or last_named_number > column_count + trailing_empty_count
+        or not last_named_number
+    ):
+        raise RigError(f"{path}: {last_named_number} names for {column_count} columns; check the line of names")
+    return min(last_named_number, column_count)
 
 
 def is_number(cell: str, decimal: str) -> bool:

@@ -18,7 +18,7 @@ from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
 from rig.recording.channels import Channels
 
-_UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
+_UFF_KINDS = {quantity.name: quantity.uff_kind for quantity in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
 TIME_COLUMN = "time_s"
 MAX_UFF_NAME_LENGTH = 80

@@ -26,16 +26,16 @@ DATE_ATTRIBUTES = ("recorded", "start_time", "date")
 """Attributes of a dataset or the file that state when it was recorded."""
 SINGLE_VALUE_SHAPES = ((), (1,))
 """Shapes of an attribute with a single value."""
-READ_BYTES = 32_000_000
+BYTES_READ_AT_ONCE = 32_000_000
 """Bytes of a matrix read at once."""
 DEFLATE, LZF = 1, 32000
 PLAIN_FILTERS = {2, 3}
 """Filters that do not change the size: shuffling and checksums."""
 MAX_EXPANSION = {DEFLATE: 1032, LZF: 90}
 """Largest expansion on decompression (zlib: 258 bytes from two bits; LZF: 264 bytes from three)."""
-UNPACKED_BYTES = 100_000_000
+UNCHECKED_CHUNK_BYTES = 100_000_000
 """Size up to which a chunk is decompressed without a check of its content."""
-PIECE_BYTES = 1 << 20
+INFLATED_PIECE_BYTES = 1 << 20
 
 
 @contextmanager
@@ -134,7 +134,7 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
         else tuple(f"{dataset_name}[{column_number}]" for column_number in range(1, column_count + 1))
     )
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
-    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, READ_BYTES)
+    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_READ_AT_ONCE)
     yield ColumnBlock(
         column_names,
         shape[sample_axis],
@@ -186,10 +186,10 @@ def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) ->
     sample_count = dataset.shape[sample_axis]
     values = np.empty((len(column_indices), sample_count))
     chunk_length = dataset.chunks[sample_axis] if dataset.chunks else 1
-    span_length = READ_BYTES // (dataset.nbytes // sample_count) // chunk_length * chunk_length
+    span_length = BYTES_READ_AT_ONCE // (dataset.nbytes // sample_count) // chunk_length * chunk_length
     if dataset.ndim == 1:
         values[0] = dataset[()]
-    elif dataset.nbytes <= READ_BYTES or (span_length and len(column_indices) > 1):
+    elif dataset.nbytes <= BYTES_READ_AT_ONCE or (span_length and len(column_indices) > 1):
         for first_sample in range(0, sample_count, span_length or sample_count):
             sample_span = slice(first_sample, first_sample + (span_length or sample_count))
             values[:, sample_span] = (
@@ -227,11 +227,13 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
 
     def count_stored(chunk: Any) -> None:
         nonlocal stored_count
-        chunk_edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        axes = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
         stored_count += math.prod(
-            max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in chunk_edges
+            max(0, min(chunk_length, axis_length - chunk_start)) for chunk_length, axis_length, chunk_start in axes
         )
-        if compression_codes and chunk.size * MAX_EXPANSION[compression_codes[0]] > max(UNPACKED_BYTES, chunk_bytes):
+        if compression_codes and chunk.size * MAX_EXPANSION[compression_codes[0]] > max(
+            UNCHECKED_CHUNK_BYTES, chunk_bytes
+        ):
             doubtful_offsets.append(chunk.chunk_offset)
 
     dataset.id.chunk_iter(count_stored)
@@ -250,15 +252,15 @@ def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) 
     )
 
 
-def _fits_in(compressed: bytes, most_bytes: int) -> bool:
-    """True if a zlib stream decompresses to at most `most_bytes`."""
-    decompressor, byte_count = zlib.decompressobj(), 0
-    for first_byte in range(0, len(compressed), PIECE_BYTES):
-        compressed_piece = compressed[first_byte : first_byte + PIECE_BYTES]
-        while compressed_piece and byte_count <= most_bytes:
-            byte_count += len(decompressor.decompress(compressed_piece, PIECE_BYTES))
+def _fits_in(compressed: bytes, max_bytes: int) -> bool:
+    """True if a zlib stream decompresses to at most `max_bytes`."""
+    decompressor, decompressed_count = zlib.decompressobj(), 0
+    for first_byte in range(0, len(compressed), INFLATED_PIECE_BYTES):
+        compressed_piece = compressed[first_byte : first_byte + INFLATED_PIECE_BYTES]
+        while compressed_piece and decompressed_count <= max_bytes:
+            decompressed_count += len(decompressor.decompress(compressed_piece, INFLATED_PIECE_BYTES))
             compressed_piece = decompressor.unconsumed_tail
-    return byte_count <= most_bytes
+    return decompressed_count <= max_bytes
 
 
 def attribute_text(item: Any, attribute_names: Sequence[str]) -> str | None:

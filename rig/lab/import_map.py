@@ -109,7 +109,7 @@ def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
         sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
         sensors = rig.sensors
-        rig_names, map_names = {s.name for s in sensors}, set(column_map.sensors)
+        rig_names, map_names = {sensor.name for sensor in sensors}, set(column_map.sensors)
         for differing_names, fault_words in (
             (map_names - rig_names, "is no sensor of the rig"),
             (rig_names - map_names, "is missing"),
@@ -129,7 +129,7 @@ def _mapped_sensor(sensor_name: str, source: Source, rig: Rig) -> Sensor:
 
     A new one has the noise that all sensors of its quantity in rig.json have in common.
     """
-    known_sensor = next((s for s in rig.sensors if s.name == sensor_name), None)
+    known_sensor = next((sensor for sensor in rig.sensors if sensor.name == sensor_name), None)
     station = source.station
     if known_sensor is not None:
         if source.quantity not in (None, known_sensor.quantity):
@@ -145,7 +145,7 @@ def _mapped_sensor(sensor_name: str, source: Source, rig: Rig) -> Sensor:
         )
     if source.quantity is None:
         raise RigError(f"sensor {sensor_name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
-    noise_densities = {s.noise_density for s in rig.sensors if s.quantity == source.quantity}
+    noise_densities = {sensor.noise_density for sensor in rig.sensors if sensor.quantity == source.quantity}
     return Sensor(
         name=sensor_name,
         station=station,

@@ -53,7 +53,7 @@ def _import(
 ) -> tuple[str, ...]:
     force_sources = column_map.forces
     source_by_name = {name: ("force", source) for name, source in zip(rig.force_names, force_sources, strict=False)}
-    source_by_name |= {s.name: (s.quantity, column_map.sensors[s.name]) for s in rig.sensors}
+    source_by_name |= {sensor.name: (sensor.quantity, column_map.sensors[sensor.name]) for sensor in rig.sensors}
     try:
         column_by_name, si_factors = source_columns(table, source_by_name)
     except RigError as error:
@@ -127,7 +127,7 @@ def sample_times_of(
             )
         stamps_s = rows_in_si({"time": time_column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
         return SampleTimes.of_stamps(stamps_s)
-    rates_hz = {c.sample_rate_hz for c in columns if c.sample_rate_hz is not None}
+    rates_hz = {column.sample_rate_hz for column in columns if column.sample_rate_hz is not None}
     if wrong_rates_hz := [rate_hz for rate_hz in rates_hz if not 0 < rate_hz < np.inf]:
         raise RigError(
             f"it says that it is sampled at {wrong_rates_hz[0]} Hz; give its sampling rate or column of time"
@@ -150,8 +150,8 @@ def _write(
             sample_span = slice(first_sample, first_sample + SAMPLES_AT_ONCE)
             recording.append_all(
                 {
-                    name: np.stack([samples_by_channel[c][sample_span] for c in g.names])
-                    for name, g in channels_by_group.items()
+                    name: np.stack([samples_by_channel[channel_name][sample_span] for channel_name in group_name.names])
+                    for name, group_name in channels_by_group.items()
                 }
             )
 

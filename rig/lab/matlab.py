@@ -168,7 +168,7 @@ class _Version5:
         )
         struct_names = (array_name if struct_count == 1 else f"{array_name}({k})" for k in range(1, struct_count + 1))
         yield from self._element_blocks(
-            array_bytes, offset, (f"{e}.{field_name}" for e in struct_names for field_name in field_names), depth
+            array_bytes, offset, (f"{name}.{field_name}" for name in struct_names for field_name in field_names), depth
         )
 
     def _element_blocks(

@@ -23,7 +23,7 @@ def nodes_of(rig: Rig) -> dict[Station, int]:
     number_by_station: dict[Station, int] = {}
     stations = (*stations_of(rig), *rig.forces)
     for body_number, body in enumerate(rig.bodies, start=1):
-        positions_m = {s.position_m for s in stations if s.body == body.name}
+        positions_m = {station.position_m for station in stations if station.body == body.name}
         tolerance_m = SAME_NODE_SHARE * body.length_m
         positions_m |= {
             x
@@ -32,7 +32,7 @@ def nodes_of(rig: Rig) -> dict[Station, int]:
         }
         first_number = NODES_PER_BODY * body_number + 1
         number_by_station |= {
-            Station(body.name, position_m): first_number + k for k, position_m in enumerate(sorted(positions_m))
+            Station(body.name, position_m): first_number + index for index, position_m in enumerate(sorted(positions_m))
         }
     return number_by_station
 
@@ -48,7 +48,9 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
     zero_columns = {"def_cs": zeros, "disp_cs": zeros, "color": zeros}
     yield {"type": 15, "node_nums": node_numbers, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
     for body in rig.bodies:
-        yield from _body_shapes(rig, body, {s.position_m: n for s, n in node_by_station.items() if s.body == body.name})
+        yield from _body_shapes(
+            rig, body, {s.position_m: node_number for s, node_number in node_by_station.items() if s.body == body.name}
+        )
 
 
 def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:

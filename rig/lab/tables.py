@@ -33,7 +33,7 @@ class Table:
 
     @classmethod
     def of(cls, columns: Sequence[Column]) -> "Table":
-        return cls(tuple(c.name for c in columns), dict(enumerate(columns)))
+        return cls(tuple(column.name for column in columns), dict(enumerate(columns)))
 
     def column(self, column_key: Key) -> Column:
         """Column by name or number; raises RigError if there is none, or more than one."""

@@ -8,7 +8,7 @@ from rig.model.quantities import QUANTITIES
 
 _POUND_FORCE = 4.4482216152605
 FACTORS: dict[str, Mapping[str, float]] = {
-    **{q.name: q.units for q in QUANTITIES.values()},
+    **{quantity.name: quantity.units for quantity in QUANTITIES.values()},
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": _POUND_FORCE},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
 }

@@ -49,8 +49,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
                 f"beam {self.name!r}: inner_diameter_m is {self.inner_diameter_m} and outer_diameter_m "
                 f"{self.outer_diameter_m}; give 0 <= inner < outer"
             )
-        section = ("outer_diameter_m",) if is_tube else ("width_m", "thickness_m")
-        for field in ("length_m", *section, "youngs_modulus_pa", "density_kg_per_m3"):
+        section_fields = ("outer_diameter_m",) if is_tube else ("width_m", "thickness_m")
+        for field in ("length_m", *section_fields, "youngs_modulus_pa", "density_kg_per_m3"):
             value = getattr(self, field)
             if not MIN_PROPERTY <= value <= MAX_PROPERTY:  # beyond, their powers are lost in rounding
                 raise RigError(
@@ -70,8 +70,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def mass_per_length_kg_per_m(self) -> float:
-        width, thickness = self.area_factors
-        return self.density_kg_per_m3 * width * thickness
+        first_factor, second_factor = self.area_factors
+        return self.density_kg_per_m3 * first_factor * second_factor
 
     @property
     def mass_kg(self) -> float:
@@ -152,23 +152,30 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
         """
         self._check_modes(count)
-        relative = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
-        turning = np.sqrt(12) * np.array([relative - 0.5, np.ones_like(relative), np.zeros_like(relative)])[order]
-        rigid = np.concatenate([np.full_like(relative, order == 0), turning], axis=1)[:, : self.rigid_modes]
-        beta = self._wavenumbers(count)[self.rigid_modes :]
-        sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
-        decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
-        denominator = 1 - decay**2 - sign * 2 * sine * decay  # 2 e^-b (sinh b -+ sin b)
-        growing = sign * (cosine - sine) - decay  # (1 - sigma)(sinh b -+ sin b)
-        sigma = (1 + decay**2 - sign * 2 * cosine * decay) / denominator
-        argument = beta * relative
-        waves = np.cos(argument), -np.sin(argument), -np.cos(argument), np.sin(argument)  # each the last one's slope
-        elastic = (
-            growing / denominator * np.exp(beta * (relative - 1))
-            + (-1.0) ** order * (1 + sigma) / 2 * np.exp(-argument)
-            + sign * (waves[order] - sigma * waves[order - 1])
+        relative_position = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
+        rotation = (
+            np.sqrt(12)
+            * np.array([relative_position - 0.5, np.ones_like(relative_position), np.zeros_like(relative_position)])[
+                order
+            ]
         )
-        derivatives = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :count]
+        rigid_shapes = np.concatenate([np.full_like(relative_position, order == 0), rotation], axis=1)[
+            :, : self.rigid_modes
+        ]
+        beta = self._wavenumbers(count)[self.rigid_modes :]
+        trigonometric_sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
+        decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
+        denominator = 1 - decay**2 - trigonometric_sign * 2 * sine * decay  # 2 e^-b (sinh b -+ sin b)
+        growing_coefficient = trigonometric_sign * (cosine - sine) - decay  # (1 - sigma)(sinh b -+ sin b)
+        sine_coefficient = (1 + decay**2 - trigonometric_sign * 2 * cosine * decay) / denominator
+        argument = beta * relative_position
+        waves = np.cos(argument), -np.sin(argument), -np.cos(argument), np.sin(argument)  # each the last one's slope
+        elastic_shapes = (
+            growing_coefficient / denominator * np.exp(beta * (relative_position - 1))
+            + (-1.0) ** order * (1 + sine_coefficient) / 2 * np.exp(-argument)
+            + trigonometric_sign * (waves[order] - sine_coefficient * waves[order - 1])
+        )
+        derivatives = np.concatenate([rigid_shapes, beta**order * elastic_shapes], axis=1)[:, :count]
         return derivatives / (self.length_m**order * np.sqrt(self.mass_kg))
 
     def _wavenumbers(self, count: int) -> Float[np.ndarray, " modes"]:
@@ -183,11 +190,14 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 @lru_cache
 def _roots(end_condition: str) -> tuple[float, ...]:
     """Roots beta l of cos(b) cosh(b) = -1 (clamped-free) or +1 (free-free, after two zeros)."""
-    sign, first_centre_over_pi = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
+    cosh_sign, first_centre_over_pi = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
 
     def characteristic(beta: float) -> float:
-        return float(np.cos(beta) + sign / np.cosh(beta))
+        return float(np.cos(beta) + cosh_sign / np.cosh(beta))
 
-    centres = (first_centre_over_pi + np.arange(MAX_MODES)) * np.pi
-    elastic = [scipy.optimize.brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
-    return tuple(([] if end_condition == "clamped-free" else [0.0, 0.0]) + elastic)
+    root_centres = (first_centre_over_pi + np.arange(MAX_MODES)) * np.pi
+    elastic_roots = [
+        scipy.optimize.brentq(characteristic, centre - 0.4, centre + 0.4, xtol=1e-14, rtol=1e-15)
+        for centre in root_centres
+    ]
+    return tuple(([] if end_condition == "clamped-free" else [0.0, 0.0]) + elastic_roots)

@@ -132,7 +132,7 @@ def _check_names(owner: str, kind: str, names: Sequence[str]) -> None:
         raise RigError(f"{owner}: has {len(names)} times a {kind}; give at most {MAX_PER_KIND}")
     for name in names:
         check_name(kind, name)
-    if duplicates := sorted({n for n in names if names.count(n) > 1}):
+    if duplicates := sorted({duplicate for duplicate in names if names.count(duplicate) > 1}):
         raise RigError(f"{owner}: more than one {kind} is named {duplicates[0]!r}; names must differ")
 
 

@@ -95,9 +95,11 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def response(self, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
         """Response at each frequency (rad/s): g exp(-i omega tau) i omega / (i omega + 2 pi f_high_pass)."""
-        chain = self.gain * np.exp(-1j * omega * self.delay_s)
-        corner = 2 * np.pi * self.high_pass_hz
-        return np.asarray(chain * (1j * omega / (1j * omega + corner)) if corner else chain)
+        gain_and_delay = self.gain * np.exp(-1j * omega * self.delay_s)
+        corner_omega = 2 * np.pi * self.high_pass_hz
+        return np.asarray(
+            gain_and_delay * (1j * omega / (1j * omega + corner_omega)) if corner_omega else gain_and_delay
+        )
 
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):

@@ -74,7 +74,7 @@ __all__ = [
 ]
 
 Body = Beam | Oscillator | Structure
-UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
+UNITS: dict[str, str] = {quantity.name: quantity.unit for quantity in QUANTITIES.values()} | {"force": "N"}
 UNWRITTEN_DEFAULTS = (
     b',"direction":"y"',
     b',"gravity_m_per_s2":0.0',
@@ -149,7 +149,9 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def directions(self) -> tuple[Direction, ...]:
         """Directions in which the bodies move: y, and z if something measures or acts in it."""
-        in_z = any(station.direction == "z" for station in self._stations) or any(c.law.spatial for c in self.contacts)
+        in_z = any(station.direction == "z" for station in self._stations) or any(
+            contact.law.spatial for contact in self.contacts
+        )
         return DIRECTIONS if in_z else DIRECTIONS[:1]
 
     @property
@@ -161,7 +163,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def _stations(self) -> Iterator[Station]:
         """Stations of everything that has a direction."""
         yield from self.forces
-        yield from (s for contact in self.contacts for s in contact_stations(contact))
+        yield from (station for contact in self.contacts for station in contact_stations(contact))
         for items in (self.sensors, self.springs, self.loads, self.dampers, self.tones):
             yield from (item.station for item in items)
 
@@ -239,23 +241,25 @@ def stations_of(rig: Rig) -> tuple[Station, ...]:
     stations = {sensor.station for sensor in rig.sensors if sensor not in rig.base_sensors} | {
         station for contact in contact_rows(rig) for station in contact_stations(contact)
     }
-    order = [body.name for body in rig.bodies]
-    return tuple(sorted(stations, key=lambda s: (order.index(s.body), s.position_m, s.direction)))
+    body_order = [body.name for body in rig.bodies]
+    return tuple(sorted(stations, key=lambda s: (body_order.index(s.body), s.position_m, s.direction)))
 
 
 def contact_rows(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by the components of their relative displacement: an annular one twice, NAME_y and NAME_z."""
     return tuple(
-        in_direction
+        component
         for contact in rig.contacts
-        for in_direction in (
+        for component in (
             [_component(contact, direction) for direction in DIRECTIONS] if contact.law.spatial else [contact]
         )
     )
 
 
 def _component(contact: Contact, direction: Direction) -> Contact:
-    at, against = (None if s is None else replace(s, direction=direction) for s in (contact.at, contact.against))
+    at, against = (
+        None if station is None else replace(station, direction=direction) for station in (contact.at, contact.against)
+    )
     return replace(contact, name=f"{contact.name}_{direction}", at=at, against=against)
 
 
@@ -264,10 +268,12 @@ def check_shapes_known(rig: Rig, source: str) -> None:
 
     Interpolated shapes are for effects and perturbed rigs only.
     """
-    places = [(f"the {name}", station) for name, station in zip(rig.force_names, rig.forces, strict=True)]
-    places += [(f"sensor {s.name!r}", s.station) for s in rig.sensors]
-    places += [(f"contact {c.name!r}", station) for c in rig.contacts for station in contact_stations(c)]
-    for label, station in places:
+    labelled_stations = [(f"the {name}", station) for name, station in zip(rig.force_names, rig.forces, strict=True)]
+    labelled_stations += [(f"sensor {sensor.name!r}", sensor.station) for sensor in rig.sensors]
+    labelled_stations += [
+        (f"contact {contact.name!r}", station) for contact in rig.contacts for station in contact_stations(contact)
+    ]
+    for label, station in labelled_stations:
         if rig.is_on_ground(station):
             continue
         body = rig.body(station.body)
@@ -287,21 +293,21 @@ def to_json(rig: Rig) -> bytes:
     return msgspec.json.format(text, indent=2)
 
 
-def from_json(text: bytes, source: str) -> Rig:
-    """Rig from a JSON text; raises RigError with `source`, the place and the reason if it is invalid."""
-    check_json(text, source)
+def from_json(text: bytes, source_label: str) -> Rig:
+    """Rig from a JSON text; raises RigError with `source_label`, the place and the reason if it is invalid."""
+    check_json(text, source_label)
     try:
         decoded = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: not a rig description: it is no JSON ({error}); correct it there") from error
-    check_schema_version(decoded, source)
-    check_largest(decoded, source)
-    invalid = f"{source}: not a rig description"
+        raise RigError(f"{source_label}: not a rig description: it is no JSON ({error}); correct it there") from error
+    check_schema_version(decoded, source_label)
+    check_largest(decoded, source_label)
+    error_prefix = f"{source_label}: not a rig description"
     try:
-        in_types = json_in_types(decoded)
+        typed_json = json_in_types(decoded)
     except RigError as error:
-        raise RigError(f"{invalid}: {error}") from error
-    return converted(in_types, Rig, invalid)
+        raise RigError(f"{error_prefix}: {error}") from error
+    return converted(typed_json, Rig, error_prefix)
 
 
 def read_rig(path: Path) -> Rig:

@@ -25,14 +25,14 @@ MODE_COUNT, LINE_COUNT, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
 
 
 @dataclass(frozen=True)
-class Level:
+class ForceLevel:
     """Level of a force, N rms, and why it was chosen."""
 
     rms_n: float
     reason: str
 
 
-def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
+def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     """Force (N rms, flat from low to high) that would move the least moved contact, without stops, by 4 clearances rms.
 
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
@@ -42,10 +42,10 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
     """
     if rig.in_space:
         driven_axes = {station.direction for station in rig.forces}
-        levels = [
+        level_by_axis = [
             rattling_level(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven_axes
         ]
-        return max(levels, key=lambda level: level.rms_n)
+        return max(level_by_axis, key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
     mean_squares = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
     levels_n: list[tuple[float, str, float]] = []
@@ -53,21 +53,25 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
         rms_m_per_n, clearance_m = float(np.sqrt(mean_square)), reachable_clearance_m(contact.law)
         if rms_m_per_n > 0 and clearance_m:
             levels_n.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
-    largest_n, name, clearance_m = max(levels_n, default=(np.inf, "", 0.0))
-    if not np.isfinite(largest_n):
+    highest_level_n, contact_name, clearance_m = max(levels_n, default=(np.inf, "", 0.0))
+    if not np.isfinite(highest_level_n):
         reason = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
-        return Level(1.0, reason if rig.contacts else "as there is no contact")
-    least_note = ", which moves least," if len(levels_n) > 1 else ""
+        return ForceLevel(1.0, reason if rig.contacts else "as there is no contact")
+    least_moved_note = ", which moves least," if len(levels_n) > 1 else ""
     motion_note = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
-    return Level(float(f"{largest_n:.1g}"), f"by which {name!r}{least_note} would move by {motion_note}")
+    return ForceLevel(
+        float(f"{highest_level_n:.1g}"), f"by which {contact_name!r}{least_moved_note} would move by {motion_note}"
+    )
 
 
 def reachable_clearance_m(law: ContactLaw) -> float:
     """Mean clearance, m, of the stops of a contact that a laboratory's force can reach; zero if there are none."""
     clearances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-    farthest_m = min([FARTHEST_STOP_M, *(FAR_STOP_RATIO * c for c in clearances_m[:1] if c)])
-    in_reach_m = [c for c in clearances_m if c <= farthest_m]
-    return sum(in_reach_m) / len(in_reach_m) if in_reach_m else 0.0
+    farthest_m = min(
+        [FARTHEST_STOP_M, *(FAR_STOP_RATIO * clearance_m for clearance_m in clearances_m[:1] if clearance_m)]
+    )
+    reachable_m = [clearance_m for clearance_m in clearances_m if clearance_m <= farthest_m]
+    return sum(reachable_m) / len(reachable_m) if reachable_m else 0.0
 
 
 def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
@@ -79,22 +83,24 @@ def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"
     station_pairs = [(force_at, None), *((contact.at, contact.against) for contact in rig.contacts)]
     receptances = np.zeros((len(station_pairs), len(station_pairs), omega.size), dtype=complex)
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), mode_count(body, MODE_COUNT)
-        natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(count)[:, None]
-        ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)[:, None]
-        shapes = np.zeros((len(station_pairs), count))
+        modes, taken_count = modes_of(rig, body), mode_count(body, MODE_COUNT)
+        natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(taken_count)[:, None]
+        ratios = np.maximum(modes.damping_ratios(taken_count), MIN_DAMPING_RATIO)[:, None]
+        shapes = np.zeros((len(station_pairs), taken_count))
         for i, station_pair in enumerate(station_pairs):
             for sign, station in zip((1, -1), station_pair, strict=True):
                 if station is not None and station.body == body.name:
-                    shapes[i] += sign * modes.shapes(np.array([station.position_m]), count)[0]
+                    shapes[i] += sign * modes.shapes(np.array([station.position_m]), taken_count)[0]
         modal_receptances = 1 / (natural_rad_per_s**2 - omega**2 + 2j * ratios * natural_rad_per_s * omega)
         receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal_receptances)
-    springs = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
-    by_force, by_springs = receptances[1:, 0], receptances[1:][:, springs]
-    if springs:
-        laws = [rig.contacts[spring - 1].law for spring in springs]
-        dynamic = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
-        feedback = by_springs[[spring - 1 for spring in springs]] * dynamic
-        held = np.linalg.solve(np.eye(len(springs)) + feedback.transpose(2, 0, 1), receptances[springs, 0].T[..., None])
-        by_force = by_force - np.einsum("csl,sl,ls->cl", by_springs, dynamic, held[..., 0])
-    return np.asarray(np.mean(np.abs(by_force) ** 2, axis=1))
+    spring_rows = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
+    eta_by_force, eta_by_springs = receptances[1:, 0], receptances[1:][:, spring_rows]
+    if spring_rows:
+        laws = [rig.contacts[spring - 1].law for spring in spring_rows]
+        spring_stiffness = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
+        feedback = eta_by_springs[[spring - 1 for spring in spring_rows]] * spring_stiffness
+        spring_eta = np.linalg.solve(
+            np.eye(len(spring_rows)) + feedback.transpose(2, 0, 1), receptances[spring_rows, 0].T[..., None]
+        )
+        eta_by_force = eta_by_force - np.einsum("csl,sl,ls->cl", eta_by_springs, spring_stiffness, spring_eta[..., 0])
+    return np.asarray(np.mean(np.abs(eta_by_force) ** 2, axis=1))

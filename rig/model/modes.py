@@ -17,7 +17,7 @@ from rig.model.oscillator import Oscillator
 from rig.model.structure import SAME_PLACE_M, Structure, structure_of
 from rig.model.supports import attached_springs
 
-ELEMENTS = 80
+ELEMENT_COUNT = 80
 """Elements of a beam with attachments: its sixteenth mode is within 0.02 % of Bernoulli-Euler theory."""
 
 CONDENSED_PLACES = 81
@@ -104,20 +104,22 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     masses = [mass for mass in rig.masses if mass.station.body == body.name]
     springs = [spring for spring in attached_springs(rig) if spring.station.body == body.name]
     clamps = [clamp for clamp in rig.clamps if clamp.body == body.name]
-    linear = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]
-    if not (masses or linear or clamps):
+    linear_springs = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]
+    if not (masses or linear_springs or clamps):
         return body
     if isinstance(body, Oscillator):
         return with_attachments(rig, body)
     if isinstance(body, Structure):
         return coupled(rig, body)
-    nodes_m = np.linspace(0, body.length_m, ELEMENTS + 1)
-    mass, stiffness = matrices(rig, body, nodes_m)
-    held = held_coordinates(rig, body)
-    _check_stable(rig, body, stiffness[held:, held:])
-    floating = _floating_count(body, nodes_m, stiffness)
-    natural_hz, free = _natural_modes(body, stiffness[held:, held:], mass[held:, held:], floating)
-    vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
+    nodes_m = np.linspace(0, body.length_m, ELEMENT_COUNT + 1)
+    mass_matrix, stiffness_matrix = matrices(rig, body, nodes_m)
+    held_count = held_coordinate_count(rig, body)
+    _check_stable(rig, body, stiffness_matrix[held_count:, held_count:])
+    floating_count = _floating_count(body, nodes_m, stiffness_matrix)
+    natural_hz, free_vectors = _natural_modes(
+        body, stiffness_matrix[held_count:, held_count:], mass_matrix[held_count:, held_count:], floating_count
+    )
+    vectors = np.concatenate([np.zeros((held_count, free_vectors.shape[1])), free_vectors])
     return FiniteElementModes(body, nodes_m, natural_hz, vectors)
 
 
@@ -129,8 +131,8 @@ def condensed(rig: Rig) -> Rig:
     one, for each stiff support: that of the support's own motion.
     """
     stations = [*(mass.station for mass in rig.masses), *(spring.station for spring in attached_springs(rig))]
-    attached = {station.body for station in stations} | {clamp.body for clamp in rig.clamps}
-    bodies = tuple(_condensed_body(rig, body) if body.name in attached else body for body in rig.bodies)
+    attached_bodies = {station.body for station in stations} | {clamp.body for clamp in rig.clamps}
+    bodies = tuple(_condensed_body(rig, body) if body.name in attached_bodies else body for body in rig.bodies)
     return msgspec.structs.replace(rig, bodies=bodies, masses=(), springs=(), supports=(), clamps=())
 
 
@@ -139,7 +141,11 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     if isinstance(modes, Oscillator):
         return modes
     if isinstance(body, Structure):
-        stiff_supports = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
+        stiff_supports = [
+            support
+            for support in rig.supports
+            if support.station.body == body.name and support.stiffness_n_per_m is None
+        ]
         count = max(1, count - len(stiff_supports))
     stations = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
     positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])
@@ -162,9 +168,9 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     """
     if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
-    places = body.positions_m
-    index_after = int(np.searchsorted(places, position_m))
-    return tuple(float(x) for x in places[max(index_after - 1, 0) : index_after + 1])
+    places_m = body.positions_m
+    index_after = int(np.searchsorted(places_m, position_m))
+    return tuple(float(x_m) for x_m in places_m[max(index_after - 1, 0) : index_after + 1])
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
@@ -173,29 +179,31 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
     """
     count = body.max_modes
-    mass = np.eye(count)
+    mass_matrix = np.eye(count)
     attached_stiffness = np.zeros((count, count))
     for mass_point in rig.masses:
         if mass_point.station.body == body.name:
-            row = body.shapes(np.array([mass_point.station.position_m]), count)[0]
-            mass += mass_point.mass_kg * np.outer(row, row)
+            shape = body.shapes(np.array([mass_point.station.position_m]), count)[0]
+            mass_matrix += mass_point.mass_kg * np.outer(shape, shape)
     for spring in attached_springs(rig):
         if spring.station.body == body.name:
             position_m = np.array([spring.station.position_m])
-            row, slope = (body.shapes(position_m, count, order)[0] for order in (0, 1))
-            attached_stiffness += spring.stiffness_n_per_m * np.outer(row, row)
-            attached_stiffness += spring.rotational_n_m_per_rad * np.outer(slope, slope)
-    rigid = body.rigid_modes
-    floating = rigid - int(np.linalg.matrix_rank(attached_stiffness[:rigid, :rigid])) if rigid else 0
-    stiffness = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached_stiffness
-    _check_stable(rig, body, stiffness)
-    return CoupledModes(body, *_natural_modes(body, stiffness, mass, floating))
+            shape, shape_slope = (body.shapes(position_m, count, order)[0] for order in (0, 1))
+            attached_stiffness += spring.stiffness_n_per_m * np.outer(shape, shape)
+            attached_stiffness += spring.rotational_n_m_per_rad * np.outer(shape_slope, shape_slope)
+    rigid_count = body.rigid_modes
+    floating_count = (
+        rigid_count - int(np.linalg.matrix_rank(attached_stiffness[:rigid_count, :rigid_count])) if rigid_count else 0
+    )
+    stiffness_matrix = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached_stiffness
+    _check_stable(rig, body, stiffness_matrix)
+    return CoupledModes(body, *_natural_modes(body, stiffness_matrix, mass_matrix, floating_count))
 
 
 def _natural_modes(
-    body: Body, stiffness: Float[np.ndarray, "n n"], mass: Float[np.ndarray, "n n"], floating: int
+    body: Body, stiffness: Float[np.ndarray, "n n"], mass: Float[np.ndarray, "n n"], floating_count: int
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "n modes"]]:
-    """Natural frequencies (Hz) and mass-normalised shapes of all modes; the first `floating` are set to 0 Hz.
+    """Natural frequencies (Hz) and mass-normalised shapes of all modes; the first `floating_count` are set to 0 Hz.
 
     So are those that rounding makes imaginary by less than `ROUNDING` of the highest: springs of next to nothing hold
     such a mode. Raises RigError if rounding makes the eigenvalues meaningless.
@@ -205,7 +213,7 @@ def _natural_modes(
         omega_squared, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
         raise RigError(message) from error
-    omega_squared[:floating] = 0.0  # rounding would give them a frequency
+    omega_squared[:floating_count] = 0.0  # rounding would give them a frequency
     omega_squared[(omega_squared < 0) & (omega_squared > -ROUNDING * omega_squared[-1])] = 0.0
     if not (omega_squared >= 0).all():
         raise RigError(message)
@@ -215,8 +223,8 @@ def _natural_modes(
 def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
     """Raise RigError if springs of negative stiffness make the stiffness matrix indefinite."""
     if any(spring.stiffness_n_per_m < 0 for spring in rig.springs if spring.station.body == body.name):
-        lowest, highest = np.linalg.eigvalsh(stiffness)[[0, -1]]
-        if lowest < -1e-14 * abs(highest) or highest <= 0:
+        lowest_eigenvalue, highest_eigenvalue = np.linalg.eigvalsh(stiffness)[[0, -1]]
+        if lowest_eigenvalue < -1e-14 * abs(highest_eigenvalue) or highest_eigenvalue <= 0:
             raise RigError(
                 f"the springs of negative stiffness on {body.name!r} are more than what holds it; make them weaker"
             )
@@ -246,10 +254,10 @@ def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.nd
         modal_translation = modes.vectors.T @ translation if isinstance(modes, CoupledModes) else translation
         places = np.array([mass.station.position_m for mass in masses])
         return modal_translation[:count] + np.array([mass.mass_kg for mass in masses]) @ modes.shapes(places, count)
-    points, weights = leggauss(400)
-    positions_m = (points + 1) / 2 * body.length_m
+    gauss_points, gauss_weights = leggauss(400)
+    positions_m = (gauss_points + 1) / 2 * body.length_m
     places = np.concatenate([positions_m, [mass.station.position_m for mass in masses]])
-    masses_kg = np.concatenate([weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
+    masses_kg = np.concatenate([gauss_weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
     return masses_kg @ modes.shapes(places, count)
 
 
@@ -267,23 +275,23 @@ def matrices(
 
     The only coordinate of a single mass is its displacement.
     """
-    mass, stiffness = _bare_matrices(body, nodes_m)
-    for point in rig.masses:
-        if point.station.body == body.name:
-            row = hermite(nodes_m, point.station.position_m)
-            mass += point.mass_kg * np.outer(row, row)
+    mass_matrix, stiffness_matrix = _bare_matrices(body, nodes_m)
+    for point_mass in rig.masses:
+        if point_mass.station.body == body.name:
+            weights = hermite(nodes_m, point_mass.station.position_m)
+            mass_matrix += point_mass.mass_kg * np.outer(weights, weights)
     for spring in attached_springs(rig):
         if spring.station.body == body.name:
-            row, slope = (hermite(nodes_m, spring.station.position_m, order) for order in (0, 1))
-            stiffness += spring.stiffness_n_per_m * np.outer(row, row)
-            stiffness += spring.rotational_n_m_per_rad * np.outer(slope, slope)
+            weights, slope_weights = (hermite(nodes_m, spring.station.position_m, order) for order in (0, 1))
+            stiffness_matrix += spring.stiffness_n_per_m * np.outer(weights, weights)
+            stiffness_matrix += spring.rotational_n_m_per_rad * np.outer(slope_weights, slope_weights)
     for clamp in rig.clamps:
         if clamp.body == body.name:
-            stiffness[1, 1] += clamp.rotational_n_m_per_rad
-    return mass, stiffness
+            stiffness_matrix[1, 1] += clamp.rotational_n_m_per_rad
+    return mass_matrix, stiffness_matrix
 
 
-def held_coordinates(rig: Rig, body: Body) -> int:
+def held_coordinate_count(rig: Rig, body: Body) -> int:
     """Number of leading coordinates (displacement, slope) that the clamp of a body fixes."""
     if not isinstance(body, Beam) or body.ends == "free-free":
         return 0
@@ -315,13 +323,13 @@ def _bare_matrices(
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     if isinstance(body, Oscillator):
         return np.full((1, 1), body.mass_kg), np.full((1, 1), body.stiffness_n_per_m)
-    size = 2 * len(nodes_m)
-    mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
+    coordinate_count = 2 * len(nodes_m)
+    mass, stiffness = np.zeros((coordinate_count, coordinate_count)), np.zeros((coordinate_count, coordinate_count))
     for element, h in enumerate(np.diff(nodes_m)):
         scale = np.diag([1, h, 1, h])
         coordinates = slice(2 * element, 2 * element + 4)
-        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _MASS @ scale
-        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _STIFFNESS @ scale
+        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _BEAM_MASS @ scale
+        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _BEAM_STIFFNESS @ scale
     return mass, stiffness
 
 
@@ -329,13 +337,13 @@ def _floating_count(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness:
     """Number of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
     if beam.ends != "free-free":
         return 0
-    turning = (nodes_m - beam.length_m / 2) / beam.length_m
-    slopes = np.full(len(nodes_m), 1 / beam.length_m)
-    rigid_motions = np.stack([np.tile([1.0, 0.0], len(nodes_m)), np.stack([turning, slopes], axis=1).ravel()])
+    rotation = (nodes_m - beam.length_m / 2) / beam.length_m
+    rotation_slopes = np.full(len(nodes_m), 1 / beam.length_m)
+    rigid_motions = np.stack([np.tile([1.0, 0.0], len(nodes_m)), np.stack([rotation, rotation_slopes], axis=1).ravel()])
     rigid_stiffness = rigid_motions @ stiffness @ rigid_motions.T
     stiffness_scale = beam.bending_stiffness_n_m2 / beam.length_m**3
     return 2 - int(np.linalg.matrix_rank(rigid_stiffness, tol=1e-6 * stiffness_scale))
 
 
-_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
-_STIFFNESS = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+_BEAM_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+_BEAM_STIFFNESS = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])

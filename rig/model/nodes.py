@@ -23,15 +23,15 @@ def with_positions(decoded: Mapping[str, Any]) -> None:
     name and another position.
     """
     bodies = decoded.get("bodies")
-    places: dict[str, dict[str, float]] = {}
+    positions_by_body: dict[str, dict[str, float]] = {}
     for body_number, body in enumerate(bodies if isinstance(bodies, list) else []):
         if isinstance(body, dict) and body.get("type") == Structure.__struct_config__.tag:
-            places[str(body.get("name"))] = _nodes(f"bodies[{body_number}]", body)
-    for place, station in _stations({key: value for key, value in decoded.items() if key != "bodies"}, ""):
-        _set_position(place, station, places)
+            positions_by_body[str(body.get("name"))] = _nodes(f"bodies[{body_number}]", body)
+    for json_place, station in _stations({key: value for key, value in decoded.items() if key != "bodies"}, ""):
+        _set_position(json_place, station, positions_by_body)
 
 
-def _nodes(place: str, body: dict[str, Any]) -> dict[str, float]:
+def _nodes(json_place: str, body: dict[str, Any]) -> dict[str, float]:
     """Positions by the names of the nodes of a structure, whose rows get positions where none has one."""
     rows = body.get("shapes")
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
@@ -46,39 +46,42 @@ def _nodes(place: str, body: dict[str, Any]) -> dict[str, float]:
     named_rows = [row for row in rows if isinstance(row.get(NODE), str) and POSITION in row]
     names = [row[NODE] for row in named_rows]
     if duplicates := [name for name in names if names.count(name) > 1]:
-        raise RigError(f"{place}.shapes: more than one node is named {duplicates[0]!r}; names must differ")
+        raise RigError(f"{json_place}.shapes: more than one node is named {duplicates[0]!r}; names must differ")
     return {row[NODE]: row[POSITION] for row in named_rows}
 
 
-def _stations(value: Any, place: str, depth: int = 4) -> Iterator[tuple[str, dict[str, Any]]]:
+def _stations(value: Any, json_place: str, depth: int = 4) -> Iterator[tuple[str, dict[str, Any]]]:
     """Stations with a node, and their places in the description, to so many levels."""
     if isinstance(value, dict) and "body" in value and NODE in value:
-        yield place, value
+        yield json_place, value
     if not depth:
         return
     if isinstance(value, dict):
         for key, child in value.items():
-            yield from _stations(child, f"{place}.{key}" if place else str(key), depth - 1)
+            yield from _stations(child, f"{json_place}.{key}" if json_place else str(key), depth - 1)
     elif isinstance(value, list):
         for index, child in enumerate(value):
-            yield from _stations(child, f"{place}[{index}]", depth - 1)
+            yield from _stations(child, f"{json_place}[{index}]", depth - 1)
 
 
-def _set_position(place: str, station: dict[str, Any], places: Mapping[str, Mapping[str, float]]) -> None:
+def _set_position(place: str, station: dict[str, Any], positions_by_body: Mapping[str, Mapping[str, float]]) -> None:
     _name_as_text(station)
-    body, name = str(station["body"]), station.pop(NODE)
-    if not isinstance(name, str):
-        raise RigError(f"{place}.node is {name!r}; give the name of a node, as text or number")
-    nodes = places.get(body, {})
+    body_name, node_name = str(station["body"]), station.pop(NODE)
+    if not isinstance(node_name, str):
+        raise RigError(f"{place}.node is {node_name!r}; give the name of a node, as text or number")
+    nodes = positions_by_body.get(body_name, {})
     if not nodes:
-        raise RigError(f"{place}.node is {name!r}, and {body!r} has no nodes with names; give position_m")
-    if name not in nodes:
-        listed = ", ".join(list(nodes)[:MAX_LISTED]) + (", ..." if len(nodes) > MAX_LISTED else "")
-        raise RigError(f"{place}.node is {name!r}{hint(name, nodes)}; the modal basis of {body!r} has {listed}")
-    if station.setdefault(POSITION, nodes[name]) != nodes[name]:
+        raise RigError(f"{place}.node is {node_name!r}, and {body_name!r} has no nodes with names; give position_m")
+    if node_name not in nodes:
+        listed_names = ", ".join(list(nodes)[:MAX_LISTED]) + (", ..." if len(nodes) > MAX_LISTED else "")
         raise RigError(
-            f"{place} gives node {name!r}, which stands at {nodes[name]} m, and position_m {station[POSITION]}; "
-            "leave one out"
+            f"{place}.node is {node_name!r}{hint(node_name, nodes)}; the modal basis of {body_name!r} has "
+            f"{listed_names}"
+        )
+    if station.setdefault(POSITION, nodes[node_name]) != nodes[node_name]:
+        raise RigError(
+            f"{place} gives node {node_name!r}, which stands at {nodes[node_name]} m, and position_m "
+            f"{station[POSITION]}; leave one out"
         )
 
 

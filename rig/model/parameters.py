@@ -54,12 +54,14 @@ class ParameterSet:
     @property
     def bounds(self) -> tuple[Vector, Vector]:
         """Lower and upper bounds."""
-        return np.array([parameter.low for parameter in self.parameters]), np.array([p.high for p in self.parameters])
+        return np.array([parameter.low for parameter in self.parameters]), np.array(
+            [parameter.high for parameter in self.parameters]
+        )
 
     @property
     def strengths(self) -> list[int]:
         """Indices of the strengths: parameters with a neutral value."""
-        return [i for i, p in enumerate(self.parameters) if p.neutral is not None]
+        return [i for i, parameter in enumerate(self.parameters) if parameter.neutral is not None]
 
     def belonging_to(self, owner: str) -> "ParameterSet":
         """The same parameters with this owner."""
@@ -67,14 +69,16 @@ class ParameterSet:
 
     def places_of(self, owner: str) -> list[int]:
         """Indices of the owner's parameters."""
-        return [i for i, p in enumerate(self.parameters) if p.of == owner]
+        return [i for i, parameter in enumerate(self.parameters) if parameter.of == owner]
 
     def ranged(self, ranges: Mapping[str, tuple[float, float]]) -> "ParameterSet":
         """The same parameters with other ranges for some, by name."""
         return ParameterSet(
             tuple(
-                dataclasses.replace(p, low=ranges[p.name][0], high=ranges[p.name][1]) if p.name in ranges else p
-                for p in self.parameters
+                dataclasses.replace(parameter, low=ranges[parameter.name][0], high=ranges[parameter.name][1])
+                if parameter.name in ranges
+                else parameter
+                for parameter in self.parameters
             )
         )
 

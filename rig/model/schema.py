@@ -12,7 +12,7 @@ from rig.model.nodes import NODE, POSITION
 from rig.model.rig_json import SCHEMA_KEY
 from rig.model.structure import ShapeRow, Structure
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+JSON_SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema_of(kind: type[msgspec.Struct], title: str) -> dict[str, Any]:
@@ -23,7 +23,7 @@ def schema_of(kind: type[msgspec.Struct], title: str) -> dict[str, Any]:
         if "description" in definition:
             definition["description"] = cleandoc(definition["description"])
     top = definitions.pop(kind.__name__)
-    return {SCHEMA_KEY: DIALECT, **top, "title": title, "$defs": definitions}
+    return {SCHEMA_KEY: JSON_SCHEMA_DIALECT, **top, "title": title, "$defs": definitions}
 
 
 def rig_schema() -> dict[str, Any]:

@@ -17,21 +17,27 @@ def in_plane(rig: Rig, direction: Direction) -> Rig:
     """
     if not rig.in_space:
         return rig
-    forces = tuple(turned(station) for station in rig.forces if station.direction == direction)
-    forces = forces or (turned(rig.forces[0]),)
-    items = {
-        name: tuple(
-            replace(x, station=turned(x.station)) for x in getattr(rig, name) if x.station.direction == direction
+    forces = tuple(station_in_y(station) for station in rig.forces if station.direction == direction)
+    forces = forces or (station_in_y(rig.forces[0]),)
+    components_by_field = {
+        field: tuple(
+            replace(component, station=station_in_y(component.station))
+            for component in getattr(rig, field)
+            if component.station.direction == direction
         )
-        for name in ("sensors", "springs", "loads", "dampers", "tones")
+        for field in ("sensors", "springs", "loads", "dampers", "tones")
     }
     return replace(
         rig,
-        bodies=tuple(b.bending_in_z if direction == "z" and isinstance(b, Beam) else b for b in rig.bodies),
-        contacts=tuple(_plane_contact(c) for c in rig.contacts if c.law.spatial or c.at.direction == direction),
+        bodies=tuple(body.bending_in_z if direction == "z" and isinstance(body, Beam) else body for body in rig.bodies),
+        contacts=tuple(
+            _plane_contact(contact)
+            for contact in rig.contacts
+            if contact.law.spatial or contact.at.direction == direction
+        ),
         force_at=forces if len(forces) > 1 else forces[0],
         gravity_m_per_s2=rig.gravity_m_per_s2 if direction == "y" else 0.0,
-        **items,
+        **components_by_field,
     )
 
 
@@ -40,23 +46,23 @@ def plane_rigs(rig: Rig) -> dict[Direction, Rig]:
     return {direction: in_plane(rig, direction) for direction in rig.directions}
 
 
-def turned(station: Station) -> Station:
+def station_in_y(station: Station) -> Station:
     """Station in y."""
     return replace(station, direction="y")
 
 
 def _plane_contact(contact: Contact) -> Contact:
     law = contact.law.in_plane if isinstance(contact.law, Annular) else contact.law
-    against = None if contact.against is None else turned(contact.against)
-    return replace(contact, at=turned(contact.at), against=against, law=law)
+    against = None if contact.against is None else station_in_y(contact.against)
+    return replace(contact, at=station_in_y(contact.at), against=against, law=law)
 
 
 def check_plane(rig: Rig, purpose: str) -> None:
     """Raise RigError if a rig moves in two directions or has weight, which `purpose` ("rig fmu") does not take."""
-    annular = [c.name for c in rig.contacts if c.law.spatial]
-    in_z = [s.name for s in rig.sensors if s.station.direction == "z"]
-    reasons = [f"contact {name!r} is annular" for name in annular[:1]]
-    reasons += [f"sensor {name!r} has the direction z" for name in in_z[:1]]
+    annular_names = [contact.name for contact in rig.contacts if contact.law.spatial]
+    sensor_names_in_z = [sensor.name for sensor in rig.sensors if sensor.station.direction == "z"]
+    reasons = [f"contact {name!r} is annular" for name in annular_names[:1]]
+    reasons += [f"sensor {name!r} has the direction z" for name in sensor_names_in_z[:1]]
     reasons += ["something in it has the direction z"] * rig.in_space
     reasons += ["it has gravity"] * bool(rig.gravity_m_per_s2)
     if reasons:

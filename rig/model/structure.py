@@ -138,18 +138,22 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def scale_damping(self, factor: float) -> "Structure":
         """Structure with all damping ratios times a factor."""
-        return msgspec.structs.replace(self, ratios=tuple(r * factor for r in self.ratios))
+        return msgspec.structs.replace(self, ratios=tuple(ratio * factor for ratio in self.ratios))
 
     def scale_frequencies(self, factor: float) -> "Structure":
         """Structure with all frequencies times a factor."""
-        return msgspec.structs.replace(self, natural_hz=tuple(f * factor for f in self.natural_hz))
+        return msgspec.structs.replace(self, natural_hz=tuple(hz * factor for hz in self.natural_hz))
 
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
         sqrt_factor = float(np.sqrt(factor))
-        rows = (msgspec.structs.replace(row, values=tuple(v / sqrt_factor for v in row.values)) for row in self.rows)
+        rows = (
+            msgspec.structs.replace(row, values=tuple(value / sqrt_factor for value in row.values)) for row in self.rows
+        )
         return msgspec.structs.replace(
-            self, rows=tuple(rows), participations=tuple(sqrt_factor * p for p in self.participations)
+            self,
+            rows=tuple(rows),
+            participations=tuple(sqrt_factor * participation for participation in self.participations),
         )
 
     def shapes(
@@ -178,13 +182,13 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """
         if self.participations:
             return np.array(self.participations)
-        rigid = self.rigid_modes
+        rigid_count = self.rigid_modes
         coordinates = np.zeros(self.max_modes)
-        shapes = np.array([row.values for row in self.rows])[:, :rigid]
-        unit_motion = np.ones(len(self.rows))
-        if 0 < rigid <= len(unit_motion):
-            coordinates[:rigid] = np.linalg.lstsq(shapes, unit_motion, rcond=None)[0]
-        if np.max(np.abs(shapes @ coordinates[:rigid] - unit_motion)) > MAX_TRANSLATION_ERROR:
+        rigid_shapes = np.array([row.values for row in self.rows])[:, :rigid_count]
+        unit_translation = np.ones(len(self.rows))
+        if 0 < rigid_count <= len(unit_translation):
+            coordinates[:rigid_count] = np.linalg.lstsq(rigid_shapes, unit_translation, rcond=None)[0]
+        if np.max(np.abs(rigid_shapes @ coordinates[:rigid_count] - unit_translation)) > MAX_TRANSLATION_ERROR:
             raise self._error(
                 "its modal basis does not say how its mass follows a moving base; give participations, in sqrt(kg), or "
                 "the rigid-body modes (0 Hz) of a free body"
@@ -194,20 +198,20 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def _interpolated(
         self, positions_m: Float[np.ndarray, " stations"], order: int
     ) -> Float[np.ndarray, "stations all"]:
-        x_m, given_m = np.asarray(positions_m, dtype=float), self.positions_m
-        values = np.array([row.values for row in self.rows])
-        if len(given_m) == 1 or not self.has_axis:
-            nearest_shapes = values[np.abs(x_m[:, None] - given_m[None, :]).argmin(axis=1)]
+        requested_m, row_positions_m = np.asarray(positions_m, dtype=float), self.positions_m
+        row_shapes = np.array([row.values for row in self.rows])
+        if len(row_positions_m) == 1 or not self.has_axis:
+            nearest_shapes = row_shapes[np.abs(requested_m[:, None] - row_positions_m[None, :]).argmin(axis=1)]
             return nearest_shapes if order == 0 else np.zeros_like(nearest_shapes)
         spline = _spline(self.rows)
-        clipped_m = np.clip(x_m, given_m[0], given_m[-1])
+        clipped_m = np.clip(requested_m, row_positions_m[0], row_positions_m[-1])
         if order:
             return np.asarray(spline(clipped_m, order))
-        shapes = np.asarray(spline(clipped_m) + spline(clipped_m, 1) * (x_m - clipped_m)[:, None])
-        if x_m.size:
-            distances = np.abs(x_m[:, None] - given_m[None, :])
-            is_given = distances.min(axis=1) <= SAME_PLACE_M
-            shapes[is_given] = values[distances.argmin(axis=1)[is_given]]
+        shapes = np.asarray(spline(clipped_m) + spline(clipped_m, 1) * (requested_m - clipped_m)[:, None])
+        if requested_m.size:
+            distances = np.abs(requested_m[:, None] - row_positions_m[None, :])
+            is_at_row = distances.min(axis=1) <= SAME_PLACE_M
+            shapes[is_at_row] = row_shapes[distances.argmin(axis=1)[is_at_row]]
         return shapes
 
     def _checked(self, count: int) -> int:
@@ -235,8 +239,10 @@ def structure_of(
         natural_hz=tuple(frequencies_hz.tolist()),
         ratios=tuple(damping_ratios.tolist()),
         rows=tuple(
-            ShapeRow(float(x), tuple(values), node)
-            for x, values, node in zip(positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True)
+            ShapeRow(float(position_m), tuple(values), node)
+            for position_m, values, node in zip(
+                positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True
+            )
         ),
     )
 

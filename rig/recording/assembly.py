@@ -12,7 +12,7 @@ from rig.recording.channels import Channels
 from rig.recording.messages import Block
 
 
-class Assembly:
+class SampleAssembly:
     """Array of a group's samples that grows block by block; a block that comes early is kept until its turn."""
 
     def __init__(
@@ -89,7 +89,7 @@ def assemble(
     path: Path, group_name: str, channels: Channels, blocks: list[Block], first_sample: int = 0
 ) -> Float[np.ndarray, "channels samples"]:
     """Samples of a group from its blocks in any order."""
-    assembly = Assembly(
+    assembly = SampleAssembly(
         path, group_name, channels, first_sample, capacity=sum(block.values.shape[1] for block in blocks)
     )
     for block in blocks:

@@ -51,9 +51,9 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     if missing_keys := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
         raise RigError(f"the metadata of channel {topic} lack {missing_keys[0]!r}; see rig/recording/README.md")
     try:
-        names = tuple(str(n) for n in json.loads(metadata["names"]))
+        names = tuple(str(name_value) for name_value in json.loads(metadata["names"]))
         station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if p is None else _station(p) for p in station_values)
+        stations = tuple(None if station_value is None else _station(station_value) for station_value in station_values)
         for name in names:
             check_name("channel", name)
         rate_hz = float(json.loads(metadata["sample_rate_hz"]))
@@ -73,22 +73,22 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
 
 
 def check_channels(
-    path: Path, rig: Rig, groups: Mapping[str, Channels], expected_groups: Mapping[str, Channels]
+    path: Path, rig: Rig, channels_by_group: Mapping[str, Channels], expected_by_group: Mapping[str, Channels]
 ) -> None:
     """Raise RigError unless all groups have the rig's sampling rate and the expected ones hold its sensors in SI.
 
-    `expected_groups` are those of a recording of this rig (`channel_groups`); others are only checked for the rate.
+    `expected_by_group` are those of a recording of this rig (`channel_groups`); others are only checked for the rate.
     """
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
-    for group_name, channels in groups.items():
+    for group_name, channels in channels_by_group.items():
         if channels.sample_rate_hz != rig.sample_rate_hz:
             raise RigError(
                 f"{path}: group {group_name} is sampled at {channels.sample_rate_hz} Hz, "
                 f"rig.json says {rig.sample_rate_hz} Hz; make them agree"
             )
-        if group_name not in expected_groups:
+        if group_name not in expected_by_group:
             continue
-        unit = expected_groups[group_name].unit
+        unit = expected_by_group[group_name].unit
         if (channels.quantity, channels.unit) != (group_name, unit):
             raise RigError(
                 f"{path}: group {group_name} holds {channels.quantity!r} in {channels.unit!r}; write {group_name} in "
@@ -112,5 +112,5 @@ def check_channels(
                     "elsewhere there; make them agree"
                 )
     for sensor in rig.sensors:
-        if sensor.quantity not in groups or sensor.name not in groups[sensor.quantity].names:
+        if sensor.quantity not in channels_by_group or sensor.name not in channels_by_group[sensor.quantity].names:
             raise RigError(f"{path}: sensor {sensor.name!r} of rig.json has no channel; record it or take it out")

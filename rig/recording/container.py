@@ -47,7 +47,7 @@ _RECORD_TYPES = {
     Opcode.STATISTICS: Statistics,
     Opcode.DATA_END: DataEnd,
 }
-Step = TypeVar("Step")
+ReadingStep = TypeVar("ReadingStep")
 DAMAGE = (McapError, ValueError, OverflowError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
 """Exceptions that reading a bad record may raise."""
 
@@ -92,7 +92,7 @@ def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = l
         crc = crc32(content, crc)
 
 
-def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
+def with_path_in_error(path: Path, steps: Iterator[ReadingStep]) -> Iterator[ReadingStep]:
     """Pass on the steps of reading a file; turn every error into a RigError that names the file."""
     try:
         yield from steps
@@ -188,10 +188,10 @@ def _chunk_records(
 def _run_length(chunk_records: memoryview, record_length: int) -> int:
     """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
     record_count = min(len(chunk_records) // record_length, 64)
-    heads, tails = (
+    first_eight_bytes, last_eight_bytes = (
         np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_length,)) for offset in (0, 3)
     )
-    is_same = (heads == heads[0]) & (tails == tails[0])
+    is_same = (first_eight_bytes == first_eight_bytes[0]) & (last_eight_bytes == last_eight_bytes[0])
     return record_count if is_same.all() else int(np.argmin(is_same))
 
 
@@ -225,13 +225,13 @@ class _Window:
     def peek(self, byte_count: int) -> memoryview:
         """The next `byte_count` bytes, without moving; raises EOFError if the file ends before."""
         if self._end - self._position < byte_count:
-            remainder = self._buffer[self._position : self._end]
+            unread_bytes = self._buffer[self._position : self._end]
             buffer = self._buffer if byte_count <= len(self._buffer) else memoryview(bytearray(byte_count))
-            buffer[: len(remainder)] = remainder
+            buffer[: len(unread_bytes)] = unread_bytes
             self._buffer, self._position, self._end = (
                 buffer,
                 0,
-                len(remainder) + self._file.readinto(buffer[len(remainder) :]),
+                len(unread_bytes) + self._file.readinto(buffer[len(unread_bytes) :]),
             )
         if self._end < byte_count:
             raise EOFError(

@@ -72,10 +72,10 @@ class Chunk:
         published_ns: int | None = None,
     ) -> None:
         """Append a message: its head and the doubles, channel by channel; published_ns defaults to the log time."""
-        published_at_ns = time_ns if published_ns is None else published_ns
+        publish_time_ns = time_ns if published_ns is None else published_ns
         body_length = _MESSAGE.size - _HEAD.size + len(message_head) + 8 * values.size
         record_head = (
-            _MESSAGE.pack(Opcode.MESSAGE, body_length, channel_id, sequence, time_ns, published_at_ns) + message_head
+            _MESSAGE.pack(Opcode.MESSAGE, body_length, channel_id, sequence, time_ns, publish_time_ns) + message_head
         )
         self._index_entries.setdefault(channel_id, []).append(_INDEX_ENTRY.pack(time_ns, self.size))
         self._times_ns.append(time_ns)

@@ -19,7 +19,7 @@ from rig.errors import RigError
 from rig.model.description import UNITS, Rig, Sensor, Station, check_shapes_known, contact_rows, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
-from rig.recording.assembly import Assembly
+from rig.recording.assembly import SampleAssembly
 from rig.recording.channels import Channels, check_channels, from_metadata
 from rig.recording.foreign import PROVENANCE, RIG_NAME
 from rig.recording.messages import Block
@@ -155,22 +155,24 @@ def _force_channels(rig: Rig) -> Channels:
 
 def channel_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of a recording of this rig."""
-    groups = {"force": _force_channels(rig)}
+    channels_by_group = {"force": _force_channels(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
-        groups[quantity] = Channels(
+        channels_by_group[quantity] = Channels(
             quantity,
             UNITS[quantity],
             tuple(sensor.name for sensor in sensors),
             tuple(sensor.station for sensor in sensors),
             rig.sample_rate_hz,
         )
-    return groups
+    return channels_by_group
 
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file: signals that only a simulator has."""
-    stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
+    stations = stations_of(rig)
+    contact_names = tuple(contact.name for contact in contact_rows(rig))
+    rate_hz = rig.sample_rate_hz
     station_names = tuple(station.label for station in stations)
     no_station_per_contact = (None,) * len(contact_names)
     return {
@@ -203,7 +205,7 @@ def read_truth(path: Path) -> Recording:
 def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
     """Provenance with further processing steps, one numbered entry each."""
     step_count = sum(key.startswith("history ") for key in provenance)
-    return {**provenance, **{f"history {step_count + k}": step for k, step in enumerate(steps, start=1)}}
+    return {**provenance, **{f"history {step_count + number}": step for number, step in enumerate(steps, start=1)}}
 
 
 def truth_path(path: Path) -> Path:
@@ -216,12 +218,12 @@ def recordings_in(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Contents:
+class FileContents:
     """Content of a file except the blocks of samples; of the attachments, only rig.json keeps its data."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
-    groups: dict[str, Channels] = field(default_factory=dict)
+    channels_by_group: dict[str, Channels] = field(default_factory=dict)
 
 
 def holds_blocks(channel: ChannelRecord) -> bool:
@@ -229,7 +231,7 @@ def holds_blocks(channel: ChannelRecord) -> bool:
     return len(topic_parts) == 4 and topic_parts[1] == "rig" and topic_parts[3] == "block"
 
 
-def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[tuple[str, messages.Block]]:
+def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Iterator[tuple[str, messages.Block]]:
     """Every block of samples with the name of its group; all other records are collected in `contents`.
 
     The values of a block are valid until the next one is requested. Raises ValueError or RigError, without the name of
@@ -238,7 +240,7 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
     """
     group_by_channel_id: dict[int, str] = {}
     channel_by_id: dict[int, ChannelRecord] = {}
-    clock = Clock()
+    clock = TimeStampCheck()
     for record in records:
         if (
             isinstance(record, ChannelRecord)
@@ -254,20 +256,20 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
         elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and holds_blocks(record):
             group_name = record.topic.split("/")[2]
             group_by_channel_id[record.id] = group_name
-            contents.groups[group_name] = from_metadata(record.topic, record.metadata)
+            contents.channels_by_group[group_name] = from_metadata(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
             group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
-            clock.check(group_name, contents.groups[group_name].sample_rate_hz, block)
+            clock.check(group_name, contents.channels_by_group[group_name].sample_rate_hz, block)
             yield group_name, block
 
 
-def _add_provenance(record: Metadata, contents: Contents) -> None:
+def _add_provenance(record: Metadata, contents: FileContents) -> None:
     for key, value in record.metadata.items():
         if contents.provenance.setdefault(key, value) != value:
             raise RigError(f"the provenance gives {key!r} twice; keep the one that is meant")
 
 
-def rig_of(path: Path, contents: Contents) -> Rig:
+def rig_of(path: Path, contents: FileContents) -> Rig:
     if RIG_NAME not in contents.attachments:
         raise RigError(
             f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/recording/README.md)"
@@ -276,20 +278,22 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _load(path: Path) -> Recording:
-    contents, assemblies = Contents(), dict[str, Assembly]()
+    contents, assemblies = FileContents(), dict[str, SampleAssembly]()
     with container.open_recording(path) as file:
-        most_values = path.stat().st_size // 8
+        max_values = path.stat().st_size // 8
         for group_name, block in container.with_path_in_error(
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             if group_name not in assemblies:
-                capacity = most_values // sum(len(channels.names) for channels in contents.groups.values())
-                assemblies[group_name] = Assembly(path, group_name, contents.groups[group_name], capacity=capacity)
+                capacity = max_values // sum(len(channels.names) for channels in contents.channels_by_group.values())
+                assemblies[group_name] = SampleAssembly(
+                    path, group_name, contents.channels_by_group[group_name], capacity=capacity
+                )
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)
     signals = {
-        group_name: Signals(channels, *assemblies.get(group_name, Assembly(path, group_name, channels)).finish())
-        for group_name, channels in contents.groups.items()
+        group_name: Signals(channels, *assemblies.get(group_name, SampleAssembly(path, group_name, channels)).finish())
+        for group_name, channels in contents.channels_by_group.items()
     }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
@@ -303,7 +307,7 @@ TOLERANCE_SAMPLES, TOLERANCE_NS = 0.5, 1000.0
 """A time stamp may be off by half a sample, or a microsecond if that is more."""
 
 
-class Clock:
+class TimeStampCheck:
     """Check of time stamps: t0 = t(k) - k / f of the first block must hold for every block of every group."""
 
     def __init__(self) -> None:

@@ -15,7 +15,7 @@ _NO_VALUES = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
-class Foreign:
+class ForeignRecords:
     """Records of other programs, in the order of the file."""
 
     front_records: list[Attachment | Metadata] = field(default_factory=list)
@@ -37,12 +37,12 @@ class Foreign:
                 self.messages.append(replace(record, data=bytes(record.data)))
             yield record
 
-    def renumbered(self, schema_count: int, channel_count: int) -> "Foreign":
+    def renumbered(self, schema_count: int, channel_count: int) -> "ForeignRecords":
         """Content renumbered behind `schema_count` and `channel_count` other ids; unused schemas are left out."""
         used_schema_ids = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
         schema_ids = {old_id: schema_count + k for k, old_id in enumerate(used_schema_ids, start=1)}
         channel_ids = {old_id: channel_count + k for k, old_id in enumerate(self.channels, start=1)}
-        return Foreign(
+        return ForeignRecords(
             self.front_records,
             {schema_ids[old_id]: replace(self.schemas[old_id], id=schema_ids[old_id]) for old_id in used_schema_ids},
             {

@@ -51,9 +51,9 @@ def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tu
 
 def decode_block(message_bytes: bytes | memoryview) -> Block:
     """Block in a message; raises ValueError if there is none. Its values are a view of the data where possible."""
-    message, (end_of_head, values_start) = _Block(), _values_offsets(message_bytes)
+    message, (head_end, values_start) = _Block(), _values_offsets(message_bytes)
     try:
-        message.ParseFromString(bytes(message_bytes[:end_of_head]))
+        message.ParseFromString(bytes(message_bytes[:head_end]))
     except Exception as error:  # protobuf's own error type differs between its implementations
         raise ValueError("a block cannot be decoded") from error
     values = (

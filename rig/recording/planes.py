@@ -18,14 +18,18 @@ def plane_recording(recording: Recording, direction: Direction) -> Recording:
     if not rig.in_space:
         return recording
     plane = in_plane(rig, direction)
-    groups = {name: channels for name, channels in channel_groups(plane).items() if name in recording.signals}
+    channels_by_group = {
+        name: channels for name, channels in channel_groups(plane).items() if name in recording.signals
+    }
     signals = {}
-    for name, channels in groups.items():
-        space = recording.signals[name]
+    for name, channels in channels_by_group.items():
+        channels_in_space = recording.signals[name]
         if name == "force":
             sensor_rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
         else:
-            sensor_rows = [space.channels.names.index(sensor) for sensor in channels.names]
-        values = space.values[sensor_rows] if sensor_rows else np.zeros((1, space.values.shape[1]))
-        signals[name] = Signals(channels, space.start_s, values)
+            sensor_rows = [channels_in_space.channels.names.index(sensor) for sensor in channels.names]
+        values = (
+            channels_in_space.values[sensor_rows] if sensor_rows else np.zeros((1, channels_in_space.values.shape[1]))
+        )
+        signals[name] = Signals(channels, channels_in_space.start_s, values)
     return replace(recording, rig=plane, signals=signals)

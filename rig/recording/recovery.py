@@ -12,21 +12,14 @@ from rig.files import check_target
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import Channels, check_channels
-from rig.recording.file import (
-    Contents,
-    channel_groups,
-    group_blocks,
-    rig_of,
-    truth_groups,
-    with_history,
-)
-from rig.recording.foreign import Foreign
+from rig.recording.file import FileContents, channel_groups, group_blocks, rig_of, truth_groups, with_history
+from rig.recording.foreign import ForeignRecords
 from rig.recording.messages import Block
 from rig.recording.writer import writing
 
 
 @dataclass(frozen=True)
-class Loss:
+class GroupLoss:
     """Samples of a group that were kept, found in the file, and requested (None: unknown)."""
 
     group: str
@@ -42,7 +35,7 @@ class Loss:
         return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost_count} lost ({lost_s:g} s){unstored_note}"
 
 
-def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
+def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
     """Write the undamaged samples of a recording, from its start to the first gap in any group, as a recording.
 
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
@@ -50,7 +43,7 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
     rig.json, no complete chunk, or the result cannot be written.
     """
     check_target(target_path, damaged_path)
-    contents, foreign, blocks_by_group = Contents(), Foreign(), defaultdict[str, list[Block]](list)
+    contents, foreign, blocks_by_group = FileContents(), ForeignRecords(), defaultdict[str, list[Block]](list)
     with container.open_recording(damaged_path) as file:
         try:
             for group_name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
@@ -62,7 +55,9 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
                 f"{damaged_path}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
             ) from error
     rig = rig_of(damaged_path, contents)
-    block_by_start = {group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.groups}
+    block_by_start = {
+        group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.channels_by_group
+    }
     kept_count = min(map(_unbroken_count, block_by_start.values()), default=0)
     if not kept_count:
         raise RigError(
@@ -71,7 +66,7 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
     requested_s = _requested_duration_s(contents.provenance)
     losses = tuple(
         _loss(channels, block_by_start[group_name], kept_count, requested_s)
-        for group_name, channels in contents.groups.items()
+        for group_name, channels in contents.channels_by_group.items()
     )
     signals = {
         group_name: assemble(
@@ -80,14 +75,14 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
             channels,
             [b for first, b in block_by_start[group_name].items() if first < kept_count],
         )
-        for group_name, channels in contents.groups.items()
+        for group_name, channels in contents.channels_by_group.items()
     }
     if set(signals) != set(truth_groups(rig)):
-        check_channels(damaged_path, rig, contents.groups, channel_groups(rig))
+        check_channels(damaged_path, rig, contents.channels_by_group, channel_groups(rig))
     new_provenance = with_history(
         contents.provenance, f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
     )
-    with writing(target_path, rig, contents.groups, new_provenance, foreign) as recording:
+    with writing(target_path, rig, contents.channels_by_group, new_provenance, foreign) as recording:
         recording.append_all({group_name: values[:, :kept_count] for group_name, values in signals.items()})
     return losses
 
@@ -119,11 +114,13 @@ def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
         return None
 
 
-def _loss(channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None) -> Loss:
-    return Loss(
+def _loss(
+    channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None
+) -> GroupLoss:
+    return GroupLoss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
         kept=kept_count,
-        found=sum(b.values.shape[1] for b in block_by_start.values()),
+        found=sum(block.values.shape[1] for block in block_by_start.values()),
         asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
     )

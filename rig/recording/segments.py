@@ -9,15 +9,7 @@ from rig.model.description import Rig, check_shapes_known
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
-from rig.recording.file import (
-    Contents,
-    Recording,
-    Signals,
-    channel_groups,
-    group_blocks,
-    holds_blocks,
-    rig_of,
-)
+from rig.recording.file import FileContents, Recording, Signals, channel_groups, group_blocks, holds_blocks, rig_of
 from rig.recording.foreign import RIG_NAME
 from rig.recording.messages import Block
 
@@ -28,7 +20,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
     Only one segment is in memory at a time. Raises RigError as `read` does, once it reaches the fault, and if the rig's
     description comes after the samples.
     """
-    contents, blocks_by_group = Contents(), defaultdict[str, list[Block]](list)
+    contents, blocks_by_group = FileContents(), defaultdict[str, list[Block]](list)
     rig, start_sample = None, 0
     with container.open_recording(path) as file:
         for group_name, block in container.with_path_in_error(
@@ -38,7 +30,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
             blocks_by_group[group_name].append(block.with_copied_values())
             length_samples, overlap_samples = (round(x_s * rig.sample_rate_hz) for x_s in (length_s, overlap_s))
             if (
-                min(_stop_sample(blocks_by_group[group_name]) for group_name in contents.groups)
+                min(_stop_sample(blocks_by_group[group_name]) for group_name in contents.channels_by_group)
                 >= start_sample + length_samples + length_samples // 2
             ):
                 yield _segment(path, rig, contents, blocks_by_group, start_sample, start_sample + length_samples)
@@ -46,7 +38,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
                 for group_blocks_left in blocks_by_group.values():
                     group_blocks_left[:] = [b for b in group_blocks_left if _stop_sample([b]) > start_sample]
     rig = rig or _checked_rig(path, contents)
-    stop_by_group = {group_name: _stop_sample(blocks_by_group[group_name]) for group_name in contents.groups}
+    stop_by_group = {group_name: _stop_sample(blocks_by_group[group_name]) for group_name in contents.channels_by_group}
     if len(set(stop_by_group.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({stop_by_group}); every group needs the same samples")
     yield _segment(path, rig, contents, blocks_by_group, start_sample, stop_by_group["force"])
@@ -57,23 +49,23 @@ def bytes_per_second(path: Path) -> float:
 
     Raises RigError as `segments` does.
     """
-    contents = Contents()
+    contents = FileContents()
     with container.open_recording(path) as file:
         for _ in container.with_path_in_error(
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             break
     rig = _checked_rig(path, contents)
-    return 8 * rig.sample_rate_hz * sum(len(group.names) for group in contents.groups.values())
+    return 8 * rig.sample_rate_hz * sum(len(group.names) for group in contents.channels_by_group.values())
 
 
-def _checked_rig(path: Path, contents: Contents) -> Rig:
+def _checked_rig(path: Path, contents: FileContents) -> Rig:
     """Rig of a file, checked against its channels; raises RigError if it is missing or does not match them."""
     rig = rig_of(path, contents)
-    if "force" not in contents.groups:
+    if "force" not in contents.channels_by_group:
         raise RigError(f"{path}: has no channel /rig/force/block in front; record the exciting force too")
     check_shapes_known(rig, f"{path}: {RIG_NAME}")
-    check_channels(path, rig, contents.groups, channel_groups(rig))
+    check_channels(path, rig, contents.channels_by_group, channel_groups(rig))
     return rig
 
 
@@ -85,13 +77,13 @@ def _stop_sample(blocks: list[Block]) -> int:
 def _segment(
     path: Path,
     rig: Rig,
-    contents: Contents,
+    contents: FileContents,
     blocks_by_group: defaultdict[str, list[Block]],
     start_sample: int,
     stop_sample: int,
 ) -> Recording:
     signals = {}
-    for group_name, channels in contents.groups.items():
+    for group_name, channels in contents.channels_by_group.items():
         stored_blocks = blocks_by_group[group_name]
         first_stored = stored_blocks[0].first_sample if stored_blocks else start_sample
         values = assemble(path, group_name, channels, stored_blocks, first_stored)[

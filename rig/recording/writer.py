@@ -22,7 +22,7 @@ from rig.recording import messages
 from rig.recording.channels import Channels, to_metadata
 from rig.recording.container_writer import ContainerWriter
 from rig.recording.file import recorded_at
-from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, add_message
+from rig.recording.foreign import PROVENANCE, RIG_NAME, ForeignRecords, add_message
 
 BLOCK_SAMPLES, SAMPLES_AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
@@ -36,18 +36,19 @@ class RecordingWriter:
         self,
         stream: IO[bytes],
         rig: Rig,
-        groups: Mapping[str, Channels],
+        channels_by_group: Mapping[str, Channels],
         provenance: Mapping[str, str],
-        foreign: Foreign | None = None,
+        foreign: ForeignRecords | None = None,
     ) -> None:
         self._stream = stream
-        self._groups = dict(groups)
+        self._groups = dict(channels_by_group)
         self._start_date_ns = start_date_ns(provenance)
         id_counter = count(1)
         self._channel_ids = {
-            name: (next(id_counter), [next(id_counter) for _ in group.names]) for name, group in groups.items()
+            name: (next(id_counter), [next(id_counter) for _ in group.names])
+            for name, group in channels_by_group.items()
         }
-        foreign_records = (foreign or Foreign()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
+        foreign_records = (foreign or ForeignRecords()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
         self._writer = ContainerWriter(
             stream,
             front_records=[
@@ -63,7 +64,7 @@ class RecordingWriter:
             channels=[
                 *(
                     record
-                    for name, group in groups.items()
+                    for name, group in channels_by_group.items()
                     for record in _channel_records(name, group, *self._channel_ids[name])
                 ),
                 *foreign_records.channels.values(),
@@ -73,8 +74,8 @@ class RecordingWriter:
             add_message(message, self._writer.chunk)
             self._write_full_chunk()
         stream.flush()
-        self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
-        self._written_counts = dict.fromkeys(groups, 0)
+        self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in channels_by_group.items()}
+        self._written_counts = dict.fromkeys(channels_by_group, 0)
 
     def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
         earlier_values = self._pending_values[group]
@@ -121,8 +122,8 @@ class RecordingWriter:
             self._write_full_chunk()
         part_starts, part_extremes = previews(values, rate_hz, block_samples)
         times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
-        for preview_id, extremes in zip(preview_ids, part_extremes, strict=True):
-            self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
+        for preview_id, channel_extremes in zip(preview_ids, part_extremes, strict=True):
+            self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), channel_extremes)
         self._written_counts[group_name] += sample_count
 
     def _write_full_chunk(self) -> None:
@@ -154,24 +155,24 @@ def start_date_ns(provenance: Mapping[str, str]) -> int:
 def writing(
     path: Path,
     rig: Rig,
-    groups: Mapping[str, Channels],
+    channels_by_group: Mapping[str, Channels],
     provenance: Mapping[str, str],
-    foreign: Foreign | None = None,
+    foreign: ForeignRecords | None = None,
 ) -> Iterator[RecordingWriter]:
     """Writer of a recording that appears at `path` only when it is complete; `foreign` content is stored too.
 
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
-    interruption = None
+    interrupt_error = None
     with locked_part(path) as part_path:
         try:
             with part_path.open("wb") as stream:
-                writer = RecordingWriter(stream, rig, groups, provenance, foreign)
+                writer = RecordingWriter(stream, rig, channels_by_group, provenance, foreign)
                 try:
                     yield writer
                 except KeyboardInterrupt as error:
-                    interruption = error
+                    interrupt_error = error
                 writer.finish()
             sync_and_rename(part_path, path)
         except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
@@ -184,8 +185,8 @@ def writing(
         except BaseException:
             part_path.unlink(missing_ok=True)
             raise
-        if interruption is not None:
-            raise interruption
+        if interrupt_error is not None:
+            raise interrupt_error
 
 
 PREVIEW_HZ = 50.0

@@ -16,7 +16,7 @@ QUIET_S = 1.0
 """Quiet start of every recording, s: signals there are not caused by the force."""
 RISE_S = 1 / 32
 """Rise time of noise and multisine, s: with a jump, the motion would depend on the time step."""
-LONG_S = 1024.0
+MAX_WHOLE_FORCE_S = 1024.0
 """Duration beyond which a Gaussian force is generated segment by segment, s."""
 SEGMENT_S = 256.0
 
@@ -67,9 +67,9 @@ class BurstRandom(_Band, frozen=True, tag="burst"):
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
         noise = _unscaled_noise(sample_count, step_s, self)
-        on_share = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        burst_share = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
         # smooth edges over a twentieth of the burst
-        edge_share = np.clip(np.minimum(on_share, 1 - on_share) * 20, 0, 1)
+        edge_share = np.clip(np.minimum(burst_share, 1 - burst_share) * 20, 0, 1)
         return _scale_to_rms(noise * np.sin(np.pi / 2 * edge_share) ** 2, self.rms_n)
 
 
@@ -197,8 +197,8 @@ class LongForce:
     def __len__(self) -> int:
         return self.samples
 
-    def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
-        first_sample, end_sample, _ = span.indices(self.samples)
+    def __getitem__(self, sample_span: slice) -> Float[np.ndarray, " some"]:
+        first_sample, end_sample, _ = sample_span.indices(self.samples)
         quiet_count, hop_samples = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
         force_n = np.zeros(max(0, end_sample - first_sample))
         for segment_number in range(
@@ -222,7 +222,7 @@ class LongForce:
 
 def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
     """Force of `force_history`; a Gaussian force of more than 1024 s is computed slice by slice."""
-    if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
+    if isinstance(excitation, BandLimitedGaussian) and duration_s > MAX_WHOLE_FORCE_S:
         _check_force(excitation, duration_s, step_s)
         return LongForce(excitation, round(duration_s / step_s), step_s)
     return force_history(excitation, duration_s, step_s)

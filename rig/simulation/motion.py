@@ -54,7 +54,7 @@ class SignalRows(Protocol):
 
 
 @dataclass(frozen=True)
-class Projected:
+class ProjectedSignals:
     """Rows w(t) = shapes q(t) + base(t), computed for the requested slice."""
 
     shapes: Float[np.ndarray, "rows modes"]
@@ -91,8 +91,8 @@ class Motion:
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
         """Force of a rig with a single force, N."""
-        (only,) = self.forces_n
-        return np.asarray(only)
+        (single_force_n,) = self.forces_n
+        return np.asarray(single_force_n)
 
 
 @runtime_checkable
@@ -105,8 +105,8 @@ class Plant(Protocol):
 def concatenated(blocks: Iterator[Motion]) -> Motion:
     """Blocks of a run as one."""
     segments = list(blocks)
-    rows = {
-        name: np.concatenate([getattr(segment, name)[:, :] for segment in segments], axis=1)
-        for name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
+    signals_by_name = {
+        signal_name: np.concatenate([getattr(segment, signal_name)[:, :] for segment in segments], axis=1)
+        for signal_name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
-    return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **rows)
+    return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **signals_by_name)

@@ -9,7 +9,7 @@ import numpy as np
 from rig.errors import RigError, hint
 from rig.model.decoding import explained
 from rig.model.description import Rig
-from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, Level, rattling_level
+from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, ForceLevel, rattling_level
 from rig.simulation.excitation import Excitation, excitation_of
 
 MIN_STEP_RATE_HZ = 2.0**14
@@ -64,12 +64,12 @@ class OwnRig:
         return msgspec.structs.replace(unscaled_excitation, rms_n=self.level.rms_n)
 
     @cached_property
-    def level(self) -> Level:
-        """Level of the force, chosen unless it is given; none where the base alone shakes."""
+    def level(self) -> ForceLevel:
+        """ForceLevel of the force, chosen unless it is given; none where the base alone shakes."""
         if self.machine.is_on_ground(self.machine.forces[0]):
-            return Level(0.0, "as the base alone shakes the rig")
+            return ForceLevel(0.0, "as the base alone shakes the rig")
         if self.settings.rms_n is not None:
-            return Level(self.settings.rms_n, "as set")
+            return ForceLevel(self.settings.rms_n, "as set")
         return rattling_level(self.machine, self.settings.low_hz, self.high_hz)
 
     @property

@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig, Station
 from rig.simulation.plants.loading import connection_forces_n, shaken_base
-from rig.simulation.plants.modal import Model, applied_inputs, body_modes_of, constants_of, model_of, shape_row
+from rig.simulation.plants.modal import ModalModel, applied_inputs, body_modes_of, constants_of, model_of, shape_row
 from rig.simulation.replay import forces_at_steps, step_s_of
 
-MODE_COUNT, MIN_RATE_HZ = 24, 2.0**15
+MODE_COUNT, MIN_STEP_RATE_HZ = 24, 2.0**15
 """Modes of a beam and least step rate of the plant, as in `replay.modal`."""
 
 
@@ -36,28 +36,37 @@ def modal(
     """
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
-    step_s = step_s_of(rig, MIN_RATE_HZ)
+    step_s = step_s_of(rig, MIN_STEP_RATE_HZ)
     steps_per_sample = round(1 / (rig.sample_rate_hz * step_s))
     step_count = (sample_count - 1) * steps_per_sample
     rig_without_base = replace(rig, base_motion=None)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     base_signals = shaken_base(rig_without_base, step_forces, step_s)
     model = model_of(rig_without_base, bool(base_signals), MODE_COUNT)
-    constants, body_modes = constants_of(model, step_s), body_modes_of(rig_without_base, MODE_COUNT)
+    step_constants, body_modes = constants_of(model, step_s), body_modes_of(rig_without_base, MODE_COUNT)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
-    modes_by_stations = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
+    inverse_shapes = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory = np.empty((step_count + 1, 2 * model.omega.size))
-    contact_n = np.empty((2, len(model.eta_rows), step_count))
+    forces_and_bends_n = np.empty((2, len(model.eta_rows), step_count))
     with threadpool_limits(1):  # the matrices are small
         for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
             start_step = first_sample * steps_per_sample
             inputs, input_bends = applied_inputs(
                 rig_without_base, step_forces, base_signals, step_s, slice(start_step + 1, start_step + 1 + step_count)
             )
-            trajectory[0] = (state @ modes_by_stations.T).ravel()
+            trajectory[0] = (state @ inverse_shapes.T).ravel()
             contact_state = contact_state_at(model, trajectory[0], start_step * step_s)
-            advance(trajectory, contact_state, *contact_n, inputs, input_bends, *constants, start_step + 1, step_s)
+            advance(
+                trajectory,
+                contact_state,
+                *forces_and_bends_n,
+                inputs,
+                input_bends,
+                *step_constants,
+                start_step + 1,
+                step_s,
+            )
             sampled_coordinates = trajectory[::steps_per_sample].T.reshape(2, model.omega.size, sample_count)
             np.matmul(shapes, sampled_coordinates, out=window_states)
     return predicted_states
@@ -82,7 +91,9 @@ def modal_inverse(
     return inverse_shapes
 
 
-def contact_state_at(model: Model, state: Float[np.ndarray, " both"], time_s: float) -> Float[np.ndarray, "4 contacts"]:
+def contact_state_at(
+    model: ModalModel, state: Float[np.ndarray, " both"], time_s: float
+) -> Float[np.ndarray, "4 contacts"]:
     """Contact state of `stepping.advance` at a modal state: force, eta, eta', and zero bend."""
     eta_m, rate_m_per_s = (model.eta_rows @ modal_values for modal_values in state.reshape(2, -1))
     force_n = connection_forces_n(model.laws, eta_m, rate_m_per_s, time_s)

@@ -23,21 +23,21 @@ BLOCK_OUTPUTS = 16
 class Decimator:
     """y[n] = sum_k h[k] x[n factor + start + k], in blocks of BLOCK_OUTPUTS: y_b = sum_i T_i' x_(b+i).
 
-    x_b are the factor BLOCK_OUTPUTS samples of x from start + b factor BLOCK_OUTPUTS on; `pieces` are the T_i abreast,
-    each a slice of the Toeplitz matrix of h.
+    x_b are the factor BLOCK_OUTPUTS samples of x from start + b factor BLOCK_OUTPUTS on, start is `first_tap`;
+    `toeplitz_pieces` are the T_i abreast, each a slice of the Toeplitz matrix of h.
     """
 
-    start: int
-    pieces: Float[np.ndarray, "long together_times_pieces"]
+    first_tap: int
+    toeplitz_pieces: Float[np.ndarray, "long together_times_pieces"]
 
     @property
     def piece_count(self) -> int:
         """Number of the T_i."""
-        return self.pieces.shape[1] // BLOCK_OUTPUTS
+        return self.toeplitz_pieces.shape[1] // BLOCK_OUTPUTS
 
     def reach(self, output_count: int) -> int:
         """Samples of x spanned by the blocks of `output_count` outputs; those behind the last tap count as 0."""
-        return self.start + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.pieces)
+        return self.first_tap + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.toeplitz_pieces)
 
 
 def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
@@ -50,24 +50,28 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
     nonzero_response = taps[::-1][first_tap : int(nonzero_taps[-1]) + 1] if nonzero_taps.size else np.zeros(1)
     block_inputs = factor * BLOCK_OUTPUTS
     piece_count = -(-(block_inputs - factor + nonzero_response.size) // block_inputs)
-    toeplitz = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
-    for n in range(BLOCK_OUTPUTS):
-        toeplitz[n * factor : n * factor + nonzero_response.size, n] = nonzero_response
-    return Decimator(first_tap, np.concatenate(np.split(toeplitz, piece_count), axis=1))
+    toeplitz_matrix = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
+    for output in range(BLOCK_OUTPUTS):
+        toeplitz_matrix[output * factor : output * factor + nonzero_response.size, output] = nonzero_response
+    return Decimator(first_tap, np.concatenate(np.split(toeplitz_matrix, piece_count), axis=1))
 
 
 def decimate(
-    filter_: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
+    delay_filter: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
 ) -> Float[np.ndarray, "rows samples"]:
-    """First `output_count` filtered samples of every row; rows must hold at least `filter_.reach(output_count)`."""
-    row_count, piece_count = len(signals), filter_.piece_count
-    input_blocks = signals[:, filter_.start : filter_.reach(output_count)].reshape(row_count, -1, len(filter_.pieces))
-    products = (input_blocks @ filter_.pieces).reshape(row_count, input_blocks.shape[1], piece_count, BLOCK_OUTPUTS)
+    """First `output_count` filtered samples of every row; rows hold at least `delay_filter.reach(output_count)`."""
+    row_count, piece_count = len(signals), delay_filter.piece_count
+    input_blocks = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(
+        row_count, -1, len(delay_filter.toeplitz_pieces)
+    )
+    products = (input_blocks @ delay_filter.toeplitz_pieces).reshape(
+        row_count, input_blocks.shape[1], piece_count, BLOCK_OUTPUTS
+    )
     output_block_count = input_blocks.shape[1] - piece_count + 1
-    filtered = products[:, :output_block_count, 0].copy()
-    for i in range(1, piece_count):
-        filtered += products[:, i : output_block_count + i, i]
-    return filtered.reshape(row_count, -1)[:, :output_count]
+    filtered_blocks = products[:, :output_block_count, 0].copy()
+    for piece in range(1, piece_count):
+        filtered_blocks += products[:, piece : output_block_count + piece, piece]
+    return filtered_blocks.reshape(row_count, -1)[:, :output_count]
 
 
 @dataclass(frozen=True)
@@ -101,48 +105,52 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
     """
     noise_streams, force_count = rng.spawn(len(rig.sensors)), len(rig.forces)
     delay_filters: list[tuple[list[int], Decimator]] = []
-    waiting_steps, steps_before = np.zeros((0, 0)), 0
+    waiting_steps, earlier_step_count = np.zeros((0, 0)), 0
     truth_values: dict[str, Float[np.ndarray, "rows samples"]] = {}
     high_passes = [_HighPass.of(sensor, rig.sample_rate_hz) for sensor in rig.sensors]
     for block in blocks:
-        steps_per_sample, block_steps = _steps_per_sample(rig, block.step_s), block.forces_n.shape[1]
+        steps_per_sample, block_step_count = _steps_per_sample(rig, block.step_s), block.forces_n.shape[1]
         reach_steps = (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
         if not delay_filters:
             delay_filters = _delay_filters(rig, steps_per_sample, reach_steps)
             waiting_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
             if rig.gravity_m_per_s2:  # where its weight bends it
                 waiting_steps[force_count:] = block.sensed[:, :1]
-        sample_columns = (slice(None), slice(-steps_before % steps_per_sample, None, steps_per_sample))
-        steps_before += block_steps
+        sample_columns = (slice(None), slice(-earlier_step_count % steps_per_sample, None, steps_per_sample))
+        earlier_step_count += block_step_count
         new_truth = {name: rows[sample_columns] for name, rows in _truth_of(block).items()}
         truth_values = {
             name: np.concatenate([truth_values[name], rows], axis=1) if truth_values else rows
             for name, rows in new_truth.items()
         }
-        queued_steps = waiting_steps.shape[1] + block_steps
-        new_samples = max(0, (queued_steps - 2 * reach_steps - 1) // steps_per_sample + 1)
-        queue = np.empty(
-            (len(waiting_steps), max(queued_steps, *(filter_.reach(new_samples) for _, filter_ in delay_filters)))
+        queued_count = waiting_steps.shape[1] + block_step_count
+        new_sample_count = max(0, (queued_count - 2 * reach_steps - 1) // steps_per_sample + 1)
+        step_queue = np.empty(
+            (
+                len(waiting_steps),
+                max(queued_count, *(delay_filter.reach(new_sample_count) for _, delay_filter in delay_filters)),
+            )
         )
-        queue[:, : waiting_steps.shape[1]] = waiting_steps
-        queue[:force_count, waiting_steps.shape[1] : queued_steps] = block.forces_n
-        queue[force_count:, waiting_steps.shape[1] : queued_steps] = block.sensed
-        queue[:, queued_steps:] = 0.0
-        waiting_steps = queue[:, new_samples * steps_per_sample : queued_steps]
-        if new_samples:
-            filtered_rows = _apply_filters(delay_filters, queue, new_samples)
+        step_queue[:, : waiting_steps.shape[1]] = waiting_steps
+        step_queue[:force_count, waiting_steps.shape[1] : queued_count] = block.forces_n
+        step_queue[force_count:, waiting_steps.shape[1] : queued_count] = block.sensed
+        step_queue[:, queued_count:] = 0.0
+        waiting_steps = step_queue[:, new_sample_count * steps_per_sample : queued_count]
+        if new_sample_count:
+            filtered_rows = _apply_filters(delay_filters, step_queue, new_sample_count)
             for samples, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
                 if high_pass:
                     samples[:] = high_pass.high_passed(samples)
             sensor_values = {
-                q: _sensor_outputs(rig, q, filtered_rows[force_count:], noise_streams) for q in quantities_of(rig)
+                quantity: _sensor_outputs(rig, quantity, filtered_rows[force_count:], noise_streams)
+                for quantity in quantities_of(rig)
             }
             yield Samples(
                 filtered_rows[:force_count],
                 sensor_values,
-                {name: rows[:, :new_samples] for name, rows in truth_values.items()},
+                {name: rows[:, :new_sample_count] for name, rows in truth_values.items()},
             )
-            truth_values = {name: rows[:, new_samples:] for name, rows in truth_values.items()}
+            truth_values = {name: rows[:, new_sample_count:] for name, rows in truth_values.items()}
 
 
 @dataclass
@@ -172,7 +180,7 @@ def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tu
     delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
     delay_filters = []
     for delay_s in dict.fromkeys(delays_s):
-        row_indices = [k for k, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
+        row_indices = [row for row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
         delay_filters.append(
             (
                 row_indices,
@@ -188,8 +196,8 @@ def _apply_filters(
     if len(delay_filters) == 1:
         return decimate(delay_filters[0][1], step_queue, sample_count)
     filtered_rows = np.empty((len(step_queue), sample_count))
-    for row_indices, filter_ in delay_filters:
-        filtered_rows[row_indices] = decimate(filter_, step_queue[row_indices], sample_count)
+    for row_indices, delay_filter in delay_filters:
+        filtered_rows[row_indices] = decimate(delay_filter, step_queue[row_indices], sample_count)
     return filtered_rows
 
 
@@ -209,15 +217,17 @@ def _sensor_outputs(
 
 
 def _sensor_output(
-    sensor: Sensor, motion: Float[np.ndarray, " samples"], sample_rate_hz: float, noise_stream: np.random.Generator
+    sensor: Sensor, true_values: Float[np.ndarray, " samples"], sample_rate_hz: float, noise_stream: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
     noise_rms = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
-    values = sensor.gain * motion + (noise_rms * noise_stream.standard_normal(motion.size) if noise_rms else 0.0)
+    values = sensor.gain * true_values + (
+        noise_rms * noise_stream.standard_normal(true_values.size) if noise_rms else 0.0
+    )
     if sensor.measuring_range is not None:
         values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
         if sensor.bits is not None:
-            quantum = 2 * sensor.measuring_range / 2**sensor.bits
-            values = np.round(values / quantum) * quantum
+            level_step = 2 * sensor.measuring_range / 2**sensor.bits
+            values = np.round(values / level_step) * level_step
     return values
 
 
@@ -225,13 +235,13 @@ def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) ->
     """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
     time_samples = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
     half_width_samples = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
-    is_inside = np.abs(time_samples) < half_width_samples
-    window = np.zeros(time_samples.size)
+    in_window = np.abs(time_samples) < half_width_samples
+    window_weights = np.zeros(time_samples.size)
     window_times = np.linspace(-half_width_samples, half_width_samples, 4096)
-    window[is_inside] = np.interp(
-        time_samples[is_inside], window_times, scipy.signal.windows.kaiser(window_times.size, 10.0)
+    window_weights[in_window] = np.interp(
+        time_samples[in_window], window_times, scipy.signal.windows.kaiser(window_times.size, 10.0)
     )
-    taps = window * np.sinc(time_samples)
+    taps = window_weights * np.sinc(time_samples)
     if steps_per_sample == 1 and delay_samples == 0:
         return (time_samples == 0).astype(float)
     return taps / taps.sum()

@@ -31,37 +31,35 @@ class Axes:
         """Coordinates in the view, whose y points downwards; values beyond an axis are clipped to its ends."""
         return np.stack([WIDTH * self._share(x, self.x), -HEIGHT * self._share(y, self.y)], axis=1)
 
-    def _share(self, values: Float[np.ndarray, " points"], limits: tuple[float, float]) -> Float[np.ndarray, " points"]:
-        clipped_values = np.clip(values, *limits)
+    def _share(self, values: Float[np.ndarray, " points"], ends: tuple[float, float]) -> Float[np.ndarray, " points"]:
+        clipped_values = np.clip(values, *ends)
         transform = np.log10 if self.is_logarithmic else np.asarray
-        low_end, high_end = transform(np.array(limits))
+        low_end, high_end = transform(np.array(ends))
         return np.asarray((transform(clipped_values) - low_end) / (high_end - low_end))
 
-    def send(self, stream: rr.RecordingStream, path: str, legend: Mapping[str, Colour]) -> None:
+    def send(self, stream: rr.RecordingStream, path: str, colour_by_name: Mapping[str, Colour]) -> None:
         """Send the frame, the grid with its tick labels, the names of the axes, and the legend beside it.
 
         The viewer draws labels below their points: the label of y is below the end of its line.
         """
-        x_ticks, y_ticks = (
-            decades(*limits) if self.is_logarithmic else tick_values(*limits) for limits in (self.x, self.y)
-        )
+        x_ticks, y_ticks = (decades(*ends) if self.is_logarithmic else tick_values(*ends) for ends in (self.x, self.y))
         x_tick_points = self.points(x_ticks, np.full(x_ticks.size, self.y[0])).tolist()
         y_tick_points = self.points(np.full(y_ticks.size, self.x[0]), y_ticks).tolist()
-        grid_lines = [[[a, 0], [a, -HEIGHT]] for a, _ in x_tick_points] + [
-            [[-0.25, b], [WIDTH, b]] for _, b in y_tick_points
+        grid_lines = [[[tick_x, 0], [tick_x, -HEIGHT]] for tick_x, _ in x_tick_points] + [
+            [[-0.25, tick_y], [WIDTH, tick_y]] for _, tick_y in y_tick_points
         ]
         frame_line = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
         colours = [GRID] * len(grid_lines) + [STEEL]
         send_static(
             stream, f"{path}/grid", rr.LineStrips2D([*grid_lines, frame_line], colors=colours, radii=pixels(0.5))
         )
-        label_positions = [[a, 0.5 * LABEL_HALF_HEIGHT] for a, _ in x_tick_points] + [
-            [-0.15, b] for _, b in y_tick_points
+        label_positions = [[tick_x, 0.5 * LABEL_HALF_HEIGHT] for tick_x, _ in x_tick_points] + [
+            [-0.15, tick_y] for _, tick_y in y_tick_points
         ]
         label_positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
         label_texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
         send_labels(stream, f"{path}/figures", label_positions, label_texts, STEEL)
-        for legend_row, (name, colour) in enumerate(legend.items()):
+        for legend_row, (name, colour) in enumerate(colour_by_name.items()):
             name_position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * legend_row]
             send_labels(stream, f"{path}/legend/{legend_row}", [name_position], [name], colour)
 
@@ -74,14 +72,16 @@ def axes_view(
     return rrb.Spatial2DView(origin=origin, name=view_name, visual_bounds=bounds, **settings)
 
 
-def tick_values(low: float, high: float) -> Float[np.ndarray, " figures"]:
+def tick_values(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
-    power_of_ten = 10.0 ** np.floor(np.log10((high - low) / MAX_TICKS))
-    tick_step = power_of_ten * next(m for m in (1, 2, 5, 10, 20) if m * power_of_ten * (MAX_TICKS - 1) >= high - low)
-    first_step = np.ceil(low / tick_step - 1e-9) + 0.0  # not -0
-    return tick_step * np.arange(first_step, np.floor(high / tick_step + 1e-9) + 1)
+    power_of_ten = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICKS))
+    tick_step = power_of_ten * next(
+        multiple for multiple in (1, 2, 5, 10, 20) if multiple * power_of_ten * (MAX_TICKS - 1) >= highest - lowest
+    )
+    first_step = np.ceil(lowest / tick_step - 1e-9) + 0.0  # not -0
+    return tick_step * np.arange(first_step, np.floor(highest / tick_step + 1e-9) + 1)
 
 
-def decades(low: float, high: float) -> Float[np.ndarray, " figures"]:
+def decades(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Powers of ten from low to high."""
-    return 10.0 ** np.arange(np.ceil(np.log10(low) - 1e-9), np.floor(np.log10(high) + 1e-9) + 1)
+    return 10.0 ** np.arange(np.ceil(np.log10(lowest) - 1e-9), np.floor(np.log10(highest) + 1e-9) + 1)

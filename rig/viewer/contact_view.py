@@ -33,14 +33,14 @@ DASH_COUNT = 24
 MAX_CLOSINGS = 20_000
 """Largest number of closings in the log."""
 MAX_PLOTTED_SAMPLES = 1_000_000
-FAR_RATIO = 5.0
+MAX_REACH_RATIO = 5.0
 """Clearance over the other one and the largest motion beyond which a stop is out of reach and of view."""
 NEAR_S = 0.005
 """Time before and after a contact within which every sample is drawn, s."""
 CHANGE_MARKS = (("closes", "circle", "●"), ("opens", "diamond", "◆"))
 """Marks of the first closed and of the first free sample; both bound the time in contact and have its colour."""
 SIDE_NAMES = {-1: "upper", 1: "lower"}
-LABEL_X_OVER_REACH = (1.85, -1.85, 0.55)
+LABEL_X_TO_REACH = (1.85, -1.85, 0.55)
 """Horizontal positions of the labels of the walls and of overlaid laws, over the reach."""
 
 
@@ -85,7 +85,9 @@ class ContactMotion:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
         law, largest_m = self.contact.law, float(np.abs(self.eta_m).max())
         wall_distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-        reached_m = [wall_m for wall_m in wall_distances_m if wall_m <= FAR_RATIO * max(wall_distances_m[0], largest_m)]
+        reached_m = [
+            wall_m for wall_m in wall_distances_m if wall_m <= MAX_REACH_RATIO * max(wall_distances_m[0], largest_m)
+        ]
         return 1.2e3 * max([largest_m, *reached_m]) or 1.0
 
     @property
@@ -179,33 +181,35 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
 def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMotion, half_width_mm: float) -> None:
     """Send the walls with their hatching and labels, those of overlaid laws dashed, and the middle."""
     law = motion.contact.law
-    hatch_ends, colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
-    for level_mm, direction in _wall_levels(law):
+    hatch_ends, wall_colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
+    for wall_y_mm, outward in _wall_levels(law):
         hatch_lines = [
-            [[x, level_mm], [x - 0.05 * half_width_mm, level_mm + direction * 0.05 * half_width_mm]]
-            for x in hatch_ends[1:]
+            [[hatch_x_mm, wall_y_mm], [hatch_x_mm - 0.05 * half_width_mm, wall_y_mm + outward * 0.05 * half_width_mm]]
+            for hatch_x_mm in hatch_ends[1:]
         ]
-        wall_lines = [[[-half_width_mm, level_mm], [half_width_mm, level_mm]], *hatch_lines]
+        wall_lines = [[[-half_width_mm, wall_y_mm], [half_width_mm, wall_y_mm]], *hatch_lines]
         send_static(
             stream,
-            f"{entity_path}/{SIDE_NAMES[direction]}",
-            rr.LineStrips2D(wall_lines, colors=[colour], radii=pixels(1.5)),
+            f"{entity_path}/{SIDE_NAMES[outward]}",
+            rr.LineStrips2D(wall_lines, colors=[wall_colour], radii=pixels(1.5)),
         )
-    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_OVER_REACH[0], colour)
-    for label_x_over_reach, (law_source, overlaid_law) in zip(
-        LABEL_X_OVER_REACH[1:], motion.overlaid_laws.items(), strict=False
+    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_TO_REACH[0], wall_colour)
+    for label_x_to_reach, (law_source, overlaid_law) in zip(
+        LABEL_X_TO_REACH[1:], motion.overlaid_laws.items(), strict=False
     ):
         dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
         dash_lines = [
-            [[a, level_mm], [b, level_mm]] for level_mm, _ in _wall_levels(overlaid_law) for a, b in dash_ends
+            [[dash_start_mm, wall_y_mm], [dash_end_mm, wall_y_mm]]
+            for wall_y_mm, _ in _wall_levels(overlaid_law)
+            for dash_start_mm, dash_end_mm in dash_ends
         ]
         dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
         send_static(stream, f"{entity_path}/{law_source}", dash_strips)
         _send_wall_labels(
-            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_x_over_reach, SOURCES[law_source]
+            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_x_to_reach, SOURCES[law_source]
         )
-    middle_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
-    send_static(stream, f"{entity_path}/middle", middle_line)
+    zero_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
+    send_static(stream, f"{entity_path}/middle", zero_line)
 
 
 def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
@@ -218,26 +222,26 @@ def _send_wall_labels(
     entity_path: str,
     motion: ContactMotion,
     law: ContactLaw,
-    label_x_over_reach: float,
+    label_x_to_reach: float,
     colour: Colour,
 ) -> None:
     law_source = entity_path.rpartition("/")[2]
-    for level_mm, direction in _wall_levels(law):
-        label_position = [label_x_over_reach * motion.reach_mm, level_mm - 0.28 * motion.reach_mm * (direction < 0)]
+    for wall_y_mm, outward in _wall_levels(law):
+        label_position = [label_x_to_reach * motion.reach_mm, wall_y_mm - 0.28 * motion.reach_mm * (outward < 0)]
         send_labels(
             stream,
-            f"{entity_path}/{SIDE_NAMES[direction]}",
+            f"{entity_path}/{SIDE_NAMES[outward]}",
             [label_position],
-            [f"{law_source} {-level_mm:+.4g} mm"],
+            [f"{law_source} {-wall_y_mm:+.4g} mm"],
             colour,
         )
 
 
 def _reading_texts(motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
-    reading_texts, sign = [], "+" if motion.orbit is None else ""
+    reading_texts, sign_format = [], "+" if motion.orbit is None else ""
     for frame_sample in motion.frame_samples:
-        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:{sign}.1f} N"
+        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:{sign_format}.1f} N"
         depth_text = (
             f"{1e3 * abs(motion.depth_m[frame_sample]):.2f} mm deep{force_text}, closed"
             if motion.is_closed[frame_sample]
@@ -264,9 +268,9 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
             (SOURCES[law_source],),
             LAYER_WIDTHS_PX[min(layer, 1)],
         )
-        magnitudes = {wall_text.lstrip("+-") for wall_text in wall_texts}
-        if len(magnitudes) < len(wall_texts):
-            wall_texts = [f"\u00b1{magnitudes.pop()}"]
+        unsigned_texts = {wall_text.lstrip("+-") for wall_text in wall_texts}
+        if len(unsigned_texts) < len(wall_texts):
+            wall_texts = [f"\u00b1{unsigned_texts.pop()}"]
         legend += [(f"{law_source} {wall_text}", SOURCES[law_source]) for wall_text in wall_texts]
     displacement_mm = 1e3 * motion.eta_m[None, motion.plotted_samples]
     send_lines(
@@ -277,17 +281,19 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         [motion.contact.name],
         (motion.colour,),
     )
-    for (label, marker, sign), change_samples in zip(CHANGE_MARKS, _change_samples(motion), strict=True):
-        mark_style = rr.SeriesPoints(colors=[CLOSED], names=[label], markers=[marker], marker_sizes=[4.0])
-        send_static(stream, f"{entity_path}/{label}", mark_style)
+    for (change_name, marker_shape, mark_sign), change_samples in zip(
+        CHANGE_MARKS, _change_samples(motion), strict=True
+    ):
+        mark_style = rr.SeriesPoints(colors=[CLOSED], names=[change_name], markers=[marker_shape], marker_sizes=[4.0])
+        send_static(stream, f"{entity_path}/{change_name}", mark_style)
         send(
             stream,
-            f"{entity_path}/{label}",
+            f"{entity_path}/{change_name}",
             motion.time_s[change_samples],
             rr.Scalars,
             scalars=1e3 * motion.eta_m[change_samples],
         )
-        legend.append((f"{sign} {label}", CLOSED))
+        legend.append((f"{mark_sign} {change_name}", CLOSED))
     send_legend(stream, entity_path, legend)
 
 
@@ -298,9 +304,11 @@ def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """
     change_samples = _change_samples(motion)
     closing_samples, opening_samples = (event_samples[:MAX_CLOSINGS] for event_samples in change_samples)
-    event_texts = [f"{motion.contact.name} closes {motion.closing_place(s)}" for s in closing_samples.tolist()]
-    earlier_closing = np.searchsorted(closing_samples, opening_samples)  # an opening ends the closing before it
-    closing_starts = np.concatenate([[0], closing_samples])[earlier_closing]
+    event_texts = [
+        f"{motion.contact.name} closes {motion.closing_place(sample)}" for sample in closing_samples.tolist()
+    ]
+    closing_index = np.searchsorted(closing_samples, opening_samples)  # an opening ends the closing before it
+    closing_starts = np.concatenate([[0], closing_samples])[closing_index]
     for closing_start, opening_sample in zip(closing_starts, opening_samples, strict=True):
         duration_ms = 1e3 * (motion.time_s[opening_sample] - motion.time_s[closing_start])
         deepest_mm = 1e3 * np.abs(motion.depth_m[closing_start:opening_sample]).max()
@@ -318,13 +326,16 @@ def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         entity("events", motion.contact.name),
         motion.time_s[event_samples[time_order]],
         rr.TextLog,
-        text=[f"{motion.time_s[event_samples[i]]:.4f} s: {event_texts[i]}" for i in time_order],
-        level=[str(log_levels[i]) for i in time_order],
+        text=[
+            f"{motion.time_s[event_samples[event_index]]:.4f} s: {event_texts[event_index]}"
+            for event_index in time_order
+        ],
+        level=[str(log_levels[event_index]) for event_index in time_order],
         color=event_colours[time_order],
     )
 
 
 def _change_samples(motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
     """First samples at which the contact is closed, and at which it is free again."""
-    closed_steps = np.diff(motion.is_closed.astype(int))
-    return np.flatnonzero(closed_steps == 1) + 1, np.flatnonzero(closed_steps == -1) + 1
+    closure_changes = np.diff(motion.is_closed.astype(int))
+    return np.flatnonzero(closure_changes == 1) + 1, np.flatnonzero(closure_changes == -1) + 1

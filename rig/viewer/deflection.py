@@ -35,7 +35,9 @@ class Deflection:
 
         Zero in a direction without stations.
         """
-        station_rows = [i for i, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
+        station_rows = [
+            i for i, station in enumerate(self.stations) if (station.body, station.direction) == (body.name, direction)
+        ]
         if not station_rows:
             return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
         stations_m = np.array([self.stations[row].position_m for row in station_rows])
@@ -99,7 +101,7 @@ def _integrate(
         return samples
     omega = 2 * np.pi * np.fft.rfftfreq(samples.size, 1 / sample_rate_hz)
     tapered_spectrum = np.fft.rfft(samples * tukey(samples.size, min(1.0, 2 * TAPER_S * sample_rate_hz / samples.size)))
-    is_passed = omega >= 2 * np.pi * CORNER_HZ
+    in_passband = omega >= 2 * np.pi * CORNER_HZ
     integration_factor = np.zeros(omega.size, dtype=complex)
-    integration_factor[is_passed] = (1j * omega[is_passed]) ** -integrations
+    integration_factor[in_passband] = (1j * omega[in_passband]) ** -integrations
     return np.fft.irfft(tapered_spectrum * integration_factor, samples.size)

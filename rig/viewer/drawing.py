@@ -57,7 +57,7 @@ def send_lines(
     """Send the lines of a time series; zoomed out, a pixel shows the extreme values, not their mean."""
     layout = rr.SeriesLines(
         names=line_names,
-        colors=[colours[i % len(colours)] for i in range(len(line_names))],
+        colors=[colours[channel_index % len(colours)] for channel_index in range(len(line_names))],
         widths=[width_px] * len(line_names),
         aggregation_policy=rr.components.AggregationPolicy.MinMax,
     )

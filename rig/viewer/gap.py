@@ -95,7 +95,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
         for position_m, share in share_by_position.items()
     }
     marks = (*_effect_marks(report, rig), *_force_marks(report, rig))
-    _check_places(gap_path, rig, (*share_by_station, *(m.station for m in marks)))
+    _check_places(gap_path, rig, (*share_by_station, *(mark.station for mark in marks)))
     if any(end_s > duration_s for _, end_s, _ in share_spans):
         raise RigError(f"{gap_path}: is of a record longer than {duration_s:g} s; show the one that validates")
     horizon_s = report.rollout.horizon_s if report.rollout else 0.0
@@ -115,7 +115,14 @@ def read_corrected(path: Path, rig: Rig) -> Rig | None:
     if not rig_path.exists():
         return None
     corrected_rig = read_rig(rig_path)
-    part_names = [([b.name for b in r.bodies], [c.name for c in r.contacts], r.forces) for r in (corrected_rig, rig)]
+    part_names = [
+        (
+            [body.name for body in compared_rig.bodies],
+            [contact.name for contact in compared_rig.contacts],
+            compared_rig.forces,
+        )
+        for compared_rig in (corrected_rig, rig)
+    ]
     if part_names[0] != part_names[1] or corrected_rig.sample_rate_hz != rig.sample_rate_hz:
         raise RigError(f"{rig_path}: is of another rig than the recording; take the folder of its own diagnosis")
     return corrected_rig
@@ -164,17 +171,17 @@ def _force_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
     if force is None or report.verdict in UNLOCATED_VERDICTS:
         return
     largest_rms_n = max(force.by_time, default=0.0)
-    strengths = tuple(rms / largest_rms_n for rms in force.by_time) if largest_rms_n > 0 else (1.0,)
+    strengths = tuple(rms_n / largest_rms_n for rms_n in force.by_time) if largest_rms_n > 0 else (1.0,)
     if part_name := force.contact or force.sensor:
-        label = "clearance that swings" if force.contact else "fault of the sensor"
+        end_words = "clearance that swings" if force.contact else "fault of the sensor"
         if station := station_named(rig, part_name, 0.5):
-            yield Mark(station, f"{part_name}: {label}", strengths)
+            yield Mark(station, f"{part_name}: {end_words}", strengths)
         return
     words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
-    force_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
-    for body_name, position_m, label in force_ends:
+    body_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
+    for body_name, position_m, end_words in body_ends:
         if body_name is not None and position_m is not None:
-            yield Mark(Station(body_name, position_m), label, strengths, in_contact=force.when == "in contact")
+            yield Mark(Station(body_name, position_m), end_words, strengths, in_contact=force.when == "in contact")
 
 
 def _markdown_text(report: _Gap) -> str:

@@ -35,9 +35,9 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
     for index, mark in enumerate(gap.marks):
         entity_path, positions = f"model/gap/mark_{index}", scene.point(mark.station)
         strengths = _strengths(mark, gap, scene.time_s, _closed_frames(scene, contact_motions))
-        radii = -14.0 * strengths  # negative: pixels
+        negative_radii_px = -14.0 * strengths  # negative: pixels
         send_static(stream, entity_path, rr.Points3D.from_fields(colors=[GAP]))
-        send(stream, entity_path, scene.time_s, rr.Points3D, positions=positions, radii=radii)
+        send(stream, entity_path, scene.time_s, rr.Points3D, positions=positions, radii=negative_radii_px)
         send_static(stream, f"{entity_path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
         label_positions = positions + np.array([0, 0, (0.12 + 0.07 * index) * scene.extent_m])
         send(
@@ -49,8 +49,8 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
             labels=np.where(strengths > 0, mark.words, ""),
         )
     edges_s = np.array([edge_s for start_s, end_s, _ in gap.share_spans for edge_s in (start_s, end_s - 1e-6)])
-    percent = np.array([100 * share for _, _, share in gap.share_spans for _ in range(2)])
-    send_lines(stream, GAP_OVER_TIME, edges_s, percent[None], ["share of the gap"], (GAP,))
+    share_percent = np.array([100 * share for _, _, share in gap.share_spans for _ in range(2)])
+    send_lines(stream, GAP_OVER_TIME, edges_s, share_percent[None], ["share of the gap"], (GAP,))
 
 
 def _closed_frames(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bool[np.ndarray, " frames"]:

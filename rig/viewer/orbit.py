@@ -11,7 +11,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.viewer.drawing import pixels, send_labels, send_static
 from rig.viewer.palette import SOURCES
 
-CIRCLE = np.linspace(0, 2 * np.pi, 97)
+CIRCLE_RAD = np.linspace(0, 2 * np.pi, 97)
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ def send_rings(
     stream: rr.RecordingStream, entity_path: str, radial_laws: Sequence[tuple[str, ContactLaw]], reach_mm: float
 ) -> None:
     """Send a circle with its label for the ring of every law, by its source."""
-    for number, (law_source, law) in enumerate(radial_laws):
+    for law_index, (law_source, law) in enumerate(radial_laws):
         radius_mm, colour, path = 1e3 * law.upper_clearance_m, SOURCES[law_source], f"{entity_path}/{law_source}"
-        circle = radius_mm * np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], axis=1)
-        send_static(stream, path, rr.LineStrips2D([circle], colors=[colour], radii=pixels(1.5)))
-        label_position = [1.85 * reach_mm, (0.3 * number - 0.8) * reach_mm]
+        circle_points_mm = radius_mm * np.stack([np.cos(CIRCLE_RAD), np.sin(CIRCLE_RAD)], axis=1)
+        send_static(stream, path, rr.LineStrips2D([circle_points_mm], colors=[colour], radii=pixels(1.5)))
+        label_position = [1.85 * reach_mm, (0.3 * law_index - 0.8) * reach_mm]
         send_labels(stream, f"{path}/radius", [label_position], [f"{law_source} {radius_mm:.4g} mm"], colour)

@@ -12,7 +12,7 @@ from rig.viewer.drawing import entity, pixels, send, send_static
 from rig.viewer.palette import FORCE, SOURCES
 
 BIN_COUNT = 120
-REST_SHARE = 0.01
+MIN_MOVING_SHARE = 0.01
 """Share of its range by which a contact has to leave its first position to count as moving."""
 
 
@@ -25,8 +25,8 @@ def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         return
     entity_path = entity("phase", motion.contact.name)
     largest_n = 1.1 * float(np.abs(motion.force_n).max()) or 1.0
-    least_n, eta_name = (-largest_n, DISPLACEMENT) if motion.orbit is None else (0.0, DISTANCE)
-    axes = Axes(motion.range_mm, (least_n, largest_n), f"{eta_name}, mm", "force, N")
+    lowest_n, eta_name = (-largest_n, DISPLACEMENT) if motion.orbit is None else (0.0, DISTANCE)
+    axes = Axes(motion.range_mm, (lowest_n, largest_n), f"{eta_name}, mm", "force, N")
     law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
     axes.send(
         stream,
@@ -46,15 +46,15 @@ def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     send_static(stream, f"{entity_path}/seen", line_style)
     force_points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
     frame_positions = np.searchsorted(motion.plotted_samples, motion.frame_samples)
-    force_strips = [force_points[a : b + 1] for a, b in pairwise(frame_positions)]
+    force_strips = [force_points[start_index : stop_index + 1] for start_index, stop_index in pairwise(frame_positions)]
     send(stream, f"{entity_path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=force_strips)
 
 
 def send_histogram(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
-    moved_m = np.abs(motion.eta_m - motion.eta_m[0])
-    moving_m = motion.eta_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(motion.eta_m))) :]
-    bin_counts, bin_edges_mm = np.histogram(1e3 * moving_m, BIN_COUNT, range=motion.range_mm)
-    time_percent = 100 * bin_counts / moving_m.size
+    distance_moved_m = np.abs(motion.eta_m - motion.eta_m[0])
+    eta_in_motion_m = motion.eta_m[int(np.argmax(distance_moved_m > MIN_MOVING_SHARE * np.ptp(motion.eta_m))) :]
+    bin_counts, bin_edges_mm = np.histogram(1e3 * eta_in_motion_m, BIN_COUNT, range=motion.range_mm)
+    time_percent = 100 * bin_counts / eta_in_motion_m.size
     bar_chart = rr.BarChart(time_percent, abscissa=bin_edges_mm[:-1], widths=np.diff(bin_edges_mm), color=motion.colour)
     send_static(stream, entity("histogram", motion.contact.name), bar_chart)

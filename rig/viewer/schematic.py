@@ -31,13 +31,19 @@ def draw(rig: Rig, path: Path) -> None:
     """
     drawing = Drawing()
     for direction, plane in plane_rigs(rig).items():
-        laws = {contact.name: contact.law for contact in rig.contacts}
-        contacts = tuple(replace(contact, law=laws[contact.name]) for contact in plane.contacts)
-        numbers = [k for k, station in enumerate(rig.forces, start=1) if station.direction == direction]
+        law_by_contact = {contact.name: contact.law for contact in rig.contacts}
+        contacts = tuple(replace(contact, law=law_by_contact[contact.name]) for contact in plane.contacts)
+        force_numbers = [
+            force_number for force_number, station in enumerate(rig.forces, start=1) if station.direction == direction
+        ]
         lowest_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
         layout = _layout(replace(plane, contacts=contacts), lowest_px + VIEW_GAP_PX)
         drawing.text(0.0, layout.title_px, f"{rig.name}{VIEW_WORDS[direction] if rig.in_space else ''}", size=16)
-        _draw_view(drawing, layout, [f"F{k}" if len(rig.forces) > 1 else "force F" for k in numbers])
+        _draw_view(
+            drawing,
+            layout,
+            [f"F{force_number}" if len(rig.forces) > 1 else "force F" for force_number in force_numbers],
+        )
     drawing.write(path)
 
 
@@ -57,8 +63,10 @@ def _draw_view(drawing: Drawing, layout: "_SchematicLayout", force_names: Sequen
         drawing.text(0.0, layout.title_px + 38, f"gravity {rig.gravity_m_per_s2:g} m/s\u00b2 downwards", GREY)
     if rig.base_motion:
         base = rig.base_motion
-        words = f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
-        drawing.text(0.0, layout.level_px[rig.bodies[0].name] + ATTACHED_PX + 90, words, FORCE_INK)
+        base_words = (
+            f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
+        )
+        drawing.text(0.0, layout.level_px[rig.bodies[0].name] + ATTACHED_PX + 90, base_words, FORCE_INK)
 
 
 @dataclass(frozen=True)
@@ -72,12 +80,12 @@ class _SchematicLayout:
     slot_items: dict[str, tuple[object, ...]]
     title_px: float
 
-    def x_px(self, station: Station, item: object) -> float:
+    def x_px(self, station: Station, drawn_item: object) -> float:
         left_px = self.left_px[station.body]
         items = self.slot_items.get(station.body)
         if items is None:
             return left_px + self.px_per_m * station.position_m
-        return left_px + SLOT_PX * (next(slot for slot, other_body in enumerate(items) if other_body is item) + 0.5)
+        return left_px + SLOT_PX * (next(slot for slot, slot_item in enumerate(items) if slot_item is drawn_item) + 0.5)
 
     def half_px(self, body: str) -> float:
         return MASS_HALF_PX if body in self.slot_items else BODY_HALF_PX
@@ -103,211 +111,230 @@ def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
 def _items_on(rig: Rig, body: Body) -> Iterator[object]:
     """Items on a mass from left to right, beginning with its own spring."""
     yield body
-    yield from (c for c in rig.contacts if body.name in (c.at.body, c.against.body if c.against else ""))
+    yield from (
+        contact
+        for contact in rig.contacts
+        if body.name in (contact.at.body, contact.against.body if contact.against else "")
+    )
     yield from (station for station in dict.fromkeys(rig.forces) if station.body == body.name)
     if any(sensor.station.body == body.name for sensor in rig.sensors):
         yield rig.sensors
-    for attached in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
-        yield from (item for item in attached if item.station.body == body.name)
+    for components in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
+        yield from (drawn_item for drawn_item in components if drawn_item.station.body == body.name)
 
 
 def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
-    level, left_px = layout.level_px[body.name], layout.left_px[body.name]
+    level_px, left_px = layout.level_px[body.name], layout.left_px[body.name]
     items = layout.slot_items.get(body.name)
-    width = layout.px_per_m * body.length_m if items is None else SLOT_PX * len(items)
+    width_px = layout.px_per_m * body.length_m if items is None else SLOT_PX * len(items)
     drawing.box(
         left_px,
         layout.top_px(body.name),
-        left_px + width,
+        left_px + width_px,
         layout.bottom_px(body.name),
         dashed=bool(len(body.positions_m)),
     )
     for x_m in body.positions_m:
-        drawing.dot(left_px + layout.px_per_m * float(x_m), level, GREY, 2.0)
+        drawing.dot(left_px + layout.px_per_m * float(x_m), level_px, GREY, 2.0)
     if body.clamped:
-        drawing.wall(left_px, level, 30.0)
+        drawing.wall(left_px, level_px, 30.0)
     if items is not None:
-        drawing.text(left_px + 8, level + 4, f"{body.name}: {body.mass_kg:g} kg")
-        x, bottom = layout.x_px(Station(body.name), body), layout.bottom_px(body.name)
-        drawing.spring(x - 12, bottom, bottom + ATTACHED_PX)
-        drawing.damper(x + 14, bottom, bottom + ATTACHED_PX)
-        drawing.ground(x, bottom + ATTACHED_PX, 60.0)
-        (hz,), (ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
-        drawing.text(left_px, bottom + ATTACHED_PX + 24, f"{hz:g} Hz, damping ratio {ratio:g}")
+        drawing.text(left_px + 8, level_px + 4, f"{body.name}: {body.mass_kg:g} kg")
+        x_px, bottom_px = layout.x_px(Station(body.name), body), layout.bottom_px(body.name)
+        drawing.spring(x_px - 12, bottom_px, bottom_px + ATTACHED_PX)
+        drawing.damper(x_px + 14, bottom_px, bottom_px + ATTACHED_PX)
+        drawing.ground(x_px, bottom_px + ATTACHED_PX, 60.0)
+        (natural_hz,), (damping_ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
+        drawing.text(left_px, bottom_px + ATTACHED_PX + 24, f"{natural_hz:g} Hz, damping ratio {damping_ratio:g}")
         return
     beam = next((beam for beam in layout.rig.beams if beam == body), None)
-    size = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
+    size_text = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
     if beam and beam.outer_diameter_m:
-        size = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
+        size_text = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
     drawing.text(
-        left_px, layout.top_px(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size}", size=13
+        left_px, layout.top_px(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size_text}", size=13
     )
     _draw_ruler(drawing, layout, body)
 
 
 def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
-    rig, left_px, y = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
+    rig, left_px, ruler_y_px = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
     stations = [*rig.forces, *(s for contact in rig.contacts for s in (contact.at, contact.against) if s is not None)]
     stations += [
-        item.station
-        for position_group in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
-        for item in position_group
+        component.station
+        for components in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
+        for component in components
     ]
-    places = sorted({0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)})
-    drawing.line((left_px, y), (left_px + layout.px_per_m * body.length_m, y), colour=GREY, width=1.0)
-    labelled_x = -1e9
-    for x_m in places:
-        x = left_px + layout.px_per_m * x_m
-        drawing.line((x, y - 5), (x, y + 5), colour=GREY, width=1.0)
-        is_low = x - labelled_x < 48  # beside the one before there is no room
-        drawing.text(x, y + (30 if is_low else 18), f"{x_m:g} m", GREY, "middle", size=11)
-        labelled_x = -1e9 if is_low else x
+    labelled_positions_m = sorted(
+        {0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)}
+    )
+    drawing.line((left_px, ruler_y_px), (left_px + layout.px_per_m * body.length_m, ruler_y_px), colour=GREY, width=1.0)
+    labelled_x_px = -1e9
+    for x_m in labelled_positions_m:
+        x_px = left_px + layout.px_per_m * x_m
+        drawing.line((x_px, ruler_y_px - 5), (x_px, ruler_y_px + 5), colour=GREY, width=1.0)
+        is_lowered = x_px - labelled_x_px < 48  # beside the one before there is no room
+        drawing.text(x_px, ruler_y_px + (30 if is_lowered else 18), f"{x_m:g} m", GREY, "middle", size=11)
+        labelled_x_px = -1e9 if is_lowered else x_px
 
 
 def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     """Draw the two stops of a contact and their carrier, another body or the ground; or a spring between them."""
-    x, name = layout.x_px(contact.at, contact), contact.at.body
-    upper, lower = layout.top_px(name) - GAP_PX, layout.bottom_px(name) + GAP_PX
+    x_px, body_name = layout.x_px(contact.at, contact), contact.at.body
+    upper_stop_px, lower_stop_px = layout.top_px(body_name) - GAP_PX, layout.bottom_px(body_name) + GAP_PX
     if not contact.law.has_stops:
-        _strut(drawing, layout, contact)
+        _draw_strut(drawing, layout, contact)
         return
     sides = contact.law.sides or (-1, 1)
-    for y, side in ((upper, 1), (lower, -1)):
+    for stop_y_px, side in ((upper_stop_px, 1), (lower_stop_px, -1)):
         if side not in sides:
             continue
         if contact.against is None:
-            drawing.ground(x, y, upwards=side > 0)
+            drawing.ground(x_px, stop_y_px, upwards=side > 0)
         else:
-            drawing.line((x - 16, y), (x + 16, y), colour=BELIEVED_INK, width=3.0)
+            drawing.line((x_px - 16, stop_y_px), (x_px + 16, stop_y_px), colour=BELIEVED_INK, width=3.0)
     if contact.against is not None:
         against = contact.against
-        against_x = layout.x_px(against, contact)
-        is_below = layout.level_px[against.body] > layout.level_px[name]
-        other_px = layout.top_px(against.body) if is_below else layout.bottom_px(against.body)
-        end_levels = (upper if is_below else lower, other_px)
-        middle = (layout.level_px[name] + layout.level_px[against.body]) / 2
+        against_x_px = layout.x_px(against, contact)
+        is_below = layout.level_px[against.body] > layout.level_px[body_name]
+        carrier_y_px = layout.top_px(against.body) if is_below else layout.bottom_px(against.body)
+        end_y_px = (upper_stop_px if is_below else lower_stop_px, carrier_y_px)
+        middle_y_px = (layout.level_px[body_name] + layout.level_px[against.body]) / 2
         drawing.line(
-            (x, end_levels[0]), (x, middle), (against_x, middle), (against_x, end_levels[1]), colour=BELIEVED_INK
+            (x_px, end_y_px[0]),
+            (x_px, middle_y_px),
+            (against_x_px, middle_y_px),
+            (against_x_px, end_y_px[1]),
+            colour=BELIEVED_INK,
         )
 
 
-def _strut(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
+def _draw_strut(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     """Draw a spring from a body to the one above or below it, or to the ground below."""
-    x, name, against = layout.x_px(contact.at, contact), contact.at.body, contact.against
+    x_px, body_name, against = layout.x_px(contact.at, contact), contact.at.body, contact.against
     if against is None:
-        drawing.spring(x, layout.bottom_px(name), layout.bottom_px(name) + STRUT_PX)
-        drawing.ground(x, layout.bottom_px(name) + STRUT_PX)
+        drawing.spring(x_px, layout.bottom_px(body_name), layout.bottom_px(body_name) + STRUT_PX)
+        drawing.ground(x_px, layout.bottom_px(body_name) + STRUT_PX)
         return
-    lower, higher = sorted((name, against.body), key=lambda body: -layout.level_px[body])
-    far_x = layout.x_px(against, contact)
-    drawing.spring(x, layout.bottom_px(higher), layout.top_px(lower))
-    end_y = layout.top_px(lower) if lower == against.body else layout.bottom_px(higher)
-    drawing.line((x, end_y), (far_x, end_y), colour=BELIEVED_INK)
+    lower_body, higher_body = sorted((body_name, against.body), key=lambda body: -layout.level_px[body])
+    against_x_px = layout.x_px(against, contact)
+    drawing.spring(x_px, layout.bottom_px(higher_body), layout.top_px(lower_body))
+    end_y_px = layout.top_px(lower_body) if lower_body == against.body else layout.bottom_px(higher_body)
+    drawing.line((x_px, end_y_px), (against_x_px, end_y_px), colour=BELIEVED_INK)
 
 
 def _draw_clearances(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
-    x, name, law = layout.x_px(contact.at, contact), contact.at.body, contact.law
-    upper, lower = layout.top_px(name) - GAP_PX, layout.bottom_px(name) + GAP_PX
+    x_px, body_name, law = layout.x_px(contact.at, contact), contact.at.body, contact.law
+    upper_stop_px, lower_stop_px = layout.top_px(body_name) - GAP_PX, layout.bottom_px(body_name) + GAP_PX
     for wall_m, side in walls_m(law) if law.has_stops else ():
-        sign, y = ("+", upper) if side > 0 else ("\u2212", lower)
-        drawing.text(x + 20, y + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
+        sign, text_y_px = ("+", upper_stop_px) if side > 0 else ("\u2212", lower_stop_px)
+        drawing.text(x_px + 20, text_y_px + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
     bodies = [station.body for station in contact_stations(contact)]
-    below = name if law.has_stops else min(bodies, key=lambda body: layout.level_px[body])
-    text_x, y = x + (8 if law.has_stops else 14), layout.bottom_px(below) + GAP_PX + 22
+    lowest_body = body_name if law.has_stops else min(bodies, key=lambda body: layout.level_px[body])
+    text_x_px, text_y_px = x_px + (8 if law.has_stops else 14), layout.bottom_px(lowest_body) + GAP_PX + 22
     for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
-        drawing.text(text_x, y, words, BELIEVED_INK, size=11)
-        y += 14
+        drawing.text(text_x_px, text_y_px, words, BELIEVED_INK, size=11)
+        text_y_px += 14
 
 
 def _contact_notes(contact: Contact) -> Iterator[str]:
     if contact.law.damping_n_s_per_m:
         yield f"{contact.law.damping_n_s_per_m:g} N s/m"
-    kind = str(contact.law.__struct_config__.tag)
-    if kind != "dead_zone":
-        yield kind
+    law_tag = str(contact.law.__struct_config__.tag)
+    if law_tag != "dead_zone":
+        yield law_tag
     if isinstance(contact.law, Annular) and contact.law.friction_coefficient:
         yield f"friction {contact.law.friction_coefficient:g}"
 
 
 def _draw_forces(drawing: Drawing, layout: _SchematicLayout, force_names: Sequence[str]) -> None:
-    names = dict[Station, list[str]]()
+    names_by_station = dict[Station, list[str]]()
     for station, name in zip(layout.rig.forces, force_names, strict=False):
-        names.setdefault(station, []).append(name)
-    for station in (s for s in names if not layout.rig.is_on_ground(s)):
-        x, top = layout.x_px(station, station), layout.top_px(station.body)
-        drawing.arrow((x, top - 1), (x, top - 80), FORCE_INK, 3.0)
-        drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE_INK)
+        names_by_station.setdefault(station, []).append(name)
+    for station in (s for s in names_by_station if not layout.rig.is_on_ground(s)):
+        x_px, top_px = layout.x_px(station, station), layout.top_px(station.body)
+        drawing.arrow((x_px, top_px - 1), (x_px, top_px - 80), FORCE_INK, 3.0)
+        drawing.text(x_px + 10, top_px - 70, ", ".join(names_by_station[station]), FORCE_INK)
 
 
 def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
     """Draw a mark at every station, with the letters of its quantities and its position."""
-    quantities: dict[Station, list[str]] = {}
+    letters_by_station: dict[Station, list[str]] = {}
     for sensor in layout.rig.sensors:
-        quantities.setdefault(sensor.station, []).append(LETTERS.get(sensor.quantity, sensor.quantity))
-    for station, letters in quantities.items():
+        letters_by_station.setdefault(sensor.station, []).append(LETTERS.get(sensor.quantity, sensor.quantity))
+    for station, letters in letters_by_station.items():
         if layout.rig.is_on_ground(station):
             continue
-        x, top = layout.x_px(station, layout.rig.sensors), layout.top_px(station.body)
-        drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR_INK, fill=SENSOR_INK)
-        place = (
+        x_px, top_px = layout.x_px(station, layout.rig.sensors), layout.top_px(station.body)
+        drawing.line(
+            (x_px - 5, top_px - 9), (x_px + 5, top_px - 9), (x_px, top_px - 1), colour=SENSOR_INK, fill=SENSOR_INK
+        )
+        place_text = (
             ""
             if station.body in layout.slot_items
             else f"  {place_name(layout.rig.body(station.body), station.position_m)}"
         )
         drawing.text(
-            x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
+            x_px + 4,
+            top_px - GAP_PX - 10,
+            ", ".join(dict.fromkeys(letters)) + place_text,
+            SENSOR_INK,
+            rotation_deg=-60,
+            size=11,
         )
-    if quantities:
-        used = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
-        key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
+    if letters_by_station:
+        used_quantities = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
+        letters_key = ", ".join(f"{LETTERS.get(quantity, quantity)} {quantity}" for quantity in used_quantities)
         if layout.rig.base_sensors:
-            key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in layout.rig.base_sensors)
-        drawing.text(0.0, layout.title_px + 20, f"sensors: {key}", SENSOR_INK)
+            letters_key += "; on the ground: " + ", ".join(
+                LETTERS.get(s.quantity, s.quantity) for s in layout.rig.base_sensors
+            )
+        drawing.text(0.0, layout.title_px + 20, f"sensors: {letters_key}", SENSOR_INK)
 
 
 def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
     rig = layout.rig
     for mass in rig.masses:
-        x, top = layout.x_px(mass.station, mass), layout.top_px(mass.station.body)
-        drawing.box(x - 9, top - 18, x + 9, top, fill=INK)
-        drawing.text(x - 12, top - 6, f"{mass.mass_kg:g} kg", anchor="end", size=11)
+        x_px, top_px = layout.x_px(mass.station, mass), layout.top_px(mass.station.body)
+        drawing.box(x_px - 9, top_px - 18, x_px + 9, top_px, fill=INK)
+        drawing.text(x_px - 12, top_px - 6, f"{mass.mass_kg:g} kg", anchor="end", size=11)
     for spring in rig.springs:
-        cubic, turning = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
-        values = [(spring.stiffness_n_per_m, "N/m"), cubic, turning]
-        _grounded(drawing, layout, spring.station, spring, drawing.spring, values)
+        cubic_value, rotational_value = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
+        values_and_units = [(spring.stiffness_n_per_m, "N/m"), cubic_value, rotational_value]
+        _draw_grounded(drawing, layout, spring.station, spring, drawing.spring, values_and_units)
     for support in rig.supports:
-        values = [(support.stiffness_n_per_m or 0.0, "N/m")]
-        _grounded(drawing, layout, support.station, support, drawing.pin, values)
+        values_and_units = [(support.stiffness_n_per_m or 0.0, "N/m")]
+        _draw_grounded(drawing, layout, support.station, support, drawing.pin, values_and_units)
     for damper in rig.dampers:
-        values = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
-        _grounded(drawing, layout, damper.station, damper, drawing.damper, values)
+        values_and_units = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
+        _draw_grounded(drawing, layout, damper.station, damper, drawing.damper, values_and_units)
     for clamp in rig.clamps:
-        x, y = layout.left_px[clamp.body], layout.level_px[clamp.body]
-        drawing.dot(x, y, BELIEVED_INK, 6.0)
-        drawing.text(x - 12, y + 46, f"{clamp.rotational_n_m_per_rad:g} N m/rad", size=11)
+        x_px, y_px = layout.left_px[clamp.body], layout.level_px[clamp.body]
+        drawing.dot(x_px, y_px, BELIEVED_INK, 6.0)
+        drawing.text(x_px - 12, y_px + 46, f"{clamp.rotational_n_m_per_rad:g} N m/rad", size=11)
     for load in rig.loads:
-        x, top = layout.x_px(load.station, load), layout.top_px(load.station.body)
-        arrow_ends = ((x, top - 1), (x, top - 40))
+        x_px, top_px = layout.x_px(load.station, load), layout.top_px(load.station.body)
+        arrow_ends = ((x_px, top_px - 1), (x_px, top_px - 40))
         drawing.arrow(*(arrow_ends if load.force_n >= 0 else arrow_ends[::-1]))
-        drawing.text(x + 6, top - 30, f"{abs(load.force_n):g} N", size=11)
+        drawing.text(x_px + 6, top_px - 30, f"{abs(load.force_n):g} N", size=11)
     for tone in rig.tones:
-        x, top = layout.x_px(tone.station, tone), layout.top_px(tone.station.body)
-        drawing.arrow((x, top - 1), (x, top - 40), FORCE_INK, 1.5)
-        drawing.text(x + 6, top - 30, f"tone {tone.frequency_hz:g} Hz", FORCE_INK, size=11)
+        x_px, top_px = layout.x_px(tone.station, tone), layout.top_px(tone.station.body)
+        drawing.arrow((x_px, top_px - 1), (x_px, top_px - 40), FORCE_INK, 1.5)
+        drawing.text(x_px + 6, top_px - 30, f"tone {tone.frequency_hz:g} Hz", FORCE_INK, size=11)
 
 
-def _grounded(
+def _draw_grounded(
     drawing: Drawing,
     layout: _SchematicLayout,
     station: Station,
-    item: object,
-    shape: Callable[[float, float, float], None],
-    values: list[tuple[float, str]],
+    drawn_item: object,
+    draw_shape: Callable[[float, float, float], None],
+    values_and_units: list[tuple[float, str]],
 ) -> None:
     """Draw a spring, support or damper under a body, with its non-zero values."""
-    x, bottom = layout.x_px(station, item), layout.bottom_px(station.body)
-    shape(x, bottom, bottom + ATTACHED_PX)
-    drawing.ground(x, bottom + ATTACHED_PX)
-    for k, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
-        drawing.text(x + 12, bottom + ATTACHED_PX - 8 - 14 * k, words, size=11)
+    x_px, bottom_px = layout.x_px(station, drawn_item), layout.bottom_px(station.body)
+    draw_shape(x_px, bottom_px, bottom_px + ATTACHED_PX)
+    drawing.ground(x_px, bottom_px + ATTACHED_PX)
+    for line_number, words in enumerate(f"{value:g} {unit}" for value, unit in values_and_units if value):
+        drawing.text(x_px + 12, bottom_px + ATTACHED_PX - 8 - 14 * line_number, words, size=11)

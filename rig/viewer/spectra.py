@@ -46,13 +46,13 @@ def spectra_of(
         for body in recording.rig.bodies:
             station_samples = zip(quantity_signals.channels.stations, quantity_signals.values, strict=True)
             samples_by_name = {
-                f"{s.position_m:g} m": samples
-                for s, samples in station_samples
-                if s is not None and s.body == body.name
+                f"{station.position_m:g} m": samples
+                for station, samples in station_samples
+                if station is not None and station.body == body.name
             }
             origin, unit = entity("spectra", quantity, body.name), printed_unit(UNITS[quantity])
             spectra.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, samples_by_name))
-    return [group for group in spectra if group.signals]
+    return [shown_spectra for shown_spectra in spectra if shown_spectra.signals]
 
 
 def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_hz: float) -> None:
@@ -72,7 +72,7 @@ def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_
         zip(spectra.signals, shades(FORCE if spectra.unit == "N" else SENSOR, len(density)), strict=True)
     )
     axes.send(stream, spectra.origin, colour_by_name)
-    spectrum_lines = [axes.points(frequency_hz, densities_row) for densities_row in density]
+    spectrum_lines = [axes.points(frequency_hz, signal_density) for signal_density in density]
     line_strips = rr.LineStrips2D(
         spectrum_lines, colors=[*colour_by_name.values()], radii=pixels(0.75), draw_order=50.0
     )

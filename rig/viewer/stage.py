@@ -70,35 +70,46 @@ class Stage:
         return self.frame_samples / self.sample_rate_hz
 
     def depth_m(self, body_name: str) -> float:
-        return 0.0 if self.masses_alone else -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body_name)
+        return (
+            0.0
+            if self.masses_alone
+            else -0.1 * self.extent_m * [body.name for body in self.rig.bodies].index(body_name)
+        )
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        displacements_m = [self.deflection.displacement_at(replace(station, direction=d)) for d in DIRECTIONS]
-        up, out = (self.magnification * w[self.frame_samples, None] for w in displacements_m)
-        return self._points_on_body(np.full(up.shape, station.position_m), station.body, up, out)[:, 0]
+        displacements_m = [
+            self.deflection.displacement_at(replace(station, direction=direction)) for direction in DIRECTIONS
+        ]
+        up_m, towards_eye_m = (
+            self.magnification * displacement_m[self.frame_samples, None] for displacement_m in displacements_m
+        )
+        return self._points_on_body(np.full(up_m.shape, station.position_m), station.body, up_m, towards_eye_m)[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
         """Neutral line of a body at rest, slightly longer than the body."""
         overhang_m = 0.03 * self.extent_m + self._half_size_m(body)
-        x = np.array([[-overhang_m, body.length_m + overhang_m]])
-        return self._points_on_body(x, body.name, np.zeros((1, 2)))[0]
+        end_x_m = np.array([[-overhang_m, body.length_m + overhang_m]])
+        return self._points_on_body(end_x_m, body.name, np.zeros((1, 2)))[0]
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
         """Outline of a body: the neutral line of a beam, the square of a mass."""
         if body.length_m:
-            x, z = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
-            deflection_m = self.deflection.of_body(body, x, self.frame_samples).T
-            out_m = self.deflection.of_body(body, x, self.frame_samples, "z").T
+            node_x_m, outline_z_m = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
+            deflection_m = self.deflection.of_body(body, node_x_m, self.frame_samples).T
+            towards_eye_m = self.deflection.of_body(body, node_x_m, self.frame_samples, "z").T
         else:
-            x, z = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            deflection_m, out_m = (
-                self.deflection.displacement_at(Station(body.name, 0.0, d))[self.frame_samples, None]
-                for d in DIRECTIONS
+            node_x_m, outline_z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+            deflection_m, towards_eye_m = (
+                self.deflection.displacement_at(Station(body.name, 0.0, direction))[self.frame_samples, None]
+                for direction in DIRECTIONS
             )
-        x = np.broadcast_to(x, (self.frame_samples.size, x.size))
+        node_x_m = np.broadcast_to(node_x_m, (self.frame_samples.size, node_x_m.size))
         return self._points_on_body(
-            x, body.name, z + self.magnification * deflection_m, self.magnification * out_m + 0 * x
+            node_x_m,
+            body.name,
+            outline_z_m + self.magnification * deflection_m,
+            self.magnification * towards_eye_m + 0 * node_x_m,
         )
 
     def centre(self, body: Body) -> Float[np.ndarray, "frames 3"]:
@@ -130,8 +141,10 @@ class Stage:
         """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None
-        y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
-        return np.stack([np.full(5, self.left_ends_m[body.name]), self.depth_m(body.name) + y, z], axis=1)
+        corner_depth_m, corner_height_m = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
+        return np.stack(
+            [np.full(5, self.left_ends_m[body.name]), self.depth_m(body.name) + corner_depth_m, corner_height_m], axis=1
+        )
 
     def stands_beside(self, contact: Contact) -> bool:
         """True for a contact of two masses side by side: a tongue of one between two stops of the other."""
@@ -158,11 +171,13 @@ class Stage:
         if contact.against is not None and self.masses_alone:
             body_names = {contact.at.body, contact.against.body}
             sharing_contacts = [
-                c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == body_names
+                other_contact.name
+                for other_contact in self.rig.contacts
+                if other_contact.against and {other_contact.at.body, other_contact.against.body} == body_names
             ]
-            share = (sharing_contacts.index(contact.name) + 1) / (len(sharing_contacts) + 1)
-            side_x_m, across_m = self._between(contact.at.body, contact.against.body)
-            tip_points[:, 0] = side_x_m + share * across_m
+            gap_share = (sharing_contacts.index(contact.name) + 1) / (len(sharing_contacts) + 1)
+            facing_side_x_m, gap_width_m = self._between(contact.at.body, contact.against.body)
+            tip_points[:, 0] = facing_side_x_m + gap_share * gap_width_m
         return tip_points
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
@@ -170,15 +185,17 @@ class Stage:
         tip_points, half_size_m = self.tip(contact), self._half_size_m(self.rig.body(contact.at.body))
         jaw_points = np.repeat(tip_points[:, None], 4, axis=1)
         if contact.against is None:
-            open_side = -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0  # towards the other masses
-            jaw_points[..., 0] += open_side * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            open_direction = (
+                -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0
+            )  # towards the other masses
+            jaw_points[..., 0] += open_direction * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
             carrier_z_m = np.zeros(self.frame_samples.size)
         else:
             carrier_z_m = self.point(contact.against)[:, 2]
             if self.masses_alone:
-                side_x_m, across_m = self._between(contact.at.body, contact.against.body)
-                jaw_points[:, 1:3, 0], half_size_m = side_x_m + across_m, 0.0
-                jaw_points[:, [0, 3], 0] -= 0.1 * across_m
+                facing_side_x_m, gap_width_m = self._between(contact.at.body, contact.against.body)
+                jaw_points[:, 1:3, 0], half_size_m = facing_side_x_m + gap_width_m, 0.0
+                jaw_points[:, [0, 3], 0] -= 0.1 * gap_width_m
             else:
                 jaw_points[:, 1:3, 1] = self.depth_m(contact.against.body)
         jaw_points[..., 2] = carrier_z_m[:, None]
@@ -196,26 +213,27 @@ class Stage:
     def ring(self, contact: Contact) -> Float[np.ndarray, "frames corners 3"]:
         """Ring of an annular contact about the point that moves in it, and the line to its carrier."""
         angle_rad = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNERS)
-        radius = self.magnification * contact.law.clearance_m + self._half_size_m(self.rig.body(contact.at.body))
-        centres = np.zeros((self.frame_samples.size, 3))
-        centres[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
-        corners = radius * np.stack([0 * angle_rad, -np.sin(angle_rad), np.cos(angle_rad)], axis=1)
-        carriers = centres[:, None]
+        radius_m = self.magnification * contact.law.clearance_m + self._half_size_m(self.rig.body(contact.at.body))
+        centre_points = np.zeros((self.frame_samples.size, 3))
+        centre_points[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
+        circle_points = radius_m * np.stack([0 * angle_rad, -np.sin(angle_rad), np.cos(angle_rad)], axis=1)
+        carrier_points = centre_points[:, None]
         if contact.against is not None:
-            carriers = self.point(contact.against)[:, None]
-            centres[:, 1:] = carriers[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
-        centres[:, 1] += self.depth_m(contact.at.body)
+            carrier_points = self.point(contact.against)[:, None]
+            centre_points[:, 1:] = carrier_points[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
+        centre_points[:, 1] += self.depth_m(contact.at.body)
         law = self.rig.contact(contact.name).law
         if isinstance(law, Annular):
-            centres[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
-        ring_points = centres[:, None] + corners
-        return ring_points if contact.against is None else np.concatenate([ring_points, carriers], axis=1)
+            centre_points[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
+        ring_points = centre_points[:, None] + circle_points
+        return ring_points if contact.against is None else np.concatenate([ring_points, carrier_points], axis=1)
 
-    def _between(self, body_name: str, other_name: str) -> tuple[float, float]:
+    def _between(self, body_name: str, other_body_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
-        middle_m, to_other_m = self.left_ends_m[body_name], self.left_ends_m[other_name] - self.left_ends_m[body_name]
-        half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), to_other_m)
-        return middle_m + half_size_m, to_other_m - 2 * half_size_m
+        body_x_m = self.left_ends_m[body_name]
+        way_to_other_m = self.left_ends_m[other_body_name] - self.left_ends_m[body_name]
+        half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), way_to_other_m)
+        return body_x_m + half_size_m, way_to_other_m - 2 * half_size_m
 
     def _half_size_m(self, body: Body) -> float:
         return 0.0 if body.length_m else 0.12 * self.extent_m
@@ -225,9 +243,9 @@ class Stage:
         x_m: Float[np.ndarray, "frames nodes"],
         body_name: str,
         z_m: Float[np.ndarray, "frames nodes"],
-        out_m: Float[np.ndarray, "frames nodes"] | float = 0.0,
+        towards_eye_m: Float[np.ndarray, "frames nodes"] | float = 0.0,
     ) -> Float[np.ndarray, "frames nodes 3"]:
-        depth_m = np.full(z_m.shape, self.depth_m(body_name)) - out_m
+        depth_m = np.full(z_m.shape, self.depth_m(body_name)) - towards_eye_m
         return np.stack([self.left_ends_m[body_name] + x_m, depth_m, z_m], axis=2)
 
 
@@ -262,4 +280,6 @@ def _masses_alone(rig: Rig) -> bool:
 def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
     power_of_ten = 10.0 ** np.floor(np.log10(value))
-    return float(power_of_ten * max(m for m in (1, 2, 5) if m * power_of_ten <= value * (1 + 1e-9)))
+    return float(
+        power_of_ten * max(multiple for multiple in (1, 2, 5) if multiple * power_of_ten <= value * (1 + 1e-9))
+    )

@@ -28,16 +28,23 @@ class Drawing:
         self.elements.append(f'<{tag} points="{points_text}" {style_attributes}/>')
 
     def text(
-        self, x: float, y: float, words: str, colour: str = INK, anchor: str = "start", turned: int = 0, size: int = 12
+        self,
+        x: float,
+        y: float,
+        words: str,
+        colour: str = INK,
+        anchor: str = "start",
+        rotation_deg: int = 0,
+        size: int = 12,
     ) -> None:
         text_length = 0.6 * size * len(words)  # of a letter, about
         offset = {"start": 0.0, "middle": -text_length / 2, "end": -text_length}[anchor]
         self.corners += (
             [(x, y - text_length), (x + text_length, y)]
-            if turned
+            if rotation_deg
             else [(x + offset, y - size), (x + offset + text_length, y)]
         )
-        rotation_attribute = f' transform="rotate({turned} {x:.1f} {y:.1f})"' if turned else ""
+        rotation_attribute = f' transform="rotate({rotation_deg} {x:.1f} {y:.1f})"' if rotation_deg else ""
         text_attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{rotation_attribute}'
         halo_attributes = 'paint-order="stroke" stroke="white" stroke-width="3"'
         self.elements.append(f'<text {text_attributes} fill="{colour}" {halo_attributes}>{escape(words)}</text>')
@@ -51,14 +58,14 @@ class Drawing:
         self.corners.append((x, y))
         self.elements.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{colour}"/>')
 
-    def arrow(self, tail: Point, tip: Point, colour: str = INK, width: float = 2.0) -> None:
+    def arrow(self, tail: Point, tip: Point, colour: str = INK, line_width: float = 2.0) -> None:
         """Draw a vertical or horizontal arrow."""
         (x0, y0), (x, y) = tail, tip
-        head_length = 4 + 2 * width
+        head_length = 4 + 2 * line_width
         direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
         head_base = (x - head_length * direction[0], y - head_length * direction[1])
         head_half_width = (head_length / 2 * direction[1], head_length / 2 * direction[0])
-        self.line(tail, head_base, colour=colour, width=width)
+        self.line(tail, head_base, colour=colour, width=line_width)
         head_wings = (
             (head_base[0] - head_half_width[0], head_base[1] - head_half_width[1]),
             (head_base[0] + head_half_width[0], head_base[1] + head_half_width[1]),
@@ -68,16 +75,16 @@ class Drawing:
     def ground(self, x: float, y: float, width: float = 36.0, upwards: bool = False) -> None:
         """Draw a horizontal line hatched on its outer side."""
         self.line((x - width / 2, y), (x + width / 2, y))
-        far_y = y - 8 if upwards else y + 8
+        hatch_end_y = y - 8 if upwards else y + 8
         for k in range(int(width // 9)):
             hatch_x = x - width / 2 + 9 * (k + 1)
-            self.line((hatch_x, y), (hatch_x - 7, far_y), width=1.0, colour=GREY)
+            self.line((hatch_x, y), (hatch_x - 7, hatch_end_y), width=1.0, colour=GREY)
 
-    def wall(self, x: float, y: float, half: float) -> None:
+    def wall(self, x: float, y: float, half_height: float) -> None:
         """Draw a vertical line hatched on its left."""
-        self.line((x, y - half), (x, y + half), width=2.5)
-        for k in range(int(2 * half // 9)):
-            hatch_y = y - half + 9 * (k + 1)
+        self.line((x, y - half_height), (x, y + half_height), width=2.5)
+        for k in range(int(2 * half_height // 9)):
+            hatch_y = y - half_height + 9 * (k + 1)
             self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=GREY)
 
     def spring(self, x: float, top: float, bottom: float) -> None:
@@ -98,9 +105,9 @@ class Drawing:
 
     def write(self, path: Path, margin: float = 20.0) -> None:
         """Write the SVG file, sized to its content; raise RigError if it cannot be written."""
-        xs, ys = zip(*self.corners, strict=True)
-        left, top = min(xs) - margin, min(ys) - margin
-        width, height = max(xs) + margin - left, max(ys) + margin - top
+        corner_xs, corner_ys = zip(*self.corners, strict=True)
+        left, top = min(corner_xs) - margin, min(corner_ys) - margin
+        width, height = max(corner_xs) + margin - left, max(corner_ys) + margin - top
         svg_head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left:.1f} {top:.1f} {width:.1f} {height:.1f}" '
             f'width="{width:.0f}" height="{height:.0f}" font-family="sans-serif">'

@@ -90,7 +90,14 @@ def write_rrd(
         frame_rate_hz=scene.frame_rate_hz,
         reach_mm={contact_motion.contact.name: contact_motion.reach_mm for contact_motion in contact_motions},
         spectra=tuple(
-            spectra_of(recording, {p.contact.name: p.force_n for p in contact_motions if p.force_n is not None})
+            spectra_of(
+                recording,
+                {
+                    other_motion.contact.name: other_motion.force_n
+                    for other_motion in contact_motions
+                    if other_motion.force_n is not None
+                },
+            )
         ),
         has_diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
@@ -226,7 +233,9 @@ def station_words(rig: Rig, station: Station) -> str:
 
 
 def _belongs_to(truth: Recording, recording: Recording) -> bool:
-    contact_names = [[contact.name for contact in r.rig.contacts] for r in (truth, recording)]
+    contact_names = [
+        [contact.name for contact in compared_recording.rig.contacts] for compared_recording in (truth, recording)
+    ]
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
     return has_truth and truth.samples == recording.samples and contact_names[0] == contact_names[1]
 
@@ -261,7 +270,9 @@ def _send_series(
         signals = recording.signals[quantity]
         for body in recording.rig.bodies:
             channel_stations = [
-                (i, s) for i, s in enumerate(signals.channels.stations) if s is not None and s.body == body.name
+                (i, station)
+                for i, station in enumerate(signals.channels.stations)
+                if station is not None and station.body == body.name
             ]
             values = signals.values[[i for i, _ in channel_stations], ::stride]
             station_names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations]

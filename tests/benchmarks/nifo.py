@@ -51,7 +51,7 @@ def figures() -> Iterator[Figure]:
         "largest condition number of a line", float(np.linalg.cond(spectra[:-1, :, some].transpose(2, 1, 0)).max())
     )
     yield Figure("largest difference from it", float(np.abs(found / plain - 1).max()), at_most=1e-6)
-    pair_s = least_cpu_s(lambda: csd(force_n, penetration_m[0], RATE_HZ, "hann", cut.length), times=3)
+    pair_s = least_cpu_s(lambda: csd(force_n, penetration_m[0], RATE_HZ, "hann", cut.block_samples), times=3)
     pairs = len(channels) * (len(channels) + 1) // 2
     yield Figure("times faster than scipy's csd pair by pair", pairs * pair_s / own_s, at_least=10)
 
@@ -78,14 +78,14 @@ def _record() -> tuple[ModalEquation, Float[np.ndarray, " samples"], Float[np.nd
 
 
 def _transform_all(signal: Float[np.ndarray, " samples"], cut: Blocks) -> None:
-    weights = window_derivatives(cut.window, cut.length, RATE_HZ)[0]
+    weights = window_derivatives(cut.window, cut.block_samples, RATE_HZ)[0]
     for start in cut.starts:
-        np.fft.rfft(weights * signal[start : start + cut.length])
+        np.fft.rfft(weights * signal[start : start + cut.block_samples])
 
 
 def _spectra(signal: Float[np.ndarray, " samples"], cut: Blocks) -> Complex[np.ndarray, "blocks lines"]:
-    weights = window_derivatives(cut.window, cut.length, RATE_HZ)[0]
-    return np.array([np.fft.rfft(weights * signal[s : s + cut.length])[cut.lines] for s in cut.starts])
+    weights = window_derivatives(cut.window, cut.block_samples, RATE_HZ)[0]
+    return np.array([np.fft.rfft(weights * signal[s : s + cut.block_samples])[cut.lines] for s in cut.starts])
 
 
 def _loop(spectra: Complex[np.ndarray, "channels blocks lines"], some: range) -> Complex[np.ndarray, "some inputs"]:

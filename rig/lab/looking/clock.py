@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.lab.clock import MAX_JITTER_INTERVALS, RATE_TOLERANCE, SampleTimes
-from rig.lab.looking.columns import SeenColumn, SeenFile
+from rig.lab.looking.columns import ColumnSummary, FileSummary
 from rig.lab.looking.csv_dialect import TIME_NAME_PATTERN
 from rig.lab.units import FACTORS, canonical_unit, name_and_unit, quantity_of
 
@@ -16,34 +16,34 @@ SLOWEST_HZ = 5.0
 
 
 @dataclass(frozen=True)
-class SeenClock:
+class ClockProposal:
     """Time of the samples: by a column and its unit (None: unknown), else by a rate (None: unknown).
 
     fault is an irregularity that resampling repairs; note says in words where the rate is from.
     """
 
-    column: SeenColumn | None
+    column: ColumnSummary | None
     unit: str | None
     rate_hz: float | None
     note: str
     fault: str = ""
 
 
-def clock_in(file: SeenFile, channels: Sequence[SeenColumn], rig_rate_hz: float | None) -> SeenClock:
+def clock_in(file: FileSummary, channels: Sequence[ColumnSummary], rig_rate_hz: float | None) -> ClockProposal:
     """Clock of a file: a column that increases evenly, or else the rate that its channels or header state."""
     sample_count = channels[0].sample_count if channels else 0
-    rate_hz = next((c.rate_hz for c in channels if c.rate_hz), None)
+    rate_hz = next((channel.rate_hz for channel in channels if channel.rate_hz), None)
     if rate_hz is not None:
-        return SeenClock(None, None, rate_hz, f"{rate_hz:.9g} Hz by the file itself")
+        return ClockProposal(None, None, rate_hz, f"{rate_hz:.9g} Hz by the file itself")
     stated_hz = file.rate_hz
-    time_column = _time_column([c for c in file.columns if c.sample_count == sample_count])
+    time_column = _time_column([column for column in file.columns if column.sample_count == sample_count])
     if time_column is None:
         rate_note = (
             f"{stated_hz:.9g} Hz by {file.rate_origin}"
             if stated_hz
             else "the file states neither time nor sampling rate"
         )
-        return SeenClock(None, None, stated_hz, rate_note)
+        return ClockProposal(None, None, stated_hz, rate_note)
     unit = "s" if time_column.is_date else _unit_of_time(time_column, stated_hz or rig_rate_hz)
     unit_s = FACTORS["time"][unit or "s"]
     stamps_s = unit_s * (np.zeros(0) if time_column.stamps is None else time_column.stamps)
@@ -54,49 +54,54 @@ def clock_in(file: SeenFile, channels: Sequence[SeenColumn], rig_rate_hz: float 
     is_rounded = last_digit_s > 0 and deviation_s <= 1.01 * last_digit_s
     if time_column.is_date or (is_rounded and deviation_s > MAX_JITTER_INTERVALS * interval_s):
         if not is_rounded:
-            return SeenClock(
+            return ClockProposal(
                 None, None, None, f"{column_label} has dates that are not even; export the time in seconds"
             )
         relative_doubt = last_digit_s / (interval_s * (len(stamps_s) - 1))
-        rate_hz = _rounded_rate(1 / interval_s, relative_doubt, [r for r in (stated_hz, rig_rate_hz) if r])
+        rate_hz = _rounded_rate(1 / interval_s, relative_doubt, [hz for hz in (stated_hz, rig_rate_hz) if hz])
         reason = "dates" if time_column.is_date else f"stamps written to {last_digit_s:g} s"
-        return SeenClock(None, None, rate_hz, f"{rate_hz:.9g} Hz by {column_label}, {reason}")
+        return ClockProposal(None, None, rate_hz, f"{rate_hz:.9g} Hz by {column_label}, {reason}")
     try:
         sample_times = SampleTimes.of_stamps(stamps_s)
     except RigError as error:
-        return SeenClock(time_column, unit, None, str(error), "its stamps cannot be repaired")
+        return ClockProposal(time_column, unit, None, str(error), "its stamps cannot be repaired")
     rate_note = f"{sample_times.rate_hz:.6g} Hz by {column_label}" + ("" if unit else ", if that is in seconds")
     if time_column.unit is None and unit and not time_column.is_date:
         rate_note += f"; the file states no unit of it, and {unit} is taken"
     if stated_hz and unit and abs(sample_times.rate_hz / stated_hz - 1) > 10 * RATE_TOLERANCE:
         rate_note += f"; {file.rate_origin} states {stated_hz:g} Hz"
-    return SeenClock(time_column, unit, sample_times.rate_hz if unit else None, rate_note, sample_times.fault)
+    return ClockProposal(time_column, unit, sample_times.rate_hz if unit else None, rate_note, sample_times.fault)
 
 
-def is_time(column: SeenColumn) -> bool:
+def is_time(column: ColumnSummary) -> bool:
     """True if the name or unit of a column is one of time."""
     return quantity_of(column.unit) == "time" or bool(
         TIME_NAME_PATTERN.search(name_and_unit(column.name, guess=True)[0])
     )
 
 
-def _time_column(columns: Sequence[SeenColumn]) -> SeenColumn | None:
+def _time_column(columns: Sequence[ColumnSummary]) -> ColumnSummary | None:
     """Column that says by name or unit that it is the time and increases; else the first that increases evenly."""
-    rising_columns = [c for c in columns if c.stamps is not None]
+    rising_columns = [column for column in columns if column.stamps is not None]
     time_columns = [
-        c for c in rising_columns if (c.is_date or is_time(c)) and not (c.is_counter and quantity_of(c.unit) != "time")
+        column
+        for column in rising_columns
+        if (column.is_date or is_time(column)) and not (column.is_counter and quantity_of(column.unit) != "time")
     ]
     if time_columns:
         return min(time_columns, key=lambda c: (c.is_date, quantity_of(c.unit) != "time"))
-    return next((c for c in rising_columns if c.unit is None and not c.is_counter and _is_even(c)), None)
+    return next(
+        (column for column in rising_columns if column.unit is None and not column.is_counter and _is_even(column)),
+        None,
+    )
 
 
-def _is_even(column: SeenColumn) -> bool:
+def _is_even(column: ColumnSummary) -> bool:
     stamp_steps = np.diff(column.stamps) if column.stamps is not None else np.zeros(1)
     return bool(stamp_steps.min() > 0 and np.ptp(stamp_steps) <= 1e-2 * stamp_steps.mean() + 2 * column.last_digit)
 
 
-def _unit_of_time(column: SeenColumn, rate_hz: float | None) -> str | None:
+def _unit_of_time(column: ColumnSummary, rate_hz: float | None) -> str | None:
     """Unit of a column of time: the file's; else that by which its rate is the expected one, or is no snail's."""
     if quantity_of(column.unit) == "time":
         return canonical_unit(column.unit or "")
@@ -106,7 +111,7 @@ def _unit_of_time(column: SeenColumn, rate_hz: float | None) -> str | None:
     samples_per_unit = (len(stamps) - 1) / float(stamps[-1] - stamps[0])
     if rate_hz:
         fitting_units = [
-            u for u, factor in FACTORS["time"].items() if abs(samples_per_unit / factor / rate_hz - 1) < 1e-2
+            unit for unit, factor in FACTORS["time"].items() if abs(samples_per_unit / factor / rate_hz - 1) < 1e-2
         ]
         if fitting_units:
             return fitting_units[0]

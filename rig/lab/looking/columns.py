@@ -13,7 +13,7 @@ from rig.limits import MAX_ITEMS
 
 
 @dataclass(frozen=True)
-class SeenColumn:
+class ColumnSummary:
     """A column: its number from 1, and its name, unit, rate and date as the file has them.
 
     stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the last
@@ -43,20 +43,20 @@ class SeenColumn:
 
 
 @dataclass(frozen=True)
-class SeenFile:
+class FileSummary:
     """A file: its columns, its form if it is text, what was seen in words, and the rate that its header states."""
 
     path: Path
-    columns: tuple[SeenColumn, ...]
+    columns: tuple[ColumnSummary, ...]
     facts: tuple[str, ...] = ()
     form: TextForm = field(default_factory=TextForm)
     rate_hz: float | None = None
     rate_origin: str = "the header"
 
 
-def seen_column(
+def column_summary(
     column_number: int, column: Column, last_digit: float = 0.0, is_date: bool = False, fault: str = ""
-) -> SeenColumn:
+) -> ColumnSummary:
     """Column with its range and, if they never decrease, its values."""
     values = column.values
     finite_values = values[np.isfinite(values)]
@@ -71,7 +71,7 @@ def seen_column(
         (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (np.nan, np.nan)
     )
     distinct_count = 1 + (highest > lowest) + bool(((finite_values > lowest) & (finite_values < highest)).any())
-    return SeenColumn(
+    return ColumnSummary(
         number=column_number,
         name=column.name,
         unit=column.unit,
@@ -88,9 +88,9 @@ def seen_column(
     )
 
 
-def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
+def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
     """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
-    columns: list[SeenColumn] = []
+    columns: list[ColumnSummary] = []
     refusal_facts: list[str] = []
     rate_hz, rate_origin = None, ""
     for block in blocks:
@@ -103,7 +103,7 @@ def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
                 rate_hz, rate_origin = stated_hz, repr(single_column.name)
         else:
             for column_index in range(len(block.names)):
-                columns.append(seen_column(len(columns) + 1, block.read([column_index])[0]))
+                columns.append(column_summary(len(columns) + 1, block.read([column_index])[0]))
                 if len(columns) > MAX_ITEMS:
                     raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
-    return SeenFile(path, tuple(columns), tuple(refusal_facts), rate_hz=rate_hz, rate_origin=rate_origin)
+    return FileSummary(path, tuple(columns), tuple(refusal_facts), rate_hz=rate_hz, rate_origin=rate_origin)

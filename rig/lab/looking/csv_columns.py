@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.lab.column import Column
 from rig.lab.csv_text import LINES_PER_BLOCK, TextForm, cells_of, number_in, sample_lines
-from rig.lab.looking.columns import SeenColumn, SeenFile, seen_column
+from rig.lab.looking.columns import ColumnSummary, FileSummary, column_summary
 from rig.lab.looking.csv_dialect import CsvDialect, cell_kinds_of, dialect_of
 from rig.lab.recorded import rate_in
 from rig.lab.units import is_unit, name_and_unit
@@ -32,7 +32,7 @@ WORKING_BYTES_PER_CELL = 16
 _DELIMITER_WORDS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "spaces"}
 
 
-def seen_csv(path: Path) -> SeenFile:
+def summary_of_csv(path: Path) -> FileSummary:
     """Columns of a CSV file; raises RigError with a sentence if no map can import it."""
     dialect = dialect_of(path)
     line_numbers, values, last_digits, is_date = _column_values(path, dialect)
@@ -43,8 +43,8 @@ def seen_csv(path: Path) -> SeenFile:
     ]
     first_rows = [int(np.argmax(np.isfinite(column_values))) for column_values in values]
     filled_shares = [
-        float(np.isfinite(column_values[a:b]).mean()) if b > a else 0.0
-        for column_values, a, b in zip(values, first_rows, end_rows, strict=True)
+        float(np.isfinite(column_values[first_row:last_row]).mean()) if last_row > first_row else 0.0
+        for column_values, first_row, last_row in zip(values, first_rows, end_rows, strict=True)
     ]
     line_count = values.shape[1]
     _check_one_block(path, line_numbers, values[:, : max(end_rows)])
@@ -58,8 +58,8 @@ def seen_csv(path: Path) -> SeenFile:
         raise RigError(
             f"{path}: none of its {len(values)} columns has numbers throughout; export the channels at one rate"
         )
-    start_row = max(a for a, ok in zip(first_rows, is_whole, strict=True) if ok)
-    end_row = min(b for b, ok in zip(end_rows, is_whole, strict=True) if ok)
+    start_row = max(row for row, is_column_finite in zip(first_rows, is_whole, strict=True) if is_column_finite)
+    end_row = min(row for row, is_column_finite in zip(end_rows, is_whole, strict=True) if is_column_finite)
     facts = [_reading_sentence(dialect), *_placing_sentences(dialect)]
     if start_row:
         skipped_count = line_numbers[start_row] - line_numbers[0]
@@ -70,7 +70,7 @@ def seen_csv(path: Path) -> SeenFile:
         facts.append(
             f"the last {line_count - end_row} lines, from line {line_numbers[end_row]} on, are incomplete and left out"
         )
-    seen_columns = []
+    column_summaries = []
     for column_index, column_values in enumerate(values):
         name, unit = _name_and_unit(dialect, column_index)
         fault = ""
@@ -79,8 +79,8 @@ def seen_csv(path: Path) -> SeenFile:
             fault = f"it has numbers in {filled_count} of {line_count} lines" if filled_count else "it has no numbers"
         elif not (is_finite := np.isfinite(column_values[start_row:end_row])).all():
             fault = f"it has no number in line {line_numbers[start_row + int(np.argmin(is_finite))]}"
-        seen_columns.append(
-            seen_column(
+        column_summaries.append(
+            column_summary(
                 column_index + 1,
                 Column(name, column_values[start_row:end_row], unit),
                 last_digits[column_index],
@@ -88,8 +88,8 @@ def seen_csv(path: Path) -> SeenFile:
                 fault,
             )
         )
-    return SeenFile(
-        path, tuple(_without_unused_end(seen_columns)), tuple(facts), form, rate_in(dialect.header, form.decimal)
+    return FileSummary(
+        path, tuple(_without_unused_end(column_summaries)), tuple(facts), form, rate_in(dialect.header, form.decimal)
     )
 
 
@@ -183,8 +183,8 @@ def _seconds_since_first(cell: str, column_index: int, first_date_by_column: dic
 def _last_digit(cell: str, decimal: str, is_date: bool) -> float:
     """Value of the last digit written: 1e-3 of 0.125, 1e-6 of 1.25e-4; of dates, s, at least the microsecond held."""
     if is_date:
-        _, point, decimals = cell.replace(",", ".").rpartition(":")[2].partition(".")
-        return max(1e-6, 10.0 ** -len(decimals)) if point else 1.0
+        _, decimal_point, decimals = cell.replace(",", ".").rpartition(":")[2].partition(".")
+        return max(1e-6, 10.0 ** -len(decimals)) if decimal_point else 1.0
     mantissa, _, exponent = cell.strip().lower().partition("e")
     decimal_count = len(mantissa.partition(decimal)[2])
     try:
@@ -219,7 +219,7 @@ def _name_and_unit(dialect: CsvDialect, column_index: int) -> tuple[str, str | N
     return name, unit or name_and_unit(name, guess=True)[1]
 
 
-def _without_unused_end(columns: list[SeenColumn]) -> list[SeenColumn]:
+def _without_unused_end(columns: list[ColumnSummary]) -> list[ColumnSummary]:
     """Columns without those at the end that have neither name nor numbers."""
     while columns and columns[-1].fault == "it has no numbers" and not columns[-1].name:
         columns = columns[:-1]

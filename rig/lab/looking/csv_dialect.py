@@ -61,9 +61,9 @@ def dialect_of(path: Path) -> CsvDialect:
     lines = [line.rstrip("\r\n") for line in islice(lines_of(path, encoding), MAX_HEADER_LINES)]
     best_reading: tuple[int, int, int, tuple[str, str]] | None = None
     for delimiter, decimal in DIALECTS:
-        score, first_sample, last_sample = _samples_in(lines, delimiter, decimal)
-        if best_reading is None or score > best_reading[0]:
-            best_reading = score, first_sample, last_sample, (delimiter, decimal)
+        reading_score, first_sample, last_sample = _samples_in(lines, delimiter, decimal)
+        if best_reading is None or reading_score > best_reading[0]:
+            best_reading = reading_score, first_sample, last_sample, (delimiter, decimal)
     if best_reading is None or best_reading[0] <= 0:
         _check_no_quoted_commas(path, lines)
         raise RigError(
@@ -191,7 +191,7 @@ def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, de
     ]
     while first_line:
         cell_kinds = cell_kinds_of(cells_of(lines[first_line - 1], delimiter), decimal)
-        if not all(k < len(cell_kinds) and cell_kinds[k] == "n" for k in number_columns):
+        if not all(column < len(cell_kinds) and cell_kinds[column] == "n" for column in number_columns):
             break
         first_line -= 1
     return first_line
@@ -228,9 +228,9 @@ def _names_and_units_lines(
         ):
             units_line = line_index if units_line is None else units_line
         elif len(filled_cells) >= needed_count:
-            score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)
-            if score > best_score:
-                names_line, best_score = line_index, score
+            line_score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)
+            if line_score > best_score:
+                names_line, best_score = line_index, line_score
     return names_line, units_line
 
 

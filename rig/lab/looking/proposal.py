@@ -11,10 +11,10 @@ from rig.lab.clock import MAX_DECIMATION, RATE_TOLERANCE
 from rig.lab.column import Blocks
 from rig.lab.csv_text import TEXT_SUFFIXES, TextForm
 from rig.lab.import_map import PLACEHOLDER
-from rig.lab.looking.clock import SeenClock, clock_in
-from rig.lab.looking.columns import SeenColumn, SeenFile, seen_blocks
-from rig.lab.looking.csv_columns import seen_csv
-from rig.lab.looking.roles import Role, candidates_in, roles_of
+from rig.lab.looking.clock import ClockProposal, clock_in
+from rig.lab.looking.columns import ColumnSummary, FileSummary, summary_of_blocks
+from rig.lab.looking.csv_columns import summary_of_csv
+from rig.lab.looking.roles import ColumnRole, candidates_in, roles_of
 from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
@@ -49,7 +49,7 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         raise RigError(f"{source}: no column of it is a measured channel ({reasons}); check what was exported")
     clock = clock_in(file, channels, rig.sample_rate_hz if rig else None)
     if clock.column is not None:
-        channels = tuple(c for c in channels if c.number != clock.column.number)
+        channels = tuple(channel for channel in channels if channel.number != clock.column.number)
         left_out_reasons = tuple((c, reason) for c, reason in left_out_reasons if c.number != clock.column.number)
     roles = roles_of(channels)
     date, date_origin = recorded_date(source, file.form, [column.recorded for column in channels])
@@ -85,35 +85,35 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
     return Proposal(map_text, tuple(map(one_line, facts)), placeholder_count)
 
 
-def _file_content(source: Path, blocks: Blocks) -> SeenFile:
+def _file_content(source: Path, blocks: Blocks) -> FileSummary:
     suffix = source.suffix.lower()
     if suffix in TEXT_SUFFIXES:
-        return seen_csv(source)
+        return summary_of_csv(source)
     if suffix == ".mat":
-        return seen_blocks(source, matlab_blocks(source, least_values=1))
-    return seen_blocks(source, blocks)
+        return summary_of_blocks(source, matlab_blocks(source, least_values=1))
+    return summary_of_blocks(source, blocks)
 
 
-def _key_by_number(file: SeenFile) -> dict[int, str | int]:
+def _key_by_number(file: FileSummary) -> dict[int, str | int]:
     """Name of each column for the map, or its number if the name does not tell it from the others."""
     name_counts = Counter(column.name for column in file.columns)
     return {
-        c.number: c.name
-        if name_counts[c.name] == 1
-        and is_plain(c.name)
-        and c.name == c.name.strip()
-        and 0 < len(c.name) <= MAX_NAME_LENGTH
-        and c.name != PLACEHOLDER
-        else c.number
-        for c in file.columns
+        column.number: column.name
+        if name_counts[column.name] == 1
+        and is_plain(column.name)
+        and column.name == column.name.strip()
+        and 0 < len(column.name) <= MAX_NAME_LENGTH
+        and column.name != PLACEHOLDER
+        else column.number
+        for column in file.columns
     }
 
 
-def _column_label(column: SeenColumn) -> str:
+def _column_label(column: ColumnSummary) -> str:
     return one_line(f"column {column.number} {column.name!r}" if column.name else f"column {column.number}")
 
 
-def _rate_advice(clock: SeenClock, rig: Rig | None, rig_name: str) -> Iterator[str]:
+def _rate_advice(clock: ClockProposal, rig: Rig | None, rig_name: str) -> Iterator[str]:
     if rig is None or clock.rate_hz is None:
         return
     rate_ratio = clock.rate_hz / rig.sample_rate_hz
@@ -121,7 +121,7 @@ def _rate_advice(clock: SeenClock, rig: Rig | None, rig_name: str) -> Iterator[s
         yield f"sample_rate_hz of {rig_name} is {rig.sample_rate_hz:g}; correct it to {clock.rate_hz:.9g}"
 
 
-def _clock_lines(clock: SeenClock, key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _clock_lines(clock: ClockProposal, key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     if clock.column is not None:
         yield f"time = {_entry_text(key_by_number[clock.column.number], {'unit': clock.unit or PLACEHOLDER})}"
     elif clock.rate_hz is None:
@@ -149,7 +149,7 @@ def _form_lines(form: TextForm) -> Iterator[str]:
         yield "csv = { " + ", ".join(f"{k} = {json.dumps(v)}" for k, v in changed_fields.items()) + " }"
 
 
-def _force_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     force_roles = [role for role in roles if role.quantity == "force"]
     if not force_roles and rig is not None and all(rig.is_on_ground(station) for station in rig.forces):
         yield 'force = "none"  # rig.json has no force_at: its base shakes'
@@ -167,15 +167,17 @@ def _force_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig
     ]
     note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
     if is_placed and rig is not None:
-        note += ", and acts at " + ", ".join(f"{s.position_m:g} m of {s.body}" for s in rig.forces)
+        note += ", and acts at " + ", ".join(f"{station.position_m:g} m of {station.body}" for station in rig.forces)
     yield f"force = {entry_texts[0] if len(entry_texts) == 1 else '[' + ', '.join(entry_texts) + ']'}  # {note}"
 
 
-def _sensor_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _sensor_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
     sensor_roles = [role for role in roles if role.quantity != "force"]
     if rig is not None and any(role.name not in sensor_by_name for role in sensor_roles):
-        places_text = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
+        places_text = ", ".join(
+            body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies
+        )
         names_hint = (
             f"; sensors of rig.json need no place if they are named as there: {', '.join(sensor_by_name)}"
             if sensor_by_name
@@ -194,7 +196,7 @@ def _sensor_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], ri
         yield f"{sensor_key} = {_entry_text(key_by_number[role.column.number], entry_fields)}  # {note}"
 
 
-def _unit_fields(role: Role) -> dict[str, object]:
+def _unit_fields(role: ColumnRole) -> dict[str, object]:
     """Unit of an entry, with a scale where the file's unit is of no quantity."""
     unit = role.column.unit
     if quantity_of(unit):
@@ -215,7 +217,7 @@ def _entry_text(column_key: str | int, entry_fields: dict[str, object]) -> str:
     return "{ " + ", ".join(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in all_fields.items()) + " }"
 
 
-def _range_text(role: Role) -> str:
+def _range_text(role: ColumnRole) -> str:
     column = role.column
     unit_text = f" {column.unit}" if column.unit else ""
     range_text = f"{column.lowest:.4g} to {column.highest:.4g}{unit_text}"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rig.lab.looking.clock import is_time
-from rig.lab.looking.columns import SeenColumn
+from rig.lab.looking.columns import ColumnSummary
 from rig.lab.units import SCALED_UNITS, name_and_unit, quantity_of
 
 _WORDS_BY_QUANTITY = {
@@ -20,16 +20,18 @@ _WORDS_BY_QUANTITY = {
 
 
 @dataclass(frozen=True)
-class Role:
+class ColumnRole:
     """A column taken as force or sensor: its quantity (None: unknown) and whether only its name suggests it."""
 
-    column: SeenColumn
+    column: ColumnSummary
     name: str
     quantity: str | None
     is_by_name: bool
 
 
-def candidates_in(columns: Sequence[SeenColumn]) -> tuple[tuple[SeenColumn, ...], tuple[tuple[SeenColumn, str], ...]]:
+def candidates_in(
+    columns: Sequence[ColumnSummary],
+) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
     reason_by_number = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
     usable_columns = [column for column in columns if column.number not in reason_by_number]
@@ -49,13 +51,13 @@ def candidates_in(columns: Sequence[SeenColumn]) -> tuple[tuple[SeenColumn, ...]
     )
 
 
-def roles_of(columns: Sequence[SeenColumn]) -> tuple[Role, ...]:
+def roles_of(columns: Sequence[ColumnSummary]) -> tuple[ColumnRole, ...]:
     """Role of each column that is none of time; names are distinct."""
     used_names: set[str] = set()
     return tuple(_role(column, used_names) for column in columns)
 
 
-def _role(column: SeenColumn, used_names: set[str]) -> Role:
+def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
     name_without_unit = name_and_unit(column.name, guess=True)[0].strip()
     printable_name = (
         name_without_unit
@@ -65,13 +67,18 @@ def _role(column: SeenColumn, used_names: set[str]) -> Role:
     name = next(candidate for candidate in _name_variants(printable_name) if candidate not in used_names)
     used_names.add(name)
     if quantity := quantity_of(column.unit):
-        return Role(column, name, quantity, is_by_name=False)
+        return ColumnRole(column, name, quantity, is_by_name=False)
     if column.unit in SCALED_UNITS:
-        return Role(column, name, None, is_by_name=False)
+        return ColumnRole(column, name, None, is_by_name=False)
     suggested_quantity = next(
-        (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, name_without_unit, re.IGNORECASE)), None
+        (
+            quantity_name
+            for quantity_name, words in _WORDS_BY_QUANTITY.items()
+            if re.search(words, name_without_unit, re.IGNORECASE)
+        ),
+        None,
     )
-    return Role(column, name, suggested_quantity, is_by_name=True)
+    return ColumnRole(column, name, suggested_quantity, is_by_name=True)
 
 
 def _name_variants(name: str) -> Iterator[str]:
@@ -82,7 +89,7 @@ def _name_variants(name: str) -> Iterator[str]:
         number += 1
 
 
-def _unfit_reason(column: SeenColumn) -> str:
+def _unfit_reason(column: ColumnSummary) -> str:
     """Reason why a column is no measured channel; empty if it may be one."""
     is_foreign_unit = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
     reasons = (

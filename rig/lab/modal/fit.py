@@ -61,8 +61,8 @@ def fit_modes(
     residues eliminated (variable projection), and modes removed that are no normal modes, outside the band, or
     insignificant. Raises RigError if no mode remains.
     """
-    lines = frequency_hz > 0
-    frequency_hz, accelerance = frequency_hz[lines], accelerance[:, lines]
+    above_zero = frequency_hz > 0
+    frequency_hz, accelerance = frequency_hz[above_zero], accelerance[:, above_zero]
     with np.errstate(over="ignore"):
         frf_rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
     if not (np.isfinite(frf_rms) & (frf_rms > 0)).all():
@@ -89,8 +89,11 @@ def fit_modes(
                 "no mode stands out with a positive residue at the driving point; check its FRF's sign and direction"
             )
         modes = modes[is_significant]
-    errors = [np.abs(scaled_frfs - used.T @ basis[:, : used.shape[0]].T) for used in (coefficients, coefficients[:-2])]
-    misfits, misfits_of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in errors)
+    abs_errors = [
+        np.abs(scaled_frfs - used_coefficients.T @ basis[:, : used_coefficients.shape[0]].T)
+        for used_coefficients in (coefficients, coefficients[:-2])
+    ]
+    misfits, misfits_of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in abs_errors)
     residues = coefficients[:-2].T * frf_rms[:, None]
     return ModalFit(np.exp(modes[:, 0]), np.exp(modes[:, 1]), residues, misfits, misfits_of_modes)
 
@@ -104,16 +107,18 @@ def _stable_modes(
     for order in POLYNOMIAL_ORDERS:
         if 3 * order > frequency_hz.size:
             break
-        leading = slice(order + 1)
-        rows = projections[:, leading, leading].reshape(-1, order + 1)
-        poles = _poles(frequency_hz, products[leading, leading] - rows.conj().T @ rows)
+        order_columns = slice(order + 1)
+        order_projections = projections[:, order_columns, order_columns].reshape(-1, order + 1)
+        poles = _poles(
+            frequency_hz, products[order_columns, order_columns] - order_projections.conj().T @ order_projections
+        )
         is_stable = np.abs(poles[:, None] - previous_poles[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
         stable_poles.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
         previous_poles, order_count = poles, order_count + 1
     all_poles = np.concatenate(stable_poles)
     all_poles = all_poles[np.argsort(all_poles[:, 0])]
-    groups = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
-    medians = [np.median(group, axis=0) for group in groups if len(group) >= MIN_STABLE_SHARE * order_count]
+    poles_by_mode = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
+    medians = [np.median(group, axis=0) for group in poles_by_mode if len(group) >= MIN_STABLE_SHARE * order_count]
     return np.array(medians).reshape(-1, 2)
 
 
@@ -126,13 +131,15 @@ def _denominator_equations(
     The leading columns of both are those of a lower order; b is eliminated by the difference of their squares.
     """
     first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    powers = np.exp(-1j * np.pi * (frequency_hz - first_hz)[:, None] / alias_hz * np.arange(POLYNOMIAL_ORDERS[-1] + 1))
-    orthonormal_basis = np.linalg.qr(powers)[0].conj().T
-    products, projections = np.zeros((powers.shape[1],) * 2, dtype=complex), []
+    basis_powers = np.exp(
+        -1j * np.pi * (frequency_hz - first_hz)[:, None] / alias_hz * np.arange(POLYNOMIAL_ORDERS[-1] + 1)
+    )
+    orthonormal_basis = np.linalg.qr(basis_powers)[0].conj().T
+    products, projections = np.zeros((basis_powers.shape[1],) * 2, dtype=complex), []
     for frf in frfs:
-        weighted = frf[:, None] * powers
-        products += weighted.conj().T @ weighted
-        projections.append(orthonormal_basis @ weighted)
+        frf_powers = frf[:, None] * basis_powers
+        products += frf_powers.conj().T @ frf_powers
+        projections.append(orthonormal_basis @ frf_powers)
     return products, np.array(projections)
 
 
@@ -141,8 +148,10 @@ def _poles(
 ) -> Float[np.ndarray, "poles 2"]:
     """(ln f, ln z) of the damped poles in the band, from the normal equations of one order."""
     first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    denominator = np.append(1.0, np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0])
-    roots = np.roots(denominator[::-1])
+    denominator_coefficients = np.append(
+        1.0, np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0]
+    )
+    roots = np.roots(denominator_coefficients[::-1])
     roots = roots[np.abs(roots) > 0]
     poles = -np.log(roots) * 2 * alias_hz + 2j * np.pi * first_hz
     in_band = (poles.imag > 2 * np.pi * first_hz) & (poles.imag < 2 * np.pi * frequency_hz[-1])
@@ -167,7 +176,7 @@ def _pruned_modes(
 
     least_criterion = information_criterion(modes)
     while len(modes) > 1:
-        reduced_modes = [np.delete(modes, k, axis=0) for k in range(len(modes))]
+        reduced_modes = [np.delete(modes, mode_index, axis=0) for mode_index in range(len(modes))]
         criteria = [information_criterion(candidate) for candidate in reduced_modes]
         if min(criteria) >= least_criterion:
             break
@@ -206,10 +215,14 @@ def _refined_modes(
         error = frfs - basis_coefficients(basis, frfs).T @ basis.T
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
-    half_widths, scales = np.tile(REFINEMENT_RANGE, len(modes)), np.tile([1e-3, 1e-1], len(modes))
-    initial = modes.ravel()
+    half_widths, unknown_scales = np.tile(REFINEMENT_RANGE, len(modes)), np.tile([1e-3, 1e-1], len(modes))
+    initial_unknowns = modes.ravel()
     solution = scipy.optimize.least_squares(
-        residual, initial, bounds=(initial - half_widths, initial + half_widths), x_scale=scales, max_nfev=30
+        residual,
+        initial_unknowns,
+        bounds=(initial_unknowns - half_widths, initial_unknowns + half_widths),
+        x_scale=unknown_scales,
+        max_nfev=30,
     )
     refined_modes = solution.x.reshape(-1, 2)
     return np.asarray(refined_modes[np.argsort(refined_modes[:, 0])])

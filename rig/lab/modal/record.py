@@ -50,7 +50,7 @@ class FittedRecord:
 
 
 def fit_record(
-    measured: MeasuredResponse,
+    measured_response: MeasuredResponse,
     positions_m: Sequence[float],
     driving_index: int,
     length_m: float,
@@ -63,90 +63,102 @@ def fit_record(
     blocks that overlap by half. `fit_modes` finds the modes in the band, `refine` minimises their output error. Raises
     RigError if no mode is found.
     """
-    period_samples = period_of(measured.force_n)
-    hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
+    period_samples = period_of(measured_response.force_n)
+    hz, force_density, frfs, noise_density = _measured_frfs(measured_response, period_samples)
     is_used = (hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
     is_used &= lines_in_band(hz, band_hz)
     if not is_used.any():
         raise RigError("the force excites no line in band_hz; give a band that it excites")
-    hz, frfs, weights = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
-    accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
+    hz, frfs, force_amplitudes = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
+    accelerance = frfs * (2j * np.pi * hz) ** (2 - measured_response.order)
     frf_modes = fit_modes(hz, accelerance, driving_index)
     refined_modes = refined_by_frfs(
-        hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_modes, driving_index
+        hz, accelerance, force_amplitudes / (2 * np.pi * hz) ** (2 - measured_response.order), frf_modes, driving_index
     )
-    used_hz = float(hz[0]), float(hz[-1])
+    used_band_hz = float(hz[0]), float(hz[-1])
     refined_modes = refined_by_output(
-        *_output_spectra(measured, refined_modes, used_hz), used_hz, refined_modes, driving_index
+        *_output_spectra(measured_response, refined_modes, used_band_hz), used_band_hz, refined_modes, driving_index
     )
     sensor_order = np.argsort(positions_m)
-    places_m = np.array(positions_m, dtype=float)[sensor_order]
+    sorted_positions_m = np.array(positions_m, dtype=float)[sensor_order]
     shapes = refined_modes.shapes(driving_index)
-    misfits = _free_run_misfits(measured, refined_modes)
-    noise_shares = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
+    misfits = _free_run_misfits(measured_response, refined_modes)
+    noise_shares = (
+        noise_density * np.sqrt(measured_response.sample_rate_hz / 2) / measured_response.responses.std(axis=1)
+    )
     return FittedRecord(
         body=structure_of(
-            name, length_m, refined_modes.frequencies_hz, refined_modes.damping_ratios, places_m, shapes[sensor_order]
+            name,
+            length_m,
+            refined_modes.frequencies_hz,
+            refined_modes.damping_ratios,
+            sorted_positions_m,
+            shapes[sensor_order],
         ),
-        frf_fit_misfits=_free_run_misfits(measured, frf_modes),
+        frf_fit_misfits=_free_run_misfits(measured_response, frf_modes),
         misfits=misfits,
         unmodelled_share=float(np.sqrt(np.mean(np.maximum(misfits**2 - noise_shares**2, 0.0)))),
         noise_density=noise_density,
-        period_s=None if period_samples is None else period_samples / measured.sample_rate_hz,
-        band_hz=used_hz,
+        period_s=None if period_samples is None else period_samples / measured_response.sample_rate_hz,
+        band_hz=used_band_hz,
     )
 
 
-def free_run(measured: MeasuredResponse, fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
+def free_run(measured_response: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
     """Responses of the modes to the measured force from rest, zero-padded behind the record."""
-    force, hz, factors = _force_spectrum(measured, fit)
-    mode_responses = factors * mode_accelerances(hz, fit.frequencies_hz, fit.damping_ratios)
+    force_spectrum, hz, response_by_acceleration = _force_spectrum(measured_response, modal_fit)
+    mode_responses = response_by_acceleration * mode_accelerances(
+        hz, modal_fit.frequencies_hz, modal_fit.damping_ratios
+    )
     return np.asarray(
-        fit.residues @ scipy.fft.irfft(force * mode_responses, 2 * (hz.size - 1))[:, : measured.force_n.size]
+        modal_fit.residues
+        @ scipy.fft.irfft(force_spectrum * mode_responses, 2 * (hz.size - 1))[:, : measured_response.force_n.size]
     )
 
 
 def _force_spectrum(
-    measured: MeasuredResponse, fit: ModalFit
+    measured_response: MeasuredResponse, modal_fit: ModalFit
 ) -> tuple[Complex[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
     """Spectrum of the zero-padded force, its frequencies (Hz), and (i omega)^(order - 2), which is 0 at 0 Hz.
 
     That leaves out the means, which accelerometers do not measure.
     """
-    sample_count, rate_hz = measured.force_n.size, measured.sample_rate_hz
+    sample_count, rate_hz = measured_response.force_n.size, measured_response.sample_rate_hz
     padded_length = 2 * scipy.fft.next_fast_len(
-        sample_count // 2 + round(min(_decay_time_s(fit), sample_count / rate_hz) * rate_hz / 2) + 1
+        sample_count // 2 + round(min(_decay_time_s(modal_fit), sample_count / rate_hz) * rate_hz / 2) + 1
     )
     hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
-    factors = np.zeros(hz.size, dtype=complex)
-    factors[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
-    return scipy.fft.rfft(measured.force_n, padded_length), hz, factors
+    response_by_acceleration = np.zeros(hz.size, dtype=complex)
+    response_by_acceleration[1:] = (2j * np.pi * hz[1:]) ** (measured_response.order - 2)
+    return scipy.fft.rfft(measured_response.force_n, padded_length), hz, response_by_acceleration
 
 
 def _output_spectra(
-    measured: MeasuredResponse, fit: ModalFit, band_hz: tuple[float, float]
+    measured_response: MeasuredResponse, modal_fit: ModalFit, band_hz: tuple[float, float]
 ) -> tuple[
     Complex[np.ndarray, "sensors lines"],
     Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
     Float[np.ndarray, " all"],
 ]:
     """Spectra of the responses in the band, a map from accelerances to those of a free run, and its lines (Hz)."""
-    first_sample, sample_count = _first_decayed_sample(measured, fit), measured.force_n.size
-    force, hz, factors = _force_spectrum(measured, fit)
-    response_hz = np.fft.rfftfreq(sample_count - first_sample, 1 / measured.sample_rate_hz)
+    first_sample, sample_count = _first_decayed_sample(measured_response, modal_fit), measured_response.force_n.size
+    force_spectrum, hz, response_by_acceleration = _force_spectrum(measured_response, modal_fit)
+    response_hz = np.fft.rfftfreq(sample_count - first_sample, 1 / measured_response.sample_rate_hz)
     in_band = lines_in_band(response_hz, band_hz)
     is_simulated = hz <= 2 * band_hz[1]
-    force, factors = force[is_simulated], factors[is_simulated]
+    force_spectrum, response_by_acceleration = force_spectrum[is_simulated], response_by_acceleration[is_simulated]
 
     def response_map(accelerance: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
-        responses = scipy.fft.irfft(force * factors * accelerance, 2 * (hz.size - 1))[:, first_sample:sample_count]
+        responses = scipy.fft.irfft(force_spectrum * response_by_acceleration * accelerance, 2 * (hz.size - 1))[
+            :, first_sample:sample_count
+        ]
         return np.asarray(scipy.fft.rfft(responses)[:, in_band])
 
-    return scipy.fft.rfft(measured.responses[:, first_sample:])[:, in_band], response_map, hz[is_simulated]
+    return scipy.fft.rfft(measured_response.responses[:, first_sample:])[:, in_band], response_map, hz[is_simulated]
 
 
 def _measured_frfs(
-    measured: MeasuredResponse, period_samples: int | None
+    measured_response: MeasuredResponse, period_samples: int | None
 ) -> tuple[
     Float[np.ndarray, " lines"],
     Float[np.ndarray, " lines"],
@@ -154,7 +166,7 @@ def _measured_frfs(
     Float[np.ndarray, " sensors"],
 ]:
     """Frequencies (Hz), power density of the force, H1, and noise density of the sensors."""
-    force_n, responses = measured.force_n, measured.responses
+    force_n, responses = measured_response.force_n, measured_response.responses
     if period_samples is None:
         average_count = AVERAGE_COUNT
         welch_settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
@@ -162,34 +174,34 @@ def _measured_frfs(
         average_count = force_n.size // period_samples - 1
         force_n, responses = force_n[-average_count * period_samples :], responses[:, -average_count * period_samples :]
         welch_settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
-    hz, force_density = scipy.signal.welch(force_n, measured.sample_rate_hz, **welch_settings)
-    _, cross = scipy.signal.csd(force_n, responses, measured.sample_rate_hz, **welch_settings)
-    _, density = scipy.signal.welch(responses, measured.sample_rate_hz, **welch_settings)
-    unexcited = force_density <= MIN_FORCE_SHARE * force_density.max()
-    unexcited[0] = False
+    hz, force_density = scipy.signal.welch(force_n, measured_response.sample_rate_hz, **welch_settings)
+    _, cross_density = scipy.signal.csd(force_n, responses, measured_response.sample_rate_hz, **welch_settings)
+    _, response_density = scipy.signal.welch(responses, measured_response.sample_rate_hz, **welch_settings)
+    is_unexcited = force_density <= MIN_FORCE_SHARE * force_density.max()
+    is_unexcited[0] = False
     # the mean of so many powers, each distributed exponentially
     median_to_mean = scipy.stats.gamma.median(average_count) / average_count
     noise_density = (
-        np.sqrt(np.median(density[:, unexcited], axis=1) / median_to_mean)
-        if unexcited.any()
+        np.sqrt(np.median(response_density[:, is_unexcited], axis=1) / median_to_mean)
+        if is_unexcited.any()
         else np.zeros(len(responses))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return hz, force_density, cross / force_density, noise_density
+        return hz, force_density, cross_density / force_density, noise_density
 
 
-def _free_run_misfits(measured: MeasuredResponse, fit: ModalFit) -> Float[np.ndarray, " sensors"]:
+def _free_run_misfits(measured_response: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, " sensors"]:
     """Rms error of the free run over the rms response, without means, after the start has decayed."""
-    first_sample = _first_decayed_sample(measured, fit)
-    error = measured.responses - free_run(measured, fit)
-    return np.asarray(error[:, first_sample:].std(axis=1) / measured.responses[:, first_sample:].std(axis=1))
+    first_sample = _first_decayed_sample(measured_response, modal_fit)
+    error = measured_response.responses - free_run(measured_response, modal_fit)
+    return np.asarray(error[:, first_sample:].std(axis=1) / measured_response.responses[:, first_sample:].std(axis=1))
 
 
-def _first_decayed_sample(measured: MeasuredResponse, fit: ModalFit) -> int:
+def _first_decayed_sample(measured_response: MeasuredResponse, modal_fit: ModalFit) -> int:
     """First sample after the start has decayed, at most a quarter of the record."""
-    return round(min(_decay_time_s(fit) * measured.sample_rate_hz, measured.force_n.size / 4))
+    return round(min(_decay_time_s(modal_fit) * measured_response.sample_rate_hz, measured_response.force_n.size / 4))
 
 
-def _decay_time_s(fit: ModalFit) -> float:
+def _decay_time_s(modal_fit: ModalFit) -> float:
     """Time until a free vibration of any mode has decayed by DECAY_FACTOR, s."""
-    return float(np.log(DECAY_FACTOR) / np.min(2 * np.pi * fit.frequencies_hz * fit.damping_ratios))
+    return float(np.log(DECAY_FACTOR) / np.min(2 * np.pi * modal_fit.frequencies_hz * modal_fit.damping_ratios))

@@ -20,7 +20,7 @@ DAMPING_RATIO_RANGE = (1e-4, 0.5)
 OUTSIDE_DAMPING_RATIO = 0.05
 """Initial damping ratio of the modes outside the band."""
 MAX_EVALUATIONS = 100
-MIN_damping_ratiosIVING_RESIDUE = 1e-3
+MIN_DRIVING_RESIDUE = 1e-3
 """Least initial residue at the driving point of a mode outside the band, relative to its largest."""
 
 
@@ -46,17 +46,19 @@ def refined_by_frfs(
     and one above it, which represent all those there, are added where they lower the Bayesian information criterion.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    error = _OutputError(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * hz, driving_index)
+    output_error = _OutputError(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * hz, driving_index)
     data_count = 2 * accelerance.size
     best_modes, least_criterion = initial_modes, np.inf
     for adds_below, adds_above in product((False, True), repeat=2):
         outside_hz = [hz[0] * BELOW_START_RATIO] * adds_below + [hz[-1] * ABOVE_START_RATIO] * adds_above
         candidate = _least_error_modes(
-            error, np.concatenate([initial_modes, error.outside_modes(initial_modes, outside_hz)]), (hz[0], hz[-1])
+            output_error,
+            np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)]),
+            (hz[0], hz[-1]),
         )
-        criterion = data_count * np.log(np.sum(error.residual(candidate.ravel()) ** 2)) + candidate.size * np.log(
-            data_count
-        )
+        criterion = data_count * np.log(
+            np.sum(output_error.residual(candidate.ravel()) ** 2)
+        ) + candidate.size * np.log(data_count)
         if criterion < least_criterion:
             best_modes, least_criterion = candidate, criterion
     return _fit_of_rows(best_modes, initial_fit, driving_index)
@@ -75,8 +77,8 @@ def refined_by_output(
     Y are the `response_spectra`; `response_map` maps an accelerance to that of its response to the measured force.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    error = _OutputError(response_spectra, response_map, 2 * np.pi * hz, driving_index)
-    return _fit_of_rows(_least_error_modes(error, initial_modes, band_hz), initial_fit, driving_index)
+    output_error = _OutputError(response_spectra, response_map, 2 * np.pi * hz, driving_index)
+    return _fit_of_rows(_least_error_modes(output_error, initial_modes, band_hz), initial_fit, driving_index)
 
 
 class _OutputError:
@@ -99,20 +101,20 @@ class _OutputError:
 
     def jacobian(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "data unknowns"]:
         modes = self._modes(unknowns)
-        unit_spectra, by_frequency, by_damping = (
+        unit_spectra, spectra_by_frequency, spectra_by_damping = (
             self.response_map(basis) for basis in self._accelerance_and_slopes(modes)
         )
         sensor_count, line_count = self.scaled_spectra.shape
-        slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
+        error_slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
         residues, driving_shape = self._residues(modes), modes[:, 2 + self.driving_index]
-        slopes[..., 0] = residues[:, None, :] * by_frequency.T
-        slopes[..., 1] = residues[:, None, :] * by_damping.T
+        error_slopes[..., 0] = residues[:, None, :] * spectra_by_frequency.T
+        error_slopes[..., 1] = residues[:, None, :] * spectra_by_damping.T
         for sensor in range(sensor_count):
-            rms = self.sensor_rms[sensor]
-            slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / rms
-            slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / rms
-        rows = -slopes.reshape(sensor_count * line_count, -1)
-        return np.concatenate([rows.real, rows.imag])
+            sensor_rms = self.sensor_rms[sensor]
+            error_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / sensor_rms
+            error_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / sensor_rms
+        jacobian_rows = -error_slopes.reshape(sensor_count * line_count, -1)
+        return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
 
     def outside_modes(
         self, modes: Float[np.ndarray, "modes columns"], outside_hz: list[float]
@@ -125,7 +127,7 @@ class _OutputError:
         unit_spectra = self.response_map(self._accelerance_and_slopes(log_values)[0])
         residues = basis_coefficients(unit_spectra.T, residual)
         driving_shape = np.sqrt(
-            np.maximum(residues[:, self.driving_index], MIN_damping_ratiosIVING_RESIDUE * np.abs(residues).max(axis=1))
+            np.maximum(residues[:, self.driving_index], MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1))
         )
         shapes = residues / driving_shape[:, None]
         shapes[:, self.driving_index] = driving_shape
@@ -160,25 +162,25 @@ def _accelerance_and_slopes(
 
 
 def _least_error_modes(
-    error: _OutputError, modes: Float[np.ndarray, "modes columns"], band_hz: tuple[float, float]
+    output_error: _OutputError, modes: Float[np.ndarray, "modes columns"], band_hz: tuple[float, float]
 ) -> Float[np.ndarray, "modes columns"]:
     """Modes of least error: those in the band stay near their start, those outside stay outside."""
-    low, high = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
-    low_log, high_log = np.log(band_hz)
-    is_below, is_above = modes[:, 0] < low_log, modes[:, 0] > high_log
-    low[:, 0] = np.where(
-        is_below, low_log + np.log(OUTSIDE_REACH[0]), np.where(is_above, high_log, modes[:, 0] - MAX_LOG_SHIFT)
+    lower_bounds, upper_bounds = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
+    log_low_hz, log_high_hz = np.log(band_hz)
+    is_below, is_above = modes[:, 0] < log_low_hz, modes[:, 0] > log_high_hz
+    lower_bounds[:, 0] = np.where(
+        is_below, log_low_hz + np.log(OUTSIDE_REACH[0]), np.where(is_above, log_high_hz, modes[:, 0] - MAX_LOG_SHIFT)
     )
-    high[:, 0] = np.where(
-        is_below, low_log, np.where(is_above, high_log + np.log(OUTSIDE_REACH[1]), modes[:, 0] + MAX_LOG_SHIFT)
+    upper_bounds[:, 0] = np.where(
+        is_below, log_low_hz, np.where(is_above, log_high_hz + np.log(OUTSIDE_REACH[1]), modes[:, 0] + MAX_LOG_SHIFT)
     )
-    low[:, 1], high[:, 1] = np.log(DAMPING_RATIO_RANGE)
-    clipped = np.clip(modes, low + 1e-9, high - 1e-9)
+    lower_bounds[:, 1], upper_bounds[:, 1] = np.log(DAMPING_RATIO_RANGE)
+    initial_modes = np.clip(modes, lower_bounds + 1e-9, upper_bounds - 1e-9)
     solution = scipy.optimize.least_squares(
-        error.residual,
-        clipped.ravel(),
-        error.jacobian,
-        bounds=(low.ravel(), high.ravel()),
+        output_error.residual,
+        initial_modes.ravel(),
+        output_error.jacobian,
+        bounds=(lower_bounds.ravel(), upper_bounds.ravel()),
         x_scale="jac",
         max_nfev=MAX_EVALUATIONS,
     )

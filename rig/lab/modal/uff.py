@@ -95,7 +95,11 @@ def read_uff(path: Path) -> UffFile:
     if not (0 < length_units < np.inf and 0 < force_units < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
     return UffFile(
-        path, datasets, {node: place / length_units for node, place in node_places.items()}, length_units, force_units
+        path,
+        datasets,
+        {node: position / length_units for node, position in node_places.items()},
+        length_units,
+        force_units,
     )
 
 
@@ -103,29 +107,35 @@ def node_line(
     file: UffFile, choice: Choice, nodes: Iterable[int]
 ) -> tuple[tuple[int, ...], Float[np.ndarray, " places"], float, str]:
     """Nodes along the body, their positions from its left end (m), its length (m), and a note on them."""
-    chosen = choice.nodes or tuple(sorted(set(nodes)))
-    if missing := sorted(set(chosen) - set(nodes)):
-        raise file.error(f"has no data at node {missing[0]}; leave it out of nodes")
+    chosen_nodes = choice.nodes or tuple(sorted(set(nodes)))
+    if missing_nodes := sorted(set(chosen_nodes) - set(nodes)):
+        raise file.error(f"has no data at node {missing_nodes[0]}; leave it out of nodes")
     if choice.positions_m:
-        if len(choice.positions_m) != len(chosen):
-            raise file.error(f"has {len(chosen)} nodes, and {len(choice.positions_m)} positions_m are given; give each")
-        positions_m, placement = np.array(choice.positions_m), "as given"
+        if len(choice.positions_m) != len(chosen_nodes):
+            raise file.error(
+                f"has {len(chosen_nodes)} nodes, and {len(choice.positions_m)} positions_m are given; give each"
+            )
+        positions_m, placement_words = np.array(choice.positions_m), "as given"
     else:
-        if unplaced := [node for node in chosen if node not in file.nodes_m]:
-            raise file.error(f"has no coordinates of node {unplaced[0]} (dataset 15); export them, or give positions_m")
-        coordinates = np.array([file.nodes_m[node] for node in chosen])
+        if unplaced_nodes := [node for node in chosen_nodes if node not in file.nodes_m]:
+            raise file.error(
+                f"has no coordinates of node {unplaced_nodes[0]} (dataset 15); export them, or give positions_m"
+            )
+        coordinates = np.array([file.nodes_m[node] for node in chosen_nodes])
         axis = AXES.index(choice.axis) if choice.axis else int(np.argmax(np.ptp(coordinates, axis=0)))
-        positions_m, placement = (coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}")
+        positions_m, placement_words = (coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}")
     node_order = np.argsort(positions_m, kind="stable")
-    ordered, positions_m = tuple(chosen[k] for k in node_order), positions_m[node_order]
+    ordered_nodes, positions_m = tuple(chosen_nodes[k] for k in node_order), positions_m[node_order]
     length_m = choice.length_m or float(positions_m[-1])
-    if coincident := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
-        first_node, second_node = ordered[coincident[0]], ordered[coincident[0] + 1]
+    if coincident_indices := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
+        first_node, second_node = ordered_nodes[coincident_indices[0]], ordered_nodes[coincident_indices[0] + 1]
         raise file.error(
-            f"nodes {first_node} and {second_node} are at one place {placement}; name those of one line by nodes"
+            f"nodes {first_node} and {second_node} are at one place {placement_words}; name those of one line by nodes"
         )
-    extent_text = f"from node {ordered[0]} at {positions_m[0]:.6g} m to node {ordered[-1]} at {positions_m[-1]:.6g} m"
-    return ordered, positions_m, length_m, f"{len(ordered)} nodes {placement}, {extent_text}"
+    extent_text = (
+        f"from node {ordered_nodes[0]} at {positions_m[0]:.6g} m to node {ordered_nodes[-1]} at {positions_m[-1]:.6g} m"
+    )
+    return ordered_nodes, positions_m, length_m, f"{len(ordered_nodes)} nodes {placement_words}, {extent_text}"
 
 
 RIGID_HZ = 0.01
@@ -148,11 +158,13 @@ def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tup
     amplitudes = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))
     if not amplitudes.any():
         raise file.error("its mode shapes are zero at the nodes; export them again")
-    elastic = np.array([mode.frequency_hz >= RIGID_HZ for mode in modes])
-    axis = AXES.index(choice.direction) if choice.direction else int(np.argmax((amplitudes[elastic] ** 2).sum(axis=0)))
-    shares = amplitudes[:, axis] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
-    is_kept = (shares > MIN_SHARE_IN_DIRECTION) | ~elastic
-    kept_modes = [mode for mode, keep in zip(modes, is_kept, strict=True) if keep]
+    is_elastic = np.array([mode.frequency_hz >= RIGID_HZ for mode in modes])
+    axis = (
+        AXES.index(choice.direction) if choice.direction else int(np.argmax((amplitudes[is_elastic] ** 2).sum(axis=0)))
+    )
+    direction_shares = amplitudes[:, axis] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
+    is_kept = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
+    kept_modes = [mode for mode, is_mode_kept in zip(modes, is_kept, strict=True) if is_mode_kept]
     notes: tuple[str, ...] = (f"{len(kept_modes)} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}",)
     if dropped_count := len(modes) - len(kept_modes):
         notes += (f"{dropped_count} modes without motion in direction {AXES[axis]} are left out",)
@@ -160,16 +172,16 @@ def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tup
         notes += ("a mode has no damping in the file; set damping_ratios in rig.json",)
     shapes, out_of_phase = _real_shapes(vectors[is_kept, :, axis].T)
     if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
-        worst = kept_modes[int(np.argmax(out_of_phase))]
+        worst_mode = kept_modes[int(np.argmax(out_of_phase))]
         raise file.error(
-            f"{out_of_phase.max():.0%} of the mode at {worst.frequency_hz:g} Hz is out of phase; a structure has "
+            f"{out_of_phase.max():.0%} of the mode at {worst_mode.frequency_hz:g} Hz is out of phase; a structure has "
             "normal modes, export those"
         )
-    is_rigid = ~elastic[is_kept]
+    is_rigid = ~is_elastic[is_kept]
     frequencies_hz = np.where(is_rigid, 0.0, [mode.frequency_hz for mode in kept_modes])
     ratios = np.where(is_rigid, 0.0, [mode.damping_ratio for mode in kept_modes])
-    names = [str(node) for node in nodes]
-    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names), notes
+    node_names = [str(node) for node in nodes]
+    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, node_names), notes
 
 
 @dataclass(frozen=True)
@@ -227,11 +239,11 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
     frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION]
     if not frfs:
         raise file.error("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
-    frf_ends = [((abs(frf["rsp_dir"]), frf["rsp_node"]), (abs(frf["ref_dir"]), frf["ref_node"])) for frf in frfs]
+    points_of_frfs = [((abs(frf["rsp_dir"]), frf["rsp_node"]), (abs(frf["ref_dir"]), frf["ref_node"])) for frf in frfs]
     axis = (
         AXES.index(choice.direction) + 1
         if choice.direction
-        else Counter(ends[0][0] for ends in frf_ends).most_common(1)[0][0]
+        else Counter(response_and_force[0][0] for response_and_force in points_of_frfs).most_common(1)[0][0]
     )
     if axis not in (1, 2, 3):
         raise file.error("its FRFs do not say their directions; export them with node and direction")
@@ -269,8 +281,8 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
 def _fit_notes(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
     for frequency_hz, ratio in zip(fit.frequencies_hz, fit.damping_ratios, strict=True):
         yield f"mode: {frequency_hz:.6g} Hz, damping ratio {ratio:.4g}"
-    for node, misfit, by_modes in zip(nodes, fit.misfits, fit.misfits_of_modes, strict=True):
-        yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {by_modes:.2%} by the modes without residuals"
+    for node, misfit, mode_misfit in zip(nodes, fit.misfits, fit.misfits_of_modes, strict=True):
+        yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {mode_misfit:.2%} by the modes without residuals"
 
 
 def _driving_point(
@@ -287,14 +299,18 @@ def _driving_point(
             signed_frf = (float(np.sign(frf["rsp_dir"] * frf["ref_dir"])), frf)
             frfs_by_point.setdefault(reference_node, {})[response_node] = signed_frf
             frfs_by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
-    complete_points = {point: frf_by_node for point, frf_by_node in frfs_by_point.items() if point in frf_by_node}
-    if not complete_points:
+    driving_points = {
+        driving_point: frf_by_node
+        for driving_point, frf_by_node in frfs_by_point.items()
+        if driving_point in frf_by_node
+    }
+    if not driving_points:
         raise file.error(
             f"has no FRF of a driving point in direction {AXES[axis - 1]} (one node for force and response), without "
             "which shapes have no scale; measure it too"
         )
-    point = max(complete_points, key=lambda candidate: len(complete_points[candidate]))
-    return point, complete_points[point]
+    driving_point = max(driving_points, key=lambda candidate: len(driving_points[candidate]))
+    return driving_point, driving_points[driving_point]
 
 
 def _accelerances_of(

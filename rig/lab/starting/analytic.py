@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from rig.errors import RigError
-from rig.lab.starting.base import StartWithStops, spread
+from rig.lab.starting.base import StartWithStops, spread_positions
 from rig.model.beam import Beam
 from rig.model.description import Rig, Station
 from rig.model.oscillator import Oscillator
@@ -62,9 +62,14 @@ class CantileverRig(UniformBeams, frozen=True, kw_only=True):
         )
         contacts_m = self.contacts_m or (self.length_m,)
         force_m = self.length_m if self.force_m is None else self.force_m
-        stations_m = self.stations_m or spread([*contacts_m, force_m], self.length_m, avoided_m=(0.0,))
-        meetings = [(Station("beam", x), None) for x in contacts_m]
-        rig = self._rig((beam,), meetings, Station("beam", force_m), [Station("beam", x) for x in stations_m])
+        stations_m = self.stations_m or spread_positions([*contacts_m, force_m], self.length_m, avoided_m=(0.0,))
+        meeting_stations = [(Station("beam", position_m), None) for position_m in contacts_m]
+        rig = self._rig(
+            (beam,),
+            meeting_stations,
+            Station("beam", force_m),
+            [Station("beam", position_m) for position_m in stations_m],
+        )
         return rig, self.notes()
 
 
@@ -102,25 +107,32 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
                 f"overlap_start_m is {overlap_start_m}; give a place on the cradle, 0 to below {self.cradle_length_m} m"
             )
         contacts_on_cradle_m = self.contacts_m or (overlap_start_m, overlap_end_m)
-        if outside := [x for x in contacts_on_cradle_m if not overlap_start_m <= x <= overlap_end_m]:
+        if off_overlap_m := [
+            position_m for position_m in contacts_on_cradle_m if not overlap_start_m <= position_m <= overlap_end_m
+        ]:
             raise RigError(
-                f"contacts_m has {outside[0]} m, where the beams do not lie side by side; give {overlap_start_m:g} to "
-                f"{overlap_end_m:g} m"
+                f"contacts_m has {off_overlap_m[0]} m, where the beams do not lie side by side; give "
+                f"{overlap_start_m:g} to {overlap_end_m:g} m"
             )
-        contacts_on_barrel_m = [round(x - overlap_start_m, 12) for x in contacts_on_cradle_m]
+        contacts_on_barrel_m = [round(position_m - overlap_start_m, 12) for position_m in contacts_on_cradle_m]
         force_m = self.barrel_length_m if self.force_m is None else self.force_m
         stations_by_body = {
-            "cradle": self.cradle_stations_m or spread(list(contacts_on_cradle_m), cradle.length_m, avoided_m=(0.0,)),
-            "barrel": self.barrel_stations_m or spread([*contacts_on_barrel_m, force_m], barrel.length_m),
+            "cradle": self.cradle_stations_m
+            or spread_positions(list(contacts_on_cradle_m), cradle.length_m, avoided_m=(0.0,)),
+            "barrel": self.barrel_stations_m or spread_positions([*contacts_on_barrel_m, force_m], barrel.length_m),
         }
         rig = self._rig(
             (cradle, barrel),
             [
-                (Station("barrel", b), Station("cradle", c))
-                for b, c in zip(contacts_on_barrel_m, contacts_on_cradle_m, strict=True)
+                (Station("barrel", on_barrel_m), Station("cradle", on_cradle_m))
+                for on_barrel_m, on_cradle_m in zip(contacts_on_barrel_m, contacts_on_cradle_m, strict=True)
             ],
             Station("barrel", force_m),
-            [Station(name, x) for name, positions_m in stations_by_body.items() for x in positions_m],
+            [
+                Station(body_name, position_m)
+                for body_name, positions_m in stations_by_body.items()
+                for position_m in positions_m
+            ],
         )
         return rig, self.notes()
 

@@ -65,7 +65,7 @@ class StartWithStops(Start, frozen=True, kw_only=True):
     def _rig(
         self,
         bodies: tuple[Body, ...],
-        meetings: Sequence[tuple[Station, Station | None]],
+        meeting_stations: Sequence[tuple[Station, Station | None]],
         force_at: Station,
         stations: Sequence[Station],
     ) -> Rig:
@@ -76,36 +76,39 @@ class StartWithStops(Start, frozen=True, kw_only=True):
         return Rig(
             name=self.name,
             bodies=bodies,
-            contacts=contacts_of(meetings, law),
+            contacts=contacts_of(meeting_stations, law),
             force_at=force_at,
-            sensors=tuple(named_sensor(s, q, self.noise_density) for q, s in product(self.quantity, stations)),
+            sensors=tuple(
+                named_sensor(station, quantity, self.noise_density)
+                for quantity, station in product(self.quantity, stations)
+            ),
             sample_rate_hz=self.sample_rate_hz,
         )
 
 
-def contacts_of(meetings: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
+def contacts_of(meeting_stations: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
     """Numbered contacts with one law, from pairs of stations."""
     return tuple(
         Contact(name=f"contact_{contact_number}", at=station, against=against, law=law)
-        for contact_number, (station, against) in enumerate(meetings, 1)
+        for contact_number, (station, against) in enumerate(meeting_stations, 1)
     )
 
 
-def spread(
+def spread_positions(
     required_m: Sequence[float],
     length_m: float,
     avoided_m: Sequence[float] = (),
     among_m: Sequence[float] | None = None,
-    count: int = STATION_COUNT,
+    position_count: int = STATION_COUNT,
 ) -> tuple[float, ...]:
-    """Required positions and further ones, `count` in all, each as far as possible from the others and from avoided_m.
+    """Required and further positions, `position_count` in all, each as far as possible from the others and avoided_m.
 
     Further ones are chosen from a grid of a fortieth of the length, or from among_m.
     """
-    chosen_m = sorted(set(required_m))
-    offered_m = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
-    while len(chosen_m) < min(count, len(offered_m)):
-        distance_m = np.abs(offered_m[:, None] - np.array([*chosen_m, *avoided_m])).min(axis=1)
-        farthest_m = float(offered_m[np.argmax(distance_m)])
-        chosen_m.append(float(f"{farthest_m:.9g}") if among_m is None else farthest_m)
-    return tuple(sorted(chosen_m))
+    chosen_positions_m = sorted(set(required_m))
+    offered_positions_m = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
+    while len(chosen_positions_m) < min(position_count, len(offered_positions_m)):
+        distance_m = np.abs(offered_positions_m[:, None] - np.array([*chosen_positions_m, *avoided_m])).min(axis=1)
+        farthest_m = float(offered_positions_m[np.argmax(distance_m)])
+        chosen_positions_m.append(float(f"{farthest_m:.9g}") if among_m is None else farthest_m)
+    return tuple(sorted(chosen_positions_m))

@@ -65,36 +65,40 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
 
     def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         count = len(self.masses_kg)
-        if not 2 <= count <= MAX_MASS_COUNT or not all(0 < m < np.inf for m in self.masses_kg):
+        if not 2 <= count <= MAX_MASS_COUNT or not all(0 < mass_kg < np.inf for mass_kg in self.masses_kg):
             raise RigError(f"masses_kg is {self.masses_kg}; give 2 to {MAX_MASS_COUNT} masses, each above zero")
         springs_n_per_m = self.springs_n_per_m * (count if len(self.springs_n_per_m) == 1 else 1)
-        if len(springs_n_per_m) != count or not all(0 <= k < np.inf for k in springs_n_per_m):
+        if len(springs_n_per_m) != count or not all(0 <= spring < np.inf for spring in springs_n_per_m):
             raise RigError(
                 f"springs_n_per_m has {len(self.springs_n_per_m)} numbers for {count} masses; give one for all, or one "
                 "for each mass, zero or above"
             )
         body = row_of_masses("chain", np.array(self.masses_kg), np.array(springs_n_per_m), self.damping_ratio)
-        stations = [Station("chain", float(k)) for k in range(1, count + 1)]
-        meetings = [
-            (stations[first - 1], stations[second - 1] if second else None) for first, second in self._mass_pairs(count)
+        stations = [Station("chain", float(number)) for number in range(1, count + 1)]
+        meeting_stations = [
+            (stations[first_number - 1], stations[second_number - 1] if second_number else None)
+            for first_number, second_number in self._mass_pairs(count)
         ]
         force_at = stations[
             self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1
         ]
         frequency_text = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
-        rig = self._rig((body,), meetings, force_at, stations)
+        rig = self._rig((body,), meeting_stations, force_at, stations)
         return rig, (f"natural frequencies, without contacts: {frequency_text} Hz", *self.notes())
 
-    def _mass_pairs(self, count: int) -> Iterator[tuple[int, int]]:
-        for pair in self.contacts or (f"{count}-{count - 1}",):
-            first, dash, second = pair.strip().partition("-")
-            if not (dash and first.isdecimal() and second.isdecimal()) or first == second:
+    def _mass_pairs(self, mass_count: int) -> Iterator[tuple[int, int]]:
+        for pair in self.contacts or (f"{mass_count}-{mass_count - 1}",):
+            first_text, dash, second_text = pair.strip().partition("-")
+            if not (dash and first_text.isdecimal() and second_text.isdecimal()) or first_text == second_text:
                 raise RigError(f"contacts has {pair!r}; give pairs of masses such as 3-2, or 3-0 against the ground")
-            yield (self._checked("contacts", int(first), count), self._checked("contacts", int(second), count, least=0))
+            yield (
+                self._checked("contacts", int(first_text), mass_count),
+                self._checked("contacts", int(second_text), mass_count, least_number=0),
+            )
 
-    def _checked(self, option: str, mass_number: int, count: int, least: int = 1) -> int:
-        if not least <= mass_number <= count:
-            raise RigError(f"{option} names mass {mass_number}; there are masses {least} to {count}")
+    def _checked(self, option: str, mass_number: int, mass_count: int, least_number: int = 1) -> int:
+        if not least_number <= mass_number <= mass_count:
+            raise RigError(f"{option} names mass {mass_number}; there are masses {least_number} to {mass_count}")
         return mass_number
 
 
@@ -105,10 +109,14 @@ def row_of_masses(
     damping_ratio: float,
 ) -> Structure:
     """Modal basis of masses in a row: K phi = omega^2 M phi, spring k between mass k - 1 and k, 0 being the ground."""
-    next_springs = np.append(springs_n_per_m[1:], 0.0)
-    stiffness = np.diag(springs_n_per_m + next_springs) - np.diag(next_springs[:-1], 1) - np.diag(next_springs[:-1], -1)
-    squared_omega, shapes = scipy.linalg.eigh(stiffness, np.diag(masses_kg))
+    springs_above_n_per_m = np.append(springs_n_per_m[1:], 0.0)
+    stiffness_matrix = (
+        np.diag(springs_n_per_m + springs_above_n_per_m)
+        - np.diag(springs_above_n_per_m[:-1], 1)
+        - np.diag(springs_above_n_per_m[:-1], -1)
+    )
+    squared_omega, shapes = scipy.linalg.eigh(stiffness_matrix, np.diag(masses_kg))
     is_rigid = squared_omega < 1e-9 * squared_omega[-1]  # rounding would give a free row a frequency
     natural_hz = np.sqrt(np.where(is_rigid, 0.0, squared_omega)) / (2 * np.pi)
-    places_m = np.arange(1.0, len(masses_kg) + 1)
-    return structure_of(name, places_m[-1], natural_hz, np.where(is_rigid, 0.0, damping_ratio), places_m, shapes)
+    positions_m = np.arange(1.0, len(masses_kg) + 1)
+    return structure_of(name, positions_m[-1], natural_hz, np.where(is_rigid, 0.0, damping_ratio), positions_m, shapes)

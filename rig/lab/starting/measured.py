@@ -67,19 +67,19 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             fit = fit_record(measured, self.positions_m, driving_index, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        densities = fit.noise_density.tolist()
+        noise_densities = fit.noise_density.tolist()
         if self.noise_density is not None:
-            densities = [self.noise_density] * len(densities)
+            noise_densities = [self.noise_density] * len(noise_densities)
         law = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
-        stations = [Station(self.name, x) for x in self.positions_m]
+        stations = [Station(self.name, position_m) for position_m in self.positions_m]
         rig = Rig(
             name=self.name,
             bodies=(fit.body,),
-            contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], law),
+            contacts=contacts_of([(Station(self.name, position_m), None) for position_m in self.contacts_m], law),
             force_at=stations[driving_index],
             sensors=tuple(
                 replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
-                for station, noise_density in zip(stations, densities, strict=True)
+                for station, noise_density in zip(stations, noise_densities, strict=True)
             ),
             sample_rate_hz=measured.sample_rate_hz,
             tolerances=Tolerances(
@@ -87,15 +87,16 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
                 highest_hz=float(f"{fit.band_hz[1]:.4g}"),
             ),
         )
-        repeats = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
-        band = f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz"
+        repeats_words = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
+        band_words = f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz"
         notes = (
-            f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
-            f"its force {repeats}",
+            f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, "
+            f"{band_words}; its force {repeats_words}",
             *_mode_notes(fit.body, fit.band_hz),
             *(
-                f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({by_frfs:.2%} by the FRFs' modes)"
-                for sensor, misfit, by_frfs in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
+                f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({frf_misfit:.2%} by "
+                "the FRFs' modes)"
+                for sensor, misfit, frf_misfit in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
             ),
         )
         return rig, notes
@@ -126,20 +127,22 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
         if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
             raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
-        if unsensed_m := [x for x in self.contacts_m if x not in self.positions_m]:
+        if unsensed_m := [position_m for position_m in self.contacts_m if position_m not in self.positions_m]:
             raise RigError(
                 f"contacts_m has {unsensed_m[0]:g} m, where no sensor is; the shapes are known at sensors alone"
             )
 
     def _measured_response(self) -> MeasuredResponse:
-        keys = [_source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name]
-        table = read_table(self.from_record, TextForm(), keys)
-        sources = {"force": ("force", _source(self.force_column, self.force_unit))}
-        sources |= {
+        column_keys = [
+            _source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name
+        ]
+        table = read_table(self.from_record, TextForm(), column_keys)
+        source_by_name = {"force": ("force", _source(self.force_column, self.force_unit))}
+        source_by_name |= {
             f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
         }
         try:
-            columns, si_factors = source_columns(table, sources)
+            columns, si_factors = source_columns(table, source_by_name)
             time_source = _source(self.time_column, "s") if self.time_column else None
             sample_times = sample_times_of(table, list(columns.values()), time_source, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")

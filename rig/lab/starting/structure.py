@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.lab.modal import Axis, Choice, structure_from_uff
-from rig.lab.starting.base import StartWithStops, spread
+from rig.lab.starting.base import StartWithStops, spread_positions
 from rig.model.decoding import converted
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
@@ -81,13 +81,17 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def _rig_of(self, body: Structure) -> Rig:
         contacts_m, stations_m = (
-            [_basis_position_m(body, x, option) for x in positions_m]
+            [_basis_position_m(body, position_m, option) for position_m in positions_m]
             for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
         force_m = _basis_position_m(body, self.force_m, "force_m")
-        places = stations_m or spread([*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist())
-        meetings = [(Station(body.name, x), None) for x in contacts_m]
-        return self._rig((body,), meetings, Station(body.name, force_m), [Station(body.name, x) for x in places])
+        sensor_positions_m = stations_m or spread_positions(
+            [*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist()
+        )
+        meeting_stations = [(Station(body.name, position_m), None) for position_m in contacts_m]
+        return self._rig(
+            (body,), meeting_stations, Station(body.name, force_m), [Station(body.name, x) for x in sensor_positions_m]
+        )
 
     def _from_json(self) -> Structure:
         path = self.body or Path()
@@ -130,12 +134,13 @@ def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
     """Note on the apparent mass of the first elastic mode, which reveals wrong units of shapes or modal masses."""
     if body.max_modes <= body.rigid_modes:
         return ()
-    shape = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
-    largest = int(np.argmax(np.abs(shape)))
+    shapes = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
+    largest_index = int(np.argmax(np.abs(shapes)))
     return (
-        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shape[largest] ** 2:.3g} kg "
-        f"at {body.positions_m[largest]:.4g} m: compare that with the part's weight (the end of a uniform beam moves "
-        "like a quarter of it); else the units of shapes or modal masses are wrong",
+        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of "
+        f"{1 / shapes[largest_index] ** 2:.3g} kg at {body.positions_m[largest_index]:.4g} m: compare that with the "
+        "part's weight (the end of a uniform beam moves like a quarter of it); else the units of shapes or modal "
+        "masses are wrong",
     )
 
 

@@ -71,17 +71,19 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
 
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
-        y, z = eta[0] - law.center_y_m, eta[1] - law.center_z_m
-        r = root(y * y + z * z) + TINY_M
-        depth = beyond(r, 0.0, law.clearance_m + law.wear_m_per_s * time_s)
-        normal_n = law.stiffness_n_per_m * depth
+        radial_y, radial_z = eta[0] - law.center_y_m, eta[1] - law.center_z_m
+        radius_m = root(radial_y * radial_y + radial_z * radial_z) + TINY_M
+        depth_m = beyond(radius_m, 0.0, law.clearance_m + law.wear_m_per_s * time_s)
+        normal_n = law.stiffness_n_per_m * depth_m
         if contributes(law.damping_n_s_per_m):
-            damping = smaller(depth * (law.damping_n_s_per_m / DAMPING_DEPTH_M), law.damping_n_s_per_m)
-            normal_n = normal_n + damping * ((rate[0] * y + rate[1] * z) / r)
+            damping = smaller(depth_m * (law.damping_n_s_per_m / DAMPING_DEPTH_M), law.damping_n_s_per_m)
+            normal_n = normal_n + damping * ((rate[0] * radial_y + rate[1] * radial_z) / radius_m)
             normal_n = select(normal_n > 0.0, normal_n, 0.0)
-        sliding = (rate[1] * y - rate[0] * z) / (r * law.sliding_speed_m_per_s)
-        friction_n = law.friction_coefficient * normal_n * tanh(sliding)
-        return (normal_n * y - friction_n * z) / r, (normal_n * z + friction_n * y) / r
+        relative_speed = (rate[1] * radial_y - rate[0] * radial_z) / (radius_m * law.sliding_speed_m_per_s)
+        friction_n = law.friction_coefficient * normal_n * tanh(relative_speed)
+        return (normal_n * radial_y - friction_n * radial_z) / radius_m, (
+            normal_n * radial_z + friction_n * radial_y
+        ) / radius_m
 
     def force_n(
         self, eta_m: float | Components, rate_m_per_s: float | Components = 0.0, time_s: Signal = 0.0
@@ -91,8 +93,8 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
     def penetration_m(self, eta_m: float | Components, time_s: Signal = 0.0) -> Values:
         """Depth beyond the ring, without direction, m."""
         eta_m = np.asarray(eta_m)
-        r = np.hypot(eta_m[0] - self.center_y_m, eta_m[1] - self.center_z_m)
-        return np.asarray(np.maximum(r - self.clearance_m - self.wear_m_per_s * np.asarray(time_s), 0.0))
+        radius_m = np.hypot(eta_m[0] - self.center_y_m, eta_m[1] - self.center_z_m)
+        return np.asarray(np.maximum(radius_m - self.clearance_m - self.wear_m_per_s * np.asarray(time_s), 0.0))
 
     def by_eta_n_per_m(self, eta_m: float | Components, time_s: Signal = 0.0) -> Tensor:
         return self.tangent(eta_m, 0.0, time_s)[0]
@@ -112,22 +114,25 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
         eta_m = np.asarray(eta_m)
         rate = np.broadcast_to(rate_m_per_s, eta_m.shape)
         y, z = eta_m[0] - self.center_y_m, eta_m[1] - self.center_z_m
-        r = np.hypot(y, z) + TINY_M
-        n, t = np.stack([y, z]) / r, np.stack([-z, y]) / r
+        radius_m = np.hypot(y, z) + TINY_M
+        n, t = np.stack([y, z]) / radius_m, np.stack([-z, y]) / radius_m
         v_n, v_t = np.sum(rate * n, axis=0), np.sum(rate * t, axis=0)
         depth, c, mu = self.penetration_m(eta_m, time_s), self.damping_n_s_per_m, self.friction_coefficient
-        share, slope = np.minimum(depth / DAMPING_DEPTH_M, 1.0), (depth < DAMPING_DEPTH_M) / DAMPING_DEPTH_M
-        normal_n = self.stiffness_n_per_m * depth + c * share * v_n
-        closed = (depth > 0) & (normal_n > 0)
-        normal_n = normal_n * closed
-        turned = np.tanh(v_t / self.sliding_speed_m_per_s)
-        rubbing = mu * normal_n * (1 - turned**2) / self.sliding_speed_m_per_s
-        normal_by_eta = closed * ((self.stiffness_n_per_m + c * slope * v_n) * n + c * share * v_t / r * t)
-        normal_by_rate = closed * c * share * n
-        friction_by_eta = mu * turned * normal_by_eta - rubbing * v_n / r * t
-        friction_by_rate = mu * turned * normal_by_rate + rubbing * t
-        turning = (normal_n * t - mu * normal_n * turned * n) / r
-        by_eta = n[:, None] * normal_by_eta + t[:, None] * friction_by_eta + turning[:, None] * t
+        damping_share = np.minimum(depth / DAMPING_DEPTH_M, 1.0)
+        share_slope = (depth < DAMPING_DEPTH_M) / DAMPING_DEPTH_M
+        normal_n = self.stiffness_n_per_m * depth + c * damping_share * v_n
+        is_closed = (depth > 0) & (normal_n > 0)
+        normal_n = normal_n * is_closed
+        friction_direction = np.tanh(v_t / self.sliding_speed_m_per_s)
+        friction_rate_slope = mu * normal_n * (1 - friction_direction**2) / self.sliding_speed_m_per_s
+        normal_by_eta = is_closed * (
+            (self.stiffness_n_per_m + c * share_slope * v_n) * n + c * damping_share * v_t / radius_m * t
+        )
+        normal_by_rate = is_closed * c * damping_share * n
+        friction_by_eta = mu * friction_direction * normal_by_eta - friction_rate_slope * v_n / radius_m * t
+        friction_by_rate = mu * friction_direction * normal_by_rate + friction_rate_slope * t
+        axis_turn = (normal_n * t - mu * normal_n * friction_direction * n) / radius_m
+        by_eta = n[:, None] * normal_by_eta + t[:, None] * friction_by_eta + axis_turn[:, None] * t
         return by_eta, n[:, None] * normal_by_rate + t[:, None] * friction_by_rate
 
     def energy_j(self, eta_m: float | Components, time_s: Signal = 0.0) -> Values:

@@ -50,10 +50,10 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
-            value, may_lack = getattr(self, field), field in CLEARANCES
-            if not ((np.isfinite(value) or (may_lack and value > 0)) and (value >= 0 or field in self.signed)):
-                lacking = ", or null where there is no stop on that side" if may_lack else ""
-                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above{lacking}")
+            value, may_be_infinite = getattr(self, field), field in CLEARANCES
+            if not ((np.isfinite(value) or (may_be_infinite and value > 0)) and (value >= 0 or field in self.signed)):
+                null_advice = ", or null where there is no stop on that side" if may_be_infinite else ""
+                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above{null_advice}")
         if not self.sides and not self.acts_in_the_gap:
             raise RigError(
                 "contact law: both clearances are null, so that it has no stop and gives no force; give one of them"

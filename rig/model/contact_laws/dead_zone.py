@@ -82,13 +82,15 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
         depth = depth_of(self, eta_m, time_s)
-        share = smaller(magnitude(depth) / DAMPING_DEPTH_M, 1.0)
+        damping_share = smaller(magnitude(depth) / DAMPING_DEPTH_M, 1.0)
         if not self.pulls:
             elastic_n = (_secant(self, depth) + self.cubic_n_per_m3 * depth * depth) * depth
-            share = share * ((elastic_n + self.damping_n_s_per_m * share * rate_m_per_s) * depth > 0.0)
+            damping_share = damping_share * (
+                (elastic_n + self.damping_n_s_per_m * damping_share * rate_m_per_s) * depth > 0.0
+            )
         friction_slope = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
         return np.asarray(
-            self.damping_n_s_per_m * share + self.open_damping_n_s_per_m + self.friction_n * friction_slope
+            self.damping_n_s_per_m * damping_share + self.open_damping_n_s_per_m + self.friction_n * friction_slope
         )
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:

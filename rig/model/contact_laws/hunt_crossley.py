@@ -31,21 +31,21 @@ class HuntCrossley(PlaneLaw, frozen=True, kw_only=True, tag="hunt_crossley"):
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
         depth = depth_of(law, eta, time_s)
-        share = magnitude(depth) / law.reference_depth_m
-        linear = law.stiffness_n_per_m * depth + law.damping_n_s_per_m * rate * share
-        return linear * power(share, law.exponent - 1.0)
+        depth_ratio = magnitude(depth) / law.reference_depth_m
+        linear_force = law.stiffness_n_per_m * depth + law.damping_n_s_per_m * rate * depth_ratio
+        return linear_force * power(depth_ratio, law.exponent - 1.0)
 
     def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         return np.asarray(self.exponent * self._secant(depth_of(self, eta_m, time_s)))
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
-        share = np.abs(depth_of(self, eta_m, time_s)) / self.reference_depth_m
-        return np.asarray(self.damping_n_s_per_m * share**self.exponent + 0.0 * rate_m_per_s)
+        depth_ratio = np.abs(depth_of(self, eta_m, time_s)) / self.reference_depth_m
+        return np.asarray(self.damping_n_s_per_m * depth_ratio**self.exponent + 0.0 * rate_m_per_s)
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         depth = depth_of(self, eta_m, time_s)
         return np.asarray(self._secant(depth) * depth**2 / (self.exponent + 1))
 
     def _secant(self, depth_m: Any) -> Any:
-        share = np.abs(depth_m) / self.reference_depth_m
-        return self.stiffness_n_per_m * share ** (self.exponent - 1) * (depth_m != 0)
+        depth_ratio = np.abs(depth_m) / self.reference_depth_m
+        return self.stiffness_n_per_m * depth_ratio ** (self.exponent - 1) * (depth_m != 0)

@@ -13,7 +13,7 @@ from rig.model.components import DIRECTIONS
 from rig.model.description import Rig, Sensor, Station, contact_rows, stations_of
 from rig.model.quantities import Quantity
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_of
-from rig.simulation.plants.connectors import ChangingModulus, Extra, Section, modulus_change
+from rig.simulation.plants.connectors import ChangingModulus, ExtraPhysics, Section, modulus_change
 from rig.simulation.plants.finite_elements import add_loads, build, item
 from rig.simulation.plants.loading import (
     check_softening,
@@ -25,7 +25,7 @@ from rig.simulation.plants.loading import (
 )
 from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, station_row
 
-ELEMENTS = 20
+ELEMENT_COUNT = 20
 BLOCK_STEPS = 4096
 
 
@@ -34,8 +34,8 @@ def simulate(
     force_n: ForceSignal,
     step_s: float,
     progress: Progress,
-    element_count: int = ELEMENTS,
-    extra: tuple[Extra, ...] = (),
+    element_count: int = ELEMENT_COUNT,
+    extra_physics: tuple[ExtraPhysics, ...] = (),
 ) -> Iterator[Motion]:
     """Motion from rest, with about `element_count` elements per beam and a node wherever something acts on it.
 
@@ -43,7 +43,7 @@ def simulate(
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
     every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
     inertial load. The solver runs in segments of 4096 steps, each continued from the coordinates, velocities and
-    accelerations of the one before. `extra` is what no Rig describes.
+    accelerations of the one before. `extra_physics` is what no Rig describes.
 
     Yields one Motion per segment. Raises RigError if the solver fails or the motion is not finite.
     """
@@ -52,13 +52,13 @@ def simulate(
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True
-    excitation = _excitation(rig, force_n, step_s, extra)
+    excitation = _excitation(rig, force_n, step_s, extra_physics)
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra)
+        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra_physics)
         instruments = _instruments(exu, mbs, rig, meshes, connectors)
-        _excite(mbs, rig, meshes, loads, excitation, step_s, extra)
+        _excite(mbs, rig, meshes, loads, excitation, step_s, extra_physics)
         mbs.Assemble()
         if has_static_load(rig):
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
@@ -79,31 +79,31 @@ class _Excitation:
     `base` is displacement, velocity and acceleration, empty where the base stands still.
     """
 
-    measured_n: Forces
+    measured_forces_n: Forces
     loads_n: tuple[Float[np.ndarray, " steps"], ...]
     base: tuple[Float[np.ndarray, " steps"], ...]
 
     @property
     def first_n(self) -> list[float]:
         """First values of the true forces."""
-        return [float(history[0]) for history in self.loads_n[: len(self.measured_n.signals)]]
+        return [float(history[0]) for history in self.loads_n[: len(self.measured_forces_n.signals)]]
 
-    def base_over(self, span: slice) -> list[Float[np.ndarray, " some"] | float]:
+    def base_motion_over(self, span: slice) -> list[Float[np.ndarray, " some"] | float]:
         """Displacement, velocity and acceleration of the base over a span of steps; zeros without base motion."""
         return [history[span] for history in self.base] or [0.0] * 3
 
 
-def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra: tuple[Extra, ...]) -> _Excitation:
+def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra_physics: tuple[ExtraPhysics, ...]) -> _Excitation:
     """Excitation of a run.
 
     Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
     """
-    measured_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
-    base = shaken_base(rig, measured_n, step_s)
-    if (base or has_static_load(rig)) and any(isinstance(e, Section) for e in extra):
+    measured_forces_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
+    base_signals = shaken_base(rig, measured_forces_n, step_s)
+    if (base_signals or has_static_load(rig)) and any(isinstance(part, Section) for part in extra_physics):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
-    true_n = (true_force(rig, signal[:], step_s) for signal in measured_n.signals)
-    return _Excitation(measured_n, (*true_n, *(tone.force_n(time_s) for tone in rig.tones)), base)
+    true_forces_n = (true_force(rig, signal[:], step_s) for signal in measured_forces_n.signals)
+    return _Excitation(measured_forces_n, (*true_forces_n, *(tone.force_n(time_s) for tone in rig.tones)), base_signals)
 
 
 def _excite(
@@ -113,54 +113,63 @@ def _excite(
     loads: list[int],
     excitation: _Excitation,
     step_s: float,
-    extra: tuple[Extra, ...],
+    extra_physics: tuple[ExtraPhysics, ...],
 ) -> None:
     """Register the function that sets loads, base acceleration and changing moduli before every step."""
     set_base = add_loads(mbs, rig, meshes) if has_static_load(rig) or excitation.base else None
-    modulus_updates = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
+    modulus_updates = [modulus_change(mbs, meshes, part) for part in extra_physics if isinstance(part, ChangingModulus)]
 
-    def apply(system: Any, time_s: float) -> bool:
+    def apply_excitation(system: Any, time_s: float) -> bool:
         step = round(time_s / step_s)
-        for load, history_n in zip(loads, excitation.loads_n, strict=True):
-            system.SetLoadParameter(load, "load", float(history_n[step]))
+        for load_number, history_n in zip(loads, excitation.loads_n, strict=True):
+            system.SetLoadParameter(load_number, "load", float(history_n[step]))
         if excitation.base and set_base:
             set_base(float(excitation.base[2][step]))
         for update_modulus in modulus_updates:
             update_modulus(step, time_s)
         return True
 
-    mbs.SetPreStepUserFunction(apply)
+    mbs.SetPreStepUserFunction(apply_excitation)
 
 
 @dataclass(frozen=True)
 class _Instruments:
     """Readers of a segment: all transverse coordinates by time derivative, and the contact forces with their columns.
 
-    `stations` and `sensors` are the rows that make a station's displacement and a sensor's quantity of them.
+    `displacement_rows` and `sensor_rows` weigh them in a station's displacement and a sensor's quantity.
     """
 
-    coordinates: dict[int, Callable[[], Float[np.ndarray, "rows samples"]]]
-    contact_forces: list[tuple[int, int]]
-    stations: dict[Station, Float[np.ndarray, " rows"]]
-    sensors: list[tuple[Quantity, Float[np.ndarray, " rows"]]]
+    coordinate_readers: dict[int, Callable[[], Float[np.ndarray, "rows samples"]]]
+    contact_force_sensors: list[tuple[int, int]]
+    displacement_rows: dict[Station, Float[np.ndarray, " rows"]]
+    sensor_rows: list[tuple[Quantity, Float[np.ndarray, " rows"]]]
     limits_m: Float[np.ndarray, " connections"]
 
 
 def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: list[int]) -> _Instruments:
     """Exudyn sensors on every node and on the connectors of the contacts."""
     orders = {0, *(sensor.measures.order for sensor in rig.sensors)}
-    force = exu.OutputVariableType.Force
+    force_output = exu.OutputVariableType.Force
     return _Instruments(
-        coordinates={order: _read_nodes(exu, mbs, meshes, order) for order in orders},
-        contact_forces=[
+        coordinate_readers={order: _read_nodes(exu, mbs, meshes, order) for order in orders},
+        contact_force_sensors=[
             (
-                int(mbs.AddSensor(item("SensorObject")(objectNumber=c, storeInternal=True, outputVariableType=force))),
+                int(
+                    mbs.AddSensor(
+                        item("SensorObject")(
+                            objectNumber=connector, storeInternal=True, outputVariableType=force_output
+                        )
+                    )
+                ),
                 2 + DIRECTIONS.index(contact.at.direction) if contact.law.spatial else 1,
             )
-            for c, contact in zip(connectors, contact_rows(rig), strict=False)
+            for connector, contact in zip(connectors, contact_rows(rig), strict=False)
         ],
-        stations={s: station_row(meshes, s) for s in {*stations_of(rig), *(c.at for c in connections(rig))}},
-        sensors=[(sensor.measures, _sensor_row(rig, meshes, sensor)) for sensor in rig.sensors],
+        displacement_rows={
+            station: station_row(meshes, station)
+            for station in {*stations_of(rig), *(contact.at for contact in connections(rig))}
+        },
+        sensor_rows=[(sensor.measures, _sensor_row(rig, meshes, sensor)) for sensor in rig.sensors],
         limits_m=softening_limits_m(rig),
     )
 
@@ -169,48 +178,62 @@ def _motion(
     rig: Rig, mbs: Any, instruments: _Instruments, excitation: _Excitation, steps: range, step_s: float
 ) -> Motion:
     """Motion of the segment just solved; raises RigError if it diverged or a softening spring let go."""
-    repeated = int(steps.start > 0)  # the first sample of a segment is the last of the one before
-    coordinates = {order: read()[:, repeated:] for order, read in instruments.coordinates.items()}
+    repeated_count = int(steps.start > 0)  # the first sample of a segment is the last of the one before
+    coordinates = {
+        order: read_coordinates()[:, repeated_count:]
+        for order, read_coordinates in instruments.coordinate_readers.items()
+    }
     if not all(np.isfinite(derivative).all() for derivative in coordinates.values()):
         end_s = steps.stop * step_s
         raise RigError(f"the ancf plant diverged before {end_s:.3f} s at step {step_s} s; use a smaller step")
     sample_count = coordinates[0].shape[1]
     span = slice(steps.stop + 1 - sample_count, steps.stop + 1)
-    displacement_m = {s: row @ coordinates[0] for s, row in instruments.stations.items()}
-    relative_m = [displacement_m[c.at] - (displacement_m[c.against] if c.against else 0) for c in connections(rig)]
-    check_softening(instruments.limits_m, _stack(relative_m, sample_count))
-    base = excitation.base_over(span)
-    sensed = [
-        row @ coordinates[derivative.order] + base[derivative.order] * derivative.translates
-        for derivative, row in instruments.sensors
+    displacement_m = {s: row @ coordinates[0] for s, row in instruments.displacement_rows.items()}
+    eta_m = [
+        displacement_m[contact.at] - (displacement_m[contact.against] if contact.against else 0)
+        for contact in connections(rig)
+    ]
+    check_softening(instruments.limits_m, _stack(eta_m, sample_count))
+    base_signals = excitation.base_motion_over(span)
+    sensor_values = [
+        row @ coordinates[derivative.order] + base_signals[derivative.order] * derivative.translates
+        for derivative, row in instruments.sensor_rows
     ]
     return Motion(
-        start_s=(steps.start + repeated) * step_s,
+        start_s=(steps.start + repeated_count) * step_s,
         step_s=step_s,
-        forces_n=excitation.measured_n[span],
-        sensed=_stack(sensed, sample_count),
-        displacement_m=_stack([displacement_m[station] + base[0] for station in stations_of(rig)], sample_count),
-        eta_m=_stack(relative_m[: len(instruments.contact_forces)], sample_count),
+        forces_n=excitation.measured_forces_n[span],
+        sensed=_stack(sensor_values, sample_count),
+        displacement_m=_stack(
+            [displacement_m[station] + base_signals[0] for station in stations_of(rig)], sample_count
+        ),
+        eta_m=_stack(eta_m[: len(instruments.contact_force_sensors)], sample_count),
         contact_force_n=_stack(
-            [mbs.GetSensorStoredData(s)[repeated:, column] for s, column in instruments.contact_forces], sample_count
+            [mbs.GetSensorStoredData(s)[repeated_count:, column] for s, column in instruments.contact_force_sensors],
+            sample_count,
         ),
     )
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
     """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
-    output = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
+    output_type = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
     sensors = [
-        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)
+        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)), mesh)
         for mesh in meshes
-        for node in mesh.nodes
+        for node in mesh.node_numbers
     ]
 
-    def read() -> Float[np.ndarray, "rows samples"]:
-        rows = [np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in sensors]
+    def read_coordinates() -> Float[np.ndarray, "rows samples"]:
+        rows = [
+            np.asarray(mbs.GetSensorStoredData(sensor))[
+                :, [1 + coordinate for coordinate in mesh.transverse_coordinates]
+            ].T
+            for sensor, mesh in sensors
+        ]
         return np.concatenate(rows)
 
-    return read
+    return read_coordinates
 
 
 def _settings(exu: Any, step_s: float) -> Any:

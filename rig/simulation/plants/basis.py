@@ -7,13 +7,13 @@ from jaxtyping import Float
 from rig.extras import needs_extra
 from rig.model.beam import Beam
 from rig.model.description import Rig, Station
-from rig.model.modes import held_coordinates, hermite
+from rig.model.modes import held_coordinate_count, hermite
 from rig.model.structure import Structure, structure_of
 from rig.simulation.plants.connectors import Section
 from rig.simulation.plants.finite_elements import build, free_coordinates
 from rig.simulation.plants.mesh import Mesh
 
-ELEMENTS = 60
+ELEMENT_COUNT = 60
 
 
 def modal_basis(
@@ -21,22 +21,25 @@ def modal_basis(
     sections: tuple[Section, ...],
     positions_m: Float[np.ndarray, " places"],
     mode_count: int,
-    element_count: int = ELEMENTS,
+    element_count: int = ELEMENT_COUNT,
 ) -> Structure:
     """Beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
 
     Elastic modes have the beam's damping ratio. The rigid-body modes of a free beam, which its finite elements give in
     any mixture, become a translation and a rotation about the centre of mass.
     """
-    mesh, omega_squared, vectors = _bending_modes(beam, sections, element_count)
+    mesh, omega_squared, node_shapes = _bending_modes(beam, sections, element_count)
     rigid_count = beam.rigid_modes
     frequencies_hz = np.sqrt(np.maximum(omega_squared[:mode_count], 0)) / (2 * np.pi)
     frequencies_hz[:rigid_count] = 0
-    shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :mode_count]
-    shapes[:, :rigid_count] = shapes[:, :rigid_count] @ _separating_rotation(vectors[0::2, :rigid_count])
-    signs = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
+    shapes = (
+        np.array([hermite(mesh.positions_m, float(position_m)) for position_m in positions_m])
+        @ node_shapes[:, :mode_count]
+    )
+    shapes[:, :rigid_count] = shapes[:, :rigid_count] @ _separating_rotation(node_shapes[0::2, :rigid_count])
+    end_signs = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
     return structure_of(
-        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(mode_count), positions_m, shapes * signs
+        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(mode_count), positions_m, shapes * end_signs
     )
 
 
@@ -55,12 +58,14 @@ def _bending_modes(
         mbs = container.AddSystem()
         (mesh,), _, _ = build(exu, mbs, rig, [0.0], element_count, sections)
         mbs.Assemble()
-        mass, stiffness, _ = mbs.ComputeLinearizedSystem()
+        mass_matrix, stiffness_matrix, _ = mbs.ComputeLinearizedSystem()
     finally:
         container.Reset()
-    free = free_coordinates(rig, mesh)
-    omega_squared, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
-    clamped_rows = np.zeros((held_coordinates(rig, beam), omega_squared.size))
+    free_indices = free_coordinates(rig, mesh)
+    omega_squared, shapes = scipy.linalg.eigh(
+        stiffness_matrix[np.ix_(free_indices, free_indices)], mass_matrix[np.ix_(free_indices, free_indices)]
+    )
+    clamped_rows = np.zeros((held_coordinate_count(rig, beam), omega_squared.size))
     return mesh, omega_squared, np.concatenate([clamped_rows, shapes])
 
 

@@ -20,8 +20,8 @@ from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.elementary import beyond, contributes, magnitude, power, root, select, smaller, tanh
 from rig.simulation.plants.loading import law_spans
 
-FAST = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
-inlined = numba.njit(inline="always", **FAST)
+NUMBA_OPTIONS = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
+inlined = numba.njit(inline="always", **NUMBA_OPTIONS)
 
 
 def _source_checksum() -> int:
@@ -30,9 +30,9 @@ def _source_checksum() -> int:
     return zlib.crc32(b"".join(path.read_bytes() for path in [*files, Path(__file__)]))
 
 
-SPATIAL, SECOND = -1, -2
+ANNULAR_Y, ANNULAR_Z = -1, -2
 """Kinds of the first and the second row of an annular contact."""
-COLUMNS = np.dtype(
+LAW_RECORD_TYPE = np.dtype(
     [
         ("kind", "i8"),
         ("acts_in_the_gap", "i8"),
@@ -45,15 +45,15 @@ changed formula makes another type, for which numba compiles anew."""
 
 
 def law_records(laws: Sequence[ContactLaw]) -> Any:
-    """Table with a row of coefficients per law, of any kind; a law of both directions has two, SPATIAL and SECOND."""
-    table = np.zeros(len(laws), COLUMNS)
-    for row, law in zip(table, laws, strict=True):
+    """Table with a row of coefficients per law, of any kind; an annular one has two, ANNULAR_Y and ANNULAR_Z."""
+    table = np.zeros(len(laws), LAW_RECORD_TYPE)
+    for law_record, law in zip(table, laws, strict=True):
         for name, value in msgspec.structs.asdict(law).items():
-            row[name] = value
-        row["kind"] = SPATIAL if law.spatial else PLANE_LAWS.index(type(law))
-        row["acts_in_the_gap"] = law.acts_in_the_gap
+            law_record[name] = value
+        law_record["kind"] = ANNULAR_Y if law.spatial else PLANE_LAWS.index(type(law))
+        law_record["acts_in_the_gap"] = law.acts_in_the_gap
     for _, law_rows in law_spans(laws):
-        table["kind"][law_rows.start + 1 : law_rows.stop] = SECOND
+        table["kind"][law_rows.start + 1 : law_rows.stop] = ANNULAR_Z
     return table.view(np.recarray)
 
 
@@ -78,7 +78,7 @@ def _tanh(x):
     return t
 
 
-_NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
+_SCALAR_FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
     contributes: lambda factor: True,  # noqa: ARG005
     beyond: lambda eta, low, high: max(eta - high, 0.0) + min(eta - low, 0.0),
     select: lambda condition, chosen, otherwise: chosen if condition else otherwise,
@@ -92,24 +92,24 @@ _NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
 
 for _module in [sys.modules[name] for name in sys.modules if name.startswith(rig.model.contact_laws.__name__)]:
     _helpers = [f for f in vars(_module).values() if isinstance(f, FunctionType) and f.__module__ == _module.__name__]
-    _NUMBERS = {f: unwrap(f) for f in _helpers} | _NUMBERS  # functions that formulas share
+    _SCALAR_FUNCTIONS = {f: unwrap(f) for f in _helpers} | _SCALAR_FUNCTIONS  # functions that formulas share
 
-for _general, _compiled in _NUMBERS.items():
+for _general, _compiled in _SCALAR_FUNCTIONS.items():
     overload(_general, strict=False)(lambda *_, own=_compiled: own)
 
 
 def _formula_by_kind(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
-    """Compiled formula that dispatches on a row's kind among the formulas from number `first` on."""
-    formula = inlined(unwrap(formulas[first_kind]))
+    """Compiled formula that dispatches on a row's kind among the formulas from number `first_kind` on."""
+    first_formula = inlined(unwrap(formulas[first_kind]))
     if first_kind + 1 == len(formulas):
-        return formula
+        return first_formula
     later_formulas = _formula_by_kind(formulas, first_kind + 1)
 
     @inlined
     @no_type_check
     def formula_of_kind(law, eta, rate, time_s):
         if law.kind == first_kind:
-            return formula(law, eta, rate, time_s)
+            return first_formula(law, eta, rate, time_s)
         return later_formulas(law, eta, rate, time_s)
 
     return formula_of_kind

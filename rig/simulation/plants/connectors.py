@@ -43,7 +43,7 @@ class Section:
     mass_factor: float
 
 
-Extra = GroundedForce | ChangingModulus | Section
+ExtraPhysics = GroundedForce | ChangingModulus | Section
 """Properties of a simulated reality that its Rig cannot describe."""
 
 
@@ -58,8 +58,8 @@ def add_contact(exu: Any, mbs: Any, against_marker: int, marker: int, law: Conta
         return law.formula(law, eta, rate, t)
 
     if law.spatial:
-        return _connected(mbs, against_marker, marker, force_n, [0.0] * 3, [0.0] * 3)
-    return _connected(mbs, against_marker, marker, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
+        return _add_connector(mbs, against_marker, marker, force_n, [0.0] * 3, [0.0] * 3)
+    return _add_connector(mbs, against_marker, marker, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
 
 
 @cache
@@ -80,45 +80,51 @@ def _let_formulas_record(symbolic: Any) -> None:
         getattr(elementary, name).register(symbolic.Real, function)
 
 
-def add_grounded(exu: Any, mbs: Any, ground_marker: int, marker: int, extra: GroundedForce) -> int:
+def add_grounded(exu: Any, mbs: Any, ground_marker: int, marker: int, grounded_force: GroundedForce) -> int:
     """Add a connector from a marker to the ground with the formula of a grounded force; return its number."""
 
     @no_type_check  # recorded symbolically from the plain function
-    def law(_system, t, _number, w, rate, _stiffness, _damping, _offset):
-        return extra.force_n(exu.symbolic, t, w, rate)
+    def symbolic_force_n(_system, t, _number, w, rate, _stiffness, _damping, _offset):
+        return grounded_force.force_n(exu.symbolic, t, w, rate)
 
-    return _connected(mbs, ground_marker, marker, law)
+    return _add_connector(mbs, ground_marker, marker, symbolic_force_n)
 
 
-def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Callable[[int, float], None]:
+def modulus_change(mbs: Any, meshes: list[Mesh], change: ChangingModulus) -> Callable[[int, float], None]:
     """Function of (step, time) that updates the bending stiffness of a beam's elements every 64 steps."""
-    mesh = next(mesh for mesh in meshes if mesh.body.name == extra.beam)
-    objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
-    elements = [n for n, o in objects if o["objectType"] == "ANCFCable2D" and int(o["nodeNumbers"][0]) in mesh.nodes]
-    nominal_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in elements}
+    mesh = next(mesh for mesh in meshes if mesh.body.name == change.beam)
+    numbered_objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
+    element_numbers = [
+        n
+        for n, exudyn_object in numbered_objects
+        if exudyn_object["objectType"] == "ANCFCable2D" and int(exudyn_object["nodeNumbers"][0]) in mesh.node_numbers
+    ]
+    nominal_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in element_numbers}
 
-    def update(sample: int, time_s: float) -> None:
-        if sample % MODULUS_EVERY_STEPS == 0:
-            for number in elements:
-                mbs.SetObjectParameter(number, "bendingStiffness", nominal_n_m2[number] * extra.factor(time_s))
+    def update_modulus(step: int, time_s: float) -> None:
+        if step % MODULUS_EVERY_STEPS == 0:
+            for number in element_numbers:
+                mbs.SetObjectParameter(number, "bendingStiffness", nominal_n_m2[number] * change.factor(time_s))
 
-    return update
+    return update_modulus
 
 
-def _connected(
+def _add_connector(
     mbs: Any,
     against_marker: int,
     marker: int,
-    law: Callable[..., Any],
+    force_function: Callable[..., Any],
     stiffness: float | list[float] = 0.0,
     damping: float | list[float] = 0.0,
 ) -> int:
     from exudyn.advancedUtilities import CreateSymbolicUserFunction
     from exudyn.itemInterface import CartesianSpringDamper, CoordinateSpringDamper
 
-    kind = CartesianSpringDamper if isinstance(stiffness, list) else CoordinateSpringDamper
-    connector = mbs.AddObject(kind(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping))
-    function = CreateSymbolicUserFunction(mbs, law, "springForceUserFunction", connector)
-    mbs.SetObjectParameter(connector, "springForceUserFunction", function)
-    mbs.variables[f"law of connector {connector}"] = function  # Exudyn does not keep it alive
+    connector_type = CartesianSpringDamper if isinstance(stiffness, list) else CoordinateSpringDamper
+    connector = mbs.AddObject(
+        connector_type(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping)
+    )
+    user_function = CreateSymbolicUserFunction(mbs, force_function, "springForceUserFunction", connector)
+    mbs.SetObjectParameter(connector, "springForceUserFunction", user_function)
+    mbs.variables[f"law of connector {connector}"] = user_function  # Exudyn does not keep it alive
     return int(connector)

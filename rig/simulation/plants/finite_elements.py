@@ -12,11 +12,11 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import Body, Direction, PointSpring, Rig, Station
-from rig.model.modes import held_coordinates, with_attachments
+from rig.model.modes import held_coordinate_count, with_attachments
 from rig.model.oscillator import Oscillator
 from rig.model.space import plane_rigs
 from rig.model.supports import attached_springs
-from rig.simulation.plants.connectors import Extra, GroundedForce, Section, add_contact, add_grounded
+from rig.simulation.plants.connectors import ExtraPhysics, GroundedForce, Section, add_contact, add_grounded
 from rig.simulation.plants.loading import connections
 from rig.simulation.plants.mesh import Mesh, by_node, inertia, mesh_positions, static_load
 
@@ -26,22 +26,27 @@ resonances into the band of the force: at 0.01 the cradle's, at 129 Hz, changed 
 
 
 def build(
-    exu: Any, mbs: Any, rig: Rig, first_n: Sequence[float], element_count: int, extra: tuple[Extra, ...] = ()
+    exu: Any,
+    mbs: Any,
+    rig: Rig,
+    first_forces_n: Sequence[float],
+    element_count: int,
+    extra_physics: tuple[ExtraPhysics, ...] = (),
 ) -> tuple[list[Mesh], list[int], list[int]]:
     """Add bodies, damping, contacts and loads; return the meshes, the connectors and the loads' numbers.
 
     The connectors are those of the contacts, an annular one twice, then those of cubic springs, dampers and the extra
     forces. The loads are the exciting forces, with their first values, and the tones.
     """
-    sections = [e for e in extra if isinstance(e, Section)]
-    rig = _with_nodes_for(rig, extra)
+    sections = [part for part in extra_physics if isinstance(part, Section)]
+    rig = _with_nodes_for(rig, extra_physics)
     ground_node = mbs.AddNode(item("NodePointGround")())
     ground_marker = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
     meshes = [_add_body(mbs, rig, body, ground_marker, element_count, sections) for body in rig.bodies]
     _add_attachments(mbs, rig, meshes)
     _add_damping(mbs, rig, meshes)
 
-    def marker(station: Station | None) -> int:
+    def displacement_marker(station: Station | None) -> int:
         return ground_marker if station is None else _add_marker(mbs, meshes, station)
 
     def position_marker(station: Station | None) -> int:
@@ -52,44 +57,55 @@ def build(
         return int(mbs.AddMarker(item("MarkerNodePosition")(nodeNumber=mesh.node_at(station.position_m))))
 
     connectors: list[int] = []
-    for c in connections(rig):
-        if not c.law.spatial:
-            connectors.append(add_contact(exu, mbs, marker(c.against), marker(c.at), c.law))
-        elif c.at.direction == "y":
-            connectors += [add_contact(exu, mbs, position_marker(c.against), position_marker(c.at), c.law)] * len(
-                rig.directions
+    for contact in connections(rig):
+        if not contact.law.spatial:
+            connectors.append(
+                add_contact(
+                    exu, mbs, displacement_marker(contact.against), displacement_marker(contact.at), contact.law
+                )
             )
+        elif contact.at.direction == "y":
+            connectors += [
+                add_contact(exu, mbs, position_marker(contact.against), position_marker(contact.at), contact.law)
+            ] * len(rig.directions)
     connectors += [
-        add_grounded(exu, mbs, ground_marker, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)
+        add_grounded(exu, mbs, ground_marker, displacement_marker(grounded_force.station), grounded_force)
+        for grounded_force in extra_physics
+        if isinstance(grounded_force, GroundedForce)
     ]
-    forces = [None if rig.is_on_ground(station) else station for station in rig.forces]
-    load_points = [*zip(forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
+    force_stations = [None if rig.is_on_ground(station) else station for station in rig.forces]
+    loaded_stations = [*zip(force_stations, first_forces_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
     loads = [
-        int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=marker(station), load=force_n)))
-        for station, force_n in load_points
+        int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=displacement_marker(station), load=force_n)))
+        for station, force_n in loaded_stations
     ]
     return meshes, connectors, loads
 
 
-def _with_nodes_for(rig: Rig, extra: tuple[Extra, ...]) -> Rig:
+def _with_nodes_for(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
     """Rig with springs of zero stiffness where grounded forces act and sections end, so that nodes are placed there."""
-    stations = [e.station for e in extra if isinstance(e, GroundedForce)]
-    stations += [Station(e.beam, x) for e in extra if isinstance(e, Section) for x in (e.start_m, e.end_m)]
+    stations = [part.station for part in extra_physics if isinstance(part, GroundedForce)]
+    stations += [
+        Station(part.beam, position_m)
+        for part in extra_physics
+        if isinstance(part, Section)
+        for position_m in (part.start_m, part.end_m)
+    ]
     return replace(rig, springs=(*rig.springs, *(PointSpring(station=station) for station in stations)))
 
 
 def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     """Add a marker on the displacement of the node at a station; return its number."""
     mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
-    node, coordinate = mesh.node_at(station.position_m), mesh.coordinates_of(station.direction)[0]
+    node, coordinate = mesh.node_at(station.position_m), mesh.node_coordinates_of(station.direction)[0]
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
 def _add_body(mbs: Any, rig: Rig, body: Body, ground_marker: int, element_count: int, sections: list[Section]) -> Mesh:
-    add = _ADD_BODY.get(type(body))
-    if add is None:
+    add_mesh = _ADD_BODY.get(type(body))
+    if add_mesh is None:
         raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
-    return add(mbs, rig, body, ground_marker, element_count, sections)
+    return add_mesh(mbs, rig, body, ground_marker, element_count, sections)
 
 
 def _add_mass(
@@ -103,11 +119,13 @@ def _add_mass(
         mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=with_attachments(rig, body).mass_kg))
     mesh = Mesh(body, np.zeros(1), (node,), rig.directions)
     for direction, plane in plane_rigs(rig).items():
-        mass, (coordinate,) = with_attachments(plane, body), mesh.coordinates_of(direction)
+        loaded_mass, (coordinate,) = with_attachments(plane, body), mesh.node_coordinates_of(direction)
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
         mbs.AddObject(
             item("CoordinateSpringDamper")(
-                markerNumbers=[ground_marker, marker], stiffness=mass.stiffness_n_per_m, damping=mass.damping_n_s_per_m
+                markerNumbers=[ground_marker, marker],
+                stiffness=loaded_mass.stiffness_n_per_m,
+                damping=loaded_mass.damping_n_s_per_m,
             )
         )
     return mesh
@@ -125,29 +143,43 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, element_count:
             f"the ancf plant bends beams in space alike in y and z, and {body.name!r} is wider than thick; give a tube "
             "or a square, or simulate it with modal"
         )
-    node_type, reference = ("NodePointSlope1", [0, 0, 1, 0, 0]) if rig.in_space else ("NodePoint2DSlope1", [0, 1, 0])
-    nodes = tuple(int(mbs.AddNode(item(node_type)(referenceCoordinates=[x, *reference]))) for x in positions)
+    node_type, other_references = (
+        ("NodePointSlope1", [0, 0, 1, 0, 0]) if rig.in_space else ("NodePoint2DSlope1", [0, 1, 0])
+    )
+    nodes = tuple(
+        int(mbs.AddNode(item(node_type)(referenceCoordinates=[position_m, *other_references])))
+        for position_m in positions
+    )
     mesh = Mesh(body, positions, nodes, rig.directions)
-    for (left_node, right_node), length, middle_m in zip(
+    for (left_node, right_node), length_m, middle_m in zip(
         pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
     ):
-        local_sections = [s for s in sections if s.beam == body.name and s.start_m < middle_m < s.end_m]
+        local_sections = [
+            section for section in sections if section.beam == body.name and section.start_m < middle_m < section.end_m
+        ]
         stiffness_factor, mass_factor = (
-            float(np.prod([getattr(s, f) for s in local_sections])) for f in ("stiffness_factor", "mass_factor")
+            float(np.prod([getattr(section, factor_name) for section in local_sections]))
+            for factor_name in ("stiffness_factor", "mass_factor")
         )
-        axial = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
+        axial_stiffness_n = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
         mbs.AddObject(
             item("ObjectANCFCable" if rig.in_space else "ObjectANCFCable2D")(
                 nodeNumbers=[left_node, right_node],
-                length=length,
+                length=length_m,
                 massPerLength=mass_factor * body.mass_per_length_kg_per_m,
                 bendingStiffness=stiffness_factor * body.bending_stiffness_n_m2,
-                axialStiffness=mass_factor * axial,
+                axialStiffness=mass_factor * axial_stiffness_n,
             )
         )
     if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
-        held = held_coordinates(rig, body)
-        fix(nodes[0], (0, *(c for direction in mesh.directions for c in mesh.coordinates_of(direction)[:held])))
+        held_count = held_coordinate_count(rig, body)
+        fix(
+            nodes[0],
+            (
+                0,
+                *(index for direction in mesh.directions for index in mesh.node_coordinates_of(direction)[:held_count]),
+            ),
+        )
     return mesh
 
 
@@ -158,51 +190,59 @@ _ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the beams' point masses, linear springs, supports and clamps as nodal mass and stiffness matrices."""
 
-    def add(matrix_name: str, station: Station, diagonal_value: float, slope_value: float = 0.0) -> None:
+    def add_matrix(matrix_name: str, station: Station, diagonal_value: float, slope_value: float = 0.0) -> None:
         mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
         if not mesh.body.is_mass:
-            diagonal = np.zeros(mesh.per_node)
-            diagonal[mesh.coordinates_of(station.direction)] = diagonal_value, slope_value
+            diagonal = np.zeros(mesh.coordinates_per_node)
+            diagonal[mesh.node_coordinates_of(station.direction)] = diagonal_value, slope_value
             if matrix_name == "massMatrix" and station.direction == "y":
                 diagonal[0] = diagonal_value
             node = mesh.node_at(station.position_m)
             mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[node], **{matrix_name: np.diag(diagonal)}))
 
     for direction, plane in plane_rigs(rig).items():
-        for point in plane.masses:
-            add("massMatrix", replace(point.station, direction=direction), point.mass_kg)
+        for point_mass in plane.masses:
+            add_matrix("massMatrix", replace(point_mass.station, direction=direction), point_mass.mass_kg)
         for spring in attached_springs(plane):
             station = replace(spring.station, direction=direction)
-            add("stiffnessMatrix", station, spring.stiffness_n_per_m, spring.rotational_n_m_per_rad)
+            add_matrix("stiffnessMatrix", station, spring.stiffness_n_per_m, spring.rotational_n_m_per_rad)
         for clamp in plane.clamps:
-            add("stiffnessMatrix", Station(clamp.body, 0.0, direction), 0.0, clamp.rotational_n_m_per_rad)
+            add_matrix("stiffnessMatrix", Station(clamp.body, 0.0, direction), 0.0, clamp.rotational_n_m_per_rad)
 
 
 def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the damping matrix M Phi diag(2 zeta omega) Phi' M of every beam: one damping ratio for all elastic modes."""
     mbs.Assemble()
-    mass, stiffness, _ = mbs.ComputeLinearizedSystem()
+    mass_matrix, stiffness_matrix, _ = mbs.ComputeLinearizedSystem()
     first_coordinate = 0
     for mesh in meshes:
-        coordinate_count = mesh.per_node * len(mesh.nodes)
+        coordinate_count = mesh.coordinates_per_node * len(mesh.node_numbers)
         for direction in () if mesh.body.is_mass else mesh.directions:
-            free = free_coordinates(rig, mesh, direction)
-            block = np.ix_(first_coordinate + free, first_coordinate + free)
-            omega_squared, shapes = scipy.linalg.eigh(stiffness[block], mass[block])
+            free_indices = free_coordinates(rig, mesh, direction)
+            block_indices = np.ix_(first_coordinate + free_indices, first_coordinate + free_indices)
+            omega_squared, shapes = scipy.linalg.eigh(stiffness_matrix[block_indices], mass_matrix[block_indices])
             damping_rates = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(omega_squared, 0))
             damping_rates[: mesh.body.rigid_modes] = 0
-            momentum = mass[block] @ shapes
-            damping = np.zeros((coordinate_count, coordinate_count))
-            damping[np.ix_(free, free)] = (momentum * damping_rates) @ momentum.T
-            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=list(mesh.nodes), dampingMatrix=damping))
+            mass_times_shapes = mass_matrix[block_indices] @ shapes
+            damping_matrix = np.zeros((coordinate_count, coordinate_count))
+            damping_matrix[np.ix_(free_indices, free_indices)] = (
+                mass_times_shapes * damping_rates
+            ) @ mass_times_shapes.T
+            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=list(mesh.node_numbers), dampingMatrix=damping_matrix))
         first_coordinate += coordinate_count
 
 
 def free_coordinates(rig: Rig, mesh: Mesh, direction: Direction = "y") -> Int[np.ndarray, " free"]:
     """Indices of the transverse coordinates of a beam's nodes in one direction that no clamp fixes."""
-    node_coordinates = mesh.coordinates_of(direction)
-    transverse = np.array([mesh.per_node * i + c for i in range(len(mesh.nodes)) for c in node_coordinates])
-    return transverse[held_coordinates(rig, mesh.body) :]
+    node_coordinates = mesh.node_coordinates_of(direction)
+    transverse_indices = np.array(
+        [
+            mesh.coordinates_per_node * node_index + coordinate
+            for node_index in range(len(mesh.node_numbers))
+            for coordinate in node_coordinates
+        ]
+    )
+    return transverse_indices[held_coordinate_count(rig, mesh.body) :]
 
 
 def add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:
@@ -210,7 +250,7 @@ def add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]
     static_load_n, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
     load_type = item("ObjectGenericODE2")
     load_objects = [
-        mbs.AddObject(load_type(nodeNumbers=list(mesh.nodes), forceVector=load_vector))
+        mbs.AddObject(load_type(nodeNumbers=list(mesh.node_numbers), forceVector=load_vector))
         for mesh, load_vector in zip(meshes, by_node(meshes, static_load_n), strict=True)
     ]
 

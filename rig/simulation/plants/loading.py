@@ -25,15 +25,17 @@ def true_force(
 
     Before its first and after its last sample the measured force is taken as constant.
     """
-    sensor = rig.force_sensor
-    if not sensor.lag_s:
-        return measured_n[span] / sensor.gain
+    force_sensor = rig.force_sensor
+    if not force_sensor.lag_s:
+        return measured_n[span] / force_sensor.gain
     first_step, end_step, _ = span.indices(len(measured_n))
-    shifted_steps = np.arange(first_step, end_step) - sensor.lag_s / step_s
+    shifted_steps = np.arange(first_step, end_step) - force_sensor.lag_s / step_s
     steps = np.clip(shifted_steps, 0, len(measured_n) - 1)
-    knots = np.arange(max(0, int(steps[0]) - SPLINE_SUPPORT), min(len(measured_n), int(steps[-1]) + SPLINE_SUPPORT))
-    interpolated_n = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
-    return np.where(shifted_steps < 0, measured_n[:1], interpolated_n) / sensor.gain
+    knot_steps = np.arange(
+        max(0, int(steps[0]) - SPLINE_SUPPORT), min(len(measured_n), int(steps[-1]) + SPLINE_SUPPORT)
+    )
+    interpolated_n = scipy.interpolate.CubicSpline(knot_steps, measured_n[knot_steps[0] : knot_steps[-1] + 1])(steps)
+    return np.where(shifted_steps < 0, measured_n[:1], interpolated_n) / force_sensor.gain
 
 
 def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
@@ -42,22 +44,26 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     Empty without base motion. The motion rises from rest over RISE_S from its start on. Raises RigError if the band
     does not fit the record or the step.
     """
-    base = rig.base_motion
-    if base is None:
+    description = rig.base_motion
+    if description is None:
         return ()
-    if base.high_hz * step_s > 0.25:
-        raise RigError(f"step is {step_s} s; a base motion up to {base.high_hz} Hz needs at most 1/(4 high_hz)")
-    spectrum = noise_spectrum(sample_count, step_s, base.low_hz, base.high_hz, base.seed)
+    if description.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; a base motion up to {description.high_hz} Hz needs at most 1/(4 high_hz)")
+    spectrum = noise_spectrum(sample_count, step_s, description.low_hz, description.high_hz, description.seed)
     omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
-    velocity = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    d, v, a = (_in_time(transform, sample_count) for transform in (displacement, velocity, spectrum))
-    rms_factor = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
-    s = np.clip((np.arange(sample_count) * step_s - base.start_s) / RISE_S, 0, 1)
-    rise, slope, curvature = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
-    slope, curvature = slope / RISE_S, curvature / RISE_S**2
-    motion = (rise * d, slope * d + rise * v, curvature * d + 2 * slope * v + rise * a)
-    return tuple(rms_factor * row for row in motion)
+    velocity_spectrum = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    d, v, a = (
+        _signal_of(transform, sample_count) for transform in (displacement_spectrum, velocity_spectrum, spectrum)
+    )
+    rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
+    rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
+    rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
+    rise_slope = 30 * rise_share**2 * (1 - rise_share) ** 2
+    rise_curvature = 60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share)
+    rise_slope, rise_curvature = rise_slope / RISE_S, rise_curvature / RISE_S**2
+    motion = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
+    return tuple(rms_factor * signal for signal in motion)
 
 
 def shaken_base(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
@@ -66,8 +72,8 @@ def shaken_base(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndar
     They are those of `base_motion`, unless the force is on the ground and is not zero: it is then the inertial force
     on each kilogram (N/kg), minus the base's acceleration, which is integrated from rest by straight lines.
     """
-    if rig.is_on_ground(rig.forces[0]) and np.any(inertial_n := force_n.signals[0][:]):
-        acceleration = -np.asarray(inertial_n)
+    if rig.is_on_ground(rig.forces[0]) and np.any(inertial_n_per_kg := force_n.signals[0][:]):
+        acceleration = -np.asarray(inertial_n_per_kg)
         velocity = scipy.integrate.cumulative_trapezoid(acceleration, dx=step_s, initial=0)
         return scipy.integrate.cumulative_trapezoid(velocity, dx=step_s, initial=0), velocity, acceleration
     return base_motion(rig, len(force_n), step_s)
@@ -77,9 +83,9 @@ def connections(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by components (`contact_rows`), then cubic springs and dampers as dead zones to the ground without
     clearance and linear stiffness."""
     springs = [spring for spring in rig.springs if spring.cubic_n_per_m3]
-    grounded = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
-    grounded += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
-    return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))
+    to_ground = [(f"spring {i}", spring.station, spring.law) for i, spring in enumerate(springs)]
+    to_ground += [(f"damper {i}", damper.station, damper.law) for i, damper in enumerate(rig.dampers)]
+    return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in to_ground))
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
@@ -88,35 +94,35 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     With the static stiffness k of the body at the spring, 1 / sum phi^2 / omega^2 over its modes, that is at
     sqrt(k / -k3): beyond, nothing pulls back. Infinite for all else, and for a body that contacts hold too.
     """
-    limits = []
+    limits_m = []
     touched_bodies = {station.body for contact in rig.contacts for station in contact_stations(contact)}
     for connection in connections(rig):
         cubic_n_per_m3, station = getattr(connection.law, "cubic_n_per_m3", 0.0), connection.at
         is_free = cubic_n_per_m3 < 0 and station.body not in touched_bodies
-        limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic_n_per_m3) if is_free else np.inf)
-    return np.array(limits)
+        limits_m.append(np.sqrt(_static_stiffness(rig, station) / -cubic_n_per_m3) if is_free else np.inf)
+    return np.array(limits_m)
 
 
 def check_softening(
     limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
 ) -> None:
     """Raise RigError if a softening spring has moved beyond its limit."""
-    for limit, motion_m in zip(limits_m, eta_m, strict=True):
-        if np.isfinite(limit) and np.abs(motion_m).max() > limit:
+    for limit_m, connection_eta_m in zip(limits_m, eta_m, strict=True):
+        if np.isfinite(limit_m) and np.abs(connection_eta_m).max() > limit_m:
             raise RigError(
-                f"a softening spring has let go: the body moved by {np.abs(motion_m).max():.3g} m, and beyond "
-                f"{limit:.3g} m nothing pulls it back; let it soften less, or excite less"
+                f"a softening spring has let go: the body moved by {np.abs(connection_eta_m).max():.3g} m, and beyond "
+                f"{limit_m:.3g} m nothing pulls it back; let it soften less, or excite less"
             )
 
 
 def _static_stiffness(rig: Rig, station: Station) -> float:
     """Static stiffness of a body at a station, N/m; zero if it has a rigid-body mode."""
     body = rig.body(station.body)
-    modes, count = modes_of(in_plane(rig, station.direction), body), body.max_modes
-    omega = 2 * np.pi * modes.frequencies_hz(count)
+    modes, mode_count = modes_of(in_plane(rig, station.direction), body), body.max_modes
+    omega = 2 * np.pi * modes.frequencies_hz(mode_count)
     if not np.all(omega > 0):
         return 0.0
-    return float(1 / np.sum((modes.shapes(np.array([station.position_m]), count)[0] / omega) ** 2))
+    return float(1 / np.sum((modes.shapes(np.array([station.position_m]), mode_count)[0] / omega) ** 2))
 
 
 def has_static_load(rig: Rig) -> bool:
@@ -147,29 +153,29 @@ def equilibrium(
     omega_squared: Float[np.ndarray, " modes"],
     eta_rows: Float[np.ndarray, "connections modes"],
     laws: tuple[ContactLaw, ...],
-    load: Float[np.ndarray, " modes"],
+    modal_load: Float[np.ndarray, " modes"],
 ) -> Float[np.ndarray, " modes"]:
-    """Equilibrium of the rig under a static load, in modal coordinates; `squares` are omega^2.
+    """Equilibrium of the rig under a static load, in modal coordinates.
 
     A floating motion without load stays at zero; a loaded one is pushed against the stops. A motion that only friction
     or dampers resist starts at rest at zero and is moved by the load. Raises RigError if nothing resists the load.
     """
-    tolerance = 1e-6 * float(np.linalg.norm(load))
-    if not tolerance:
-        return np.zeros(load.size)
-    q, residual, stiffness = _least_energy(omega_squared, eta_rows, laws, load)
-    if np.linalg.norm(residual) < tolerance:
+    load_tolerance = 1e-6 * float(np.linalg.norm(modal_load))
+    if not load_tolerance:
+        return np.zeros(modal_load.size)
+    q, residual, stiffness = _least_energy(omega_squared, eta_rows, laws, modal_load)
+    if np.linalg.norm(residual) < load_tolerance:
         return q
     unresisted_motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
     gap_law_rows = eta_rows[[law.acts_in_the_gap for law in laws]] @ unresisted_motions
     unresisted_load = residual @ unresisted_motions
-    if np.linalg.norm(unresisted_load - unresisted_load @ np.linalg.pinv(gap_law_rows) @ gap_law_rows) > tolerance:
+    if np.linalg.norm(unresisted_load - unresisted_load @ np.linalg.pinv(gap_law_rows) @ gap_law_rows) > load_tolerance:
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    held_load = load - residual
+    held_load = modal_load - residual
     return (
         _least_energy(omega_squared, eta_rows, laws, held_load)[0]
-        if np.linalg.norm(held_load) > tolerance
-        else np.zeros(load.size)
+        if np.linalg.norm(held_load) > load_tolerance
+        else np.zeros(modal_load.size)
     )
 
 
@@ -177,53 +183,62 @@ def _least_energy(
     omega_squared: Float[np.ndarray, " modes"],
     eta_rows: Float[np.ndarray, "connections modes"],
     laws: tuple[ContactLaw, ...],
-    load: Float[np.ndarray, " modes"],
+    modal_load: Float[np.ndarray, " modes"],
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-    """Minimum of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q.
+    """Minimum of the convex energy sum omega^2 q^2 / 2 + sum U_j(eta_rows_j q) - modal_load q.
 
     Found by proximal Newton steps from zero. Returns the coordinates q, the unbalanced part of the load, and the
     tangent stiffness.
     """
-    q = np.zeros(load.size)
+    q = np.zeros(modal_load.size)
 
     def energy(trial: Float[np.ndarray, " modes"]) -> float:
-        eta = eta_rows @ trial
-        stored = sum(float(np.sum(law.energy_j(eta[rows]))) for law, rows in law_spans(laws))
-        return float(omega_squared @ trial**2 / 2 + stored - load @ trial)
+        eta_m = eta_rows @ trial
+        stored_j = sum(float(np.sum(law.energy_j(eta_m[rows]))) for law, rows in law_spans(laws))
+        return float(omega_squared @ trial**2 / 2 + stored_j - modal_load @ trial)
 
     def derivatives(
         trial: Float[np.ndarray, " modes"],
     ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        eta, tangent, coupling = eta_rows @ trial, np.zeros(len(eta_rows)), np.zeros((load.size, load.size))
-        forces = connection_forces_n(laws, eta, np.zeros(eta.size))
+        eta_m = eta_rows @ trial
+        tangent_stiffness = np.zeros(len(eta_rows))
+        coupling_stiffness = np.zeros((modal_load.size, modal_load.size))
+        forces_n = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
         for law, rows in law_spans(laws):
-            by_eta = law.by_eta_n_per_m(eta[rows])
-            tangent[rows] = np.diag(by_eta) if law.spatial else by_eta
+            law_stiffness = law.by_eta_n_per_m(eta_m[rows])
+            tangent_stiffness[rows] = np.diag(law_stiffness) if law.spatial else law_stiffness
             if law.spatial:
-                coupling += by_eta[0, 1] * (np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1]))
-        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent) @ eta_rows
-        return omega_squared * trial + forces @ eta_rows - load, stiffness + coupling if coupling.any() else stiffness
+                coupling_stiffness += law_stiffness[0, 1] * (
+                    np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1])
+                )
+        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent_stiffness) @ eta_rows
+        return (
+            omega_squared * trial + forces_n @ eta_rows - modal_load,
+            stiffness + coupling_stiffness if coupling_stiffness.any() else stiffness,
+        )
 
-    for tie in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
-        anchor = q
+    for tie_stiffness in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
+        anchor_q = q
         for _ in range(30):
-            force, stiffness = derivatives(q)
-            force = force + tie * (q - anchor)
-            if np.linalg.norm(force) < 1e-9 * np.linalg.norm(load):
+            unbalanced_force, stiffness = derivatives(q)
+            unbalanced_force = unbalanced_force + tie_stiffness * (q - anchor_q)
+            if np.linalg.norm(unbalanced_force) < 1e-9 * np.linalg.norm(modal_load):
                 break
-            step = np.linalg.solve(stiffness + tie * np.eye(q.size), force)
-            before = energy(q) + tie * np.sum((q - anchor) ** 2) / 2
-            while energy(q - step) + tie * np.sum((q - step - anchor) ** 2) / 2 > before + 1e-12 * abs(before):
-                step = step / 2
-            q = q - step
-        if np.linalg.norm(q - anchor) < 1e-12 * np.linalg.norm(q):
+            q_step = np.linalg.solve(stiffness + tie_stiffness * np.eye(q.size), unbalanced_force)
+            cost_before = energy(q) + tie_stiffness * np.sum((q - anchor_q) ** 2) / 2
+            while energy(q - q_step) + tie_stiffness * np.sum(
+                (q - q_step - anchor_q) ** 2
+            ) / 2 > cost_before + 1e-12 * abs(cost_before):
+                q_step = q_step / 2
+            q = q - q_step
+        if np.linalg.norm(q - anchor_q) < 1e-12 * np.linalg.norm(q):
             break
     for _ in range(3):
-        force, stiffness = derivatives(q)
-        q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
-    force, stiffness = derivatives(q)
-    return q, -force, stiffness
+        unbalanced_force, stiffness = derivatives(q)
+        q = q - np.linalg.lstsq(stiffness, unbalanced_force, rcond=1e-12)[0]
+    unbalanced_force, stiffness = derivatives(q)
+    return q, -unbalanced_force, stiffness
 
 
-def _in_time(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
+def _signal_of(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
     return np.fft.irfft(spectrum, sample_count)

@@ -14,7 +14,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Direction, Rig, Sensor, Station, contact_rows, contact_stations, stations_of
 from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.model.space import plane_rigs
-from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
+from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, ProjectedSignals, forces_of
 from rig.simulation.plants.loading import (
     check_softening,
     connection_forces_n,
@@ -26,13 +26,13 @@ from rig.simulation.plants.loading import (
     true_force,
 )
 
-BLOCK = 1 << 13
+BLOCK_STEPS = 1 << 13
 BEND_SUPPORT = 8
 """Samples on either side that are used for the bend of a force within a step."""
 
 
 @dataclass(frozen=True)
-class Model:
+class ModalModel:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
     Rows are over the modal coordinates q: station_rows give the displacement of a station, sensor_rows what a sensor
@@ -54,8 +54,8 @@ class Model:
 
     def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
         """State of rest (q, q'), and the contact state (4, contacts) of `stepping.advance`."""
-        zero = np.zeros(len(self.eta_rows))
-        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, zero, zero])
+        no_rate = np.zeros(len(self.eta_rows))
+        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, no_rate, no_rate])
         return np.append(self.rest_coordinates, np.zeros(self.omega.size)), contact_state
 
 
@@ -81,18 +81,20 @@ def simulate(
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
     base_signals = shaken_base(rig, forces_n, step_s)
     model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [sensor.measures for sensor in rig.sensors]
-    constants = constants_of(model, step_s)
+    step_constants = constants_of(model, step_s)
     shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)
     last_state, contact_state = model.start()
-    history_n, history_bends_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
-    for first_step in range(0, len(force_n), BLOCK):
-        span = slice(first_step, min(first_step + BLOCK, len(force_n)))
+    contact_history_n, bend_history_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
+    for first_step in range(0, len(force_n), BLOCK_STEPS):
+        span = slice(first_step, min(first_step + BLOCK_STEPS, len(force_n)))
         inputs, input_bends = applied_inputs(rig, forces_n, base_signals, step_s, span)
         contact_n, contact_bends_n = np.empty((2, len(model.eta_rows), span.stop - first_step))
         # a new array a block: Motion computes from it on demand
         states = np.empty((span.stop - first_step + 1, last_state.size))
         states[0] = last_state
-        advance(states, contact_state, contact_n, contact_bends_n, inputs, input_bends, *constants, first_step, step_s)
+        advance(
+            states, contact_state, contact_n, contact_bends_n, inputs, input_bends, *step_constants, first_step, step_s
+        )
         block_states, last_state = states[1:], states[-1]
         if not np.all(np.isfinite(last_state)):  # what is not finite stays so
             raise RigError(
@@ -100,27 +102,29 @@ def simulate(
             )
         check_softening(limits_m, model.eta_rows @ block_states[:, : model.omega.size].T)
         progress(span.stop / len(force_n))
-        history_n = np.concatenate([history_n[:, -4:], contact_n], axis=1)
-        history_bends_n = np.concatenate([history_bends_n[:, -1:], contact_bends_n], axis=1)
-        corrected_n = _without_alias(history_n, history_bends_n)
-        sensed = observed(rig, model, block_states, inputs[:, 1:], corrected_n)
+        contact_history_n = np.concatenate([contact_history_n[:, -4:], contact_n], axis=1)
+        bend_history_n = np.concatenate([bend_history_n[:, -1:], contact_bends_n], axis=1)
+        corrected_contact_n = _without_alias(contact_history_n, bend_history_n)
+        sensed = sensed_quantities(rig, model, block_states, inputs[:, 1:], corrected_contact_n)
         if base_signals:
-            sensed += np.array([base_signals[m.order][span] * m.translates for m in quantities]).reshape(sensed.shape)
+            sensed += np.array(
+                [base_signals[quantity.order][span] * quantity.translates for quantity in quantities]
+            ).reshape(sensed.shape)
         coordinates = block_states[:, : model.omega.size]
         yield Motion(
             start_s=first_step * step_s,
             step_s=step_s,
             forces_n=forces_n[span],
             sensed=sensed,
-            displacement_m=Projected(shapes, coordinates, base_signals[0][span] if base_signals else None),
-            eta_m=Projected(model.eta_rows[: len(contact_rows(rig))], coordinates),
+            displacement_m=ProjectedSignals(shapes, coordinates, base_signals[0][span] if base_signals else None),
+            eta_m=ProjectedSignals(model.eta_rows[: len(contact_rows(rig))], coordinates),
             contact_force_n=contact_n[: len(contact_rows(rig))],
         )
 
 
-def observed(
+def sensed_quantities(
     rig: Rig,
-    model: Model,
+    model: ModalModel,
     states: Float[np.ndarray, "samples states"],
     inputs: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
@@ -130,16 +134,20 @@ def observed(
     sensed = np.empty((len(rig.sensors), len(states)))
     first_sensor = 0
     for order, sensors in groupby(rig.sensors, lambda s: s.measures.order):
-        rows = model.sensor_rows[first_sensor : first_sensor + len(list(sensors))]
-        order_rows = sensed[first_sensor : first_sensor + len(rows)]
-        first_sensor += len(rows)
+        order_shapes = model.sensor_rows[first_sensor : first_sensor + len(list(sensors))]
+        order_values = sensed[first_sensor : first_sensor + len(order_shapes)]
+        first_sensor += len(order_shapes)
         if order < 2:
-            np.matmul(rows, states[:, order * mode_count : (order + 1) * mode_count].T, out=order_rows)
+            np.matmul(order_shapes, states[:, order * mode_count : (order + 1) * mode_count].T, out=order_values)
         else:
-            state_gain = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
-            force_gain = np.concatenate([rows @ model.input_forces.T, -rows @ model.eta_rows.T], axis=1)
-            np.matmul(state_gain, states.T, out=order_rows)
-            order_rows += force_gain @ np.concatenate([inputs, contact_n])
+            acceleration_by_state = np.concatenate(
+                [-(model.omega**2) * order_shapes, -2 * model.zeta * model.omega * order_shapes], axis=1
+            )
+            acceleration_by_force = np.concatenate(
+                [order_shapes @ model.input_forces.T, -order_shapes @ model.eta_rows.T], axis=1
+            )
+            np.matmul(acceleration_by_state, states.T, out=order_values)
+            order_values += acceleration_by_force @ np.concatenate([inputs, contact_n])
     return sensed
 
 
@@ -175,7 +183,7 @@ def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
     ]
 
 
-def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
+def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
     omega = 2 * np.pi * np.concatenate([basis.modes.frequencies_hz(basis.mode_count) for basis in body_modes])
@@ -185,20 +193,22 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for contact in contacts for station in contact_stations(contact)}
     station_rows = {station: shape_row(body_modes, station) for station in stations}
-    eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
+    eta_rows = np.array(
+        [station_rows[contact.at] - (station_rows[contact.against] if contact.against else 0) for contact in contacts]
+    )
     eta_rows = eta_rows.reshape(len(contacts), omega.size)
-    static_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
-    base_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
+    static_modal_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
+    base_modal_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
     if rig.gravity_m_per_s2:
-        static_load = static_load + rig.gravity_m_per_s2 * base_load
-    rest_coordinates = equilibrium(omega**2, eta_rows, laws, static_load)
+        static_modal_load = static_modal_load + rig.gravity_m_per_s2 * base_modal_load
+    rest_coordinates = equilibrium(omega**2, eta_rows, laws, static_modal_load)
     input_forces = [station_rows[station] for station in rig.forces]
     if has_static_load(rig):
-        input_forces.append(static_load)
+        input_forces.append(static_modal_load)
     if moving_base:
-        input_forces.append(base_load)
+        input_forces.append(base_modal_load)
     input_forces += [station_rows[tone.station] for tone in rig.tones]
-    return Model(
+    return ModalModel(
         omega=omega,
         zeta=zeta,
         station_rows=station_rows,
@@ -223,39 +233,41 @@ def applied_inputs(
 
     Before the first sample the rig rests: no force, all static loads, no motion of the base.
     """
-    window = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
-    rest_samples = int(window.start == 0)
-    rows = [np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, window)) for signal in forces_n.signals]
+    padded_span = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
+    rest_samples = int(padded_span.start == 0)
+    signals = [
+        np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, padded_span)) for signal in forces_n.signals
+    ]
     if has_static_load(rig):
-        rows.append(np.ones(rows[0].size))
+        signals.append(np.ones(signals[0].size))
     if base_signals:
-        rows.append(np.append(np.zeros(rest_samples), base_signals[2][window]))
-    time_s = np.arange(window.start - rest_samples, window.stop) * step_s
-    rows += [tone.force_n(time_s) for tone in rig.tones]
-    inputs = np.array(rows)
-    first_kept = span.start - window.start - 1 + rest_samples
+        signals.append(np.append(np.zeros(rest_samples), base_signals[2][padded_span]))
+    time_s = np.arange(padded_span.start - rest_samples, padded_span.stop) * step_s
+    signals += [tone.force_n(time_s) for tone in rig.tones]
+    inputs = np.array(signals)
+    first_kept = span.start - padded_span.start - 1 + rest_samples
     kept_samples = slice(first_kept, first_kept + span.stop - span.start + 1)
     return np.ascontiguousarray(inputs[:, kept_samples]), np.ascontiguousarray(_bends(inputs)[:, kept_samples])
 
 
-def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
+def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
     """Arrays of a model for `stepping.advance`; raises RigError if a contact is too stiff for the step."""
     from rig.simulation.plants.compiled_laws import law_records
     from rig.simulation.plants.stepping import gauss_points
 
-    propagate, response = _propagator(model.omega, model.zeta, step_s)
+    propagator, force_response = _propagator(model.omega, model.zeta, step_s)
     state_by_input, state_by_contact_force = (
-        (response[:, None] * rows[:, None]).reshape(3, len(rows), 2 * model.omega.size)
-        for rows in (model.input_forces, -model.eta_rows)
+        (force_response[:, None] * input_shapes[:, None]).reshape(3, len(input_shapes), 2 * model.omega.size)
+        for input_shapes in (model.input_forces, -model.eta_rows)
     )
-    gain, relief = _step_gain(model, state_by_contact_force, step_s)
+    gain, increment_factors = _step_gain(model, state_by_contact_force, step_s)
     return (
-        propagate,
+        propagator,
         state_by_input,
         model.eta_rows,
         state_by_contact_force,
         gain,
-        relief,
+        increment_factors,
         law_records(model.laws),
         gauss_points(step_s),
         True if any(law.spatial for law in model.laws) else None,
@@ -263,9 +275,9 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
 
 
 def _step_gain(
-    model: Model, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
+    model: ModalModel, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
-    """Response of every eta and eta' to each end force and each bend within a step, and the relief 1 / (1 + self gain).
+    """Response of every eta and eta' to each end force and each bend within a step, and 1 / (1 + self gain).
 
     Raises RigError if the loop gain of a contact force exceeds one half.
     """
@@ -300,10 +312,10 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
 
 def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> Float[np.ndarray, " allmodes"]:
     """Shapes of all bodies' modes at a station, or a derivative along the body; zero for all other modes."""
-    place = np.array([station.position_m])
+    position_m = np.array([station.position_m])
     return np.concatenate(
         [
-            basis.modes.shapes(place, basis.mode_count, order)[0]
+            basis.modes.shapes(position_m, basis.mode_count, order)[0]
             if (basis.body.name, basis.direction) == (station.body, station.direction)
             else np.zeros(basis.mode_count)
             for basis in body_modes
@@ -330,6 +342,8 @@ def _propagator(
     augmented[:, 1, 2] = step_s
     augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
     exponential = scipy.linalg.expm(augmented)
-    constant, linear, quadratic = exponential[:, :2, 2:].transpose(2, 1, 0)
-    propagate = np.ascontiguousarray(exponential[:, :2, :2].transpose(1, 2, 0))
-    return propagate, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])
+    constant_response, linear_response, quadratic_response = exponential[:, :2, 2:].transpose(2, 1, 0)
+    propagator = np.ascontiguousarray(exponential[:, :2, :2].transpose(1, 2, 0))
+    return propagator, np.stack(
+        [constant_response - linear_response, linear_response, 6 * linear_response - 12 * quadratic_response]
+    )

@@ -8,10 +8,10 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from rig.simulation.plants.compiled_laws import FAST, SECOND, SPATIAL, force_n, vector_force_n
+from rig.simulation.plants.compiled_laws import ANNULAR_Y, ANNULAR_Z, NUMBA_OPTIONS, force_n, vector_force_n
 
 TOLERANCE_N = 1e-9
-MAX_ITERATIONS = 60
+MAX_SWEEPS = 60
 BEND_REFRESH = 1e-4
 """Relative change of the end forces beyond which their bends within the step are recomputed."""
 FORCE, ETA, RATE, BEND = range(4)
@@ -21,9 +21,9 @@ FORCE, ETA, RATE, BEND = range(4)
 def _compiled(function: Callable[..., None]) -> Any:
     """Compile a function with numba, cached on disk where that is writable."""
     try:
-        return numba.njit(cache=True, inline="always", **FAST)(function)
+        return numba.njit(cache=True, inline="always", **NUMBA_OPTIONS)(function)
     except RuntimeError:  # neither this folder nor the user's can be written: compiled anew in every run
-        return numba.njit(inline="always", **FAST)(function)
+        return numba.njit(inline="always", **NUMBA_OPTIONS)(function)
 
 
 def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:
@@ -43,10 +43,10 @@ def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:
 def _may_touch(law, previous, j, eta1, rate1, time_s, step_s):
     """True if a contact may have a force within the step: the cubic eta(t) stays within a margin of its ends."""
     margin_m = 0.15 * step_s * (abs(previous[RATE, j]) + abs(rate1))
-    worn = law.wear_m_per_s * (time_s - step_s)
-    above = max(previous[ETA, j], eta1) + margin_m > law.upper_clearance_m + worn
-    below = min(previous[ETA, j], eta1) - margin_m < -law.lower_clearance_m - worn
-    return above or below or law.acts_in_the_gap != 0
+    wear_m = law.wear_m_per_s * (time_s - step_s)
+    may_touch_upper = max(previous[ETA, j], eta1) + margin_m > law.upper_clearance_m + wear_m
+    may_touch_lower = min(previous[ETA, j], eta1) - margin_m < -law.lower_clearance_m - wear_m
+    return may_touch_upper or may_touch_lower or law.acts_in_the_gap != 0
 
 
 @_compiled
@@ -89,14 +89,14 @@ def _ring_increments(law, j, gain, eta, rate, excess):
     mu tanh along t, and of the friction the mean of tangent and secant through zero, so that it does not overshoot.
     """
     i, y, z = j + 1, eta[0] - law.center_y_m, eta[1] - law.center_z_m
-    r = math.sqrt(y * y + z * z) + 1e-150
-    y, z = y / r, z / r
+    radius_m = math.sqrt(y * y + z * z) + 1e-150
+    y, z = y / radius_m, z / radius_m
     sliding = (rate[1] * y - rate[0] * z) / law.sliding_speed_m_per_s
     rubbing = law.friction_coefficient * math.tanh(sliding)
     friction_slope = law.friction_coefficient
     if abs(rubbing) > 1e-6 * friction_slope:
         friction_slope = (rubbing / sliding + friction_slope - rubbing * rubbing / friction_slope) / 2
-    friction_slope *= law.stiffness_n_per_m * max(r - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
+    friction_slope *= law.stiffness_n_per_m * max(radius_m - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
     k, c = law.stiffness_n_per_m, law.damping_n_s_per_m
     push_y = (gain[0, 0, j, j] * k + gain[0, 1, j, j] * c) * (y - rubbing * z)
     push_z = (gain[0, 0, i, i] * k + gain[0, 1, i, i] * c) * (z + rubbing * y)
@@ -111,7 +111,7 @@ def _ring_increments(law, j, gain, eta, rate, excess):
 @no_type_check
 def _bend(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
-    eta0, rate0, eta1, rate1 = previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j]
+    eta0, rate0, eta1, rate1 = (previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j])
     start_s = time_s - step_s
     mean_force = 0.0
     for m in range(gauss.shape[1]):
@@ -123,83 +123,89 @@ def _bend(law, j, previous, current, time_s, step_s, gauss):
 
 @_compiled
 @no_type_check
-def _advance_modes(states, n, inputs, bends, propagate, state_by_input, state_by_contact_force, contact_state):
-    """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
-    mode_count = propagate.shape[2]
+def _advance_modes(states, step, inputs, bends, propagator, state_by_input, state_by_contact_force, contact_state):
+    """Compute row step + 1 of the states from the known inputs and the contact forces at the start of the step."""
+    mode_count = propagator.shape[2]
     for i in range(mode_count):
-        q, v = states[n, i], states[n, mode_count + i]
-        states[n + 1, i] = propagate[0, 0, i] * q + propagate[0, 1, i] * v
-        states[n + 1, mode_count + i] = propagate[1, 0, i] * q + propagate[1, 1, i] * v
+        displacement, velocity = states[step, i], states[step, mode_count + i]
+        states[step + 1, i] = propagator[0, 0, i] * displacement + propagator[0, 1, i] * velocity
+        states[step + 1, mode_count + i] = propagator[1, 0, i] * displacement + propagator[1, 1, i] * velocity
     for k in range(inputs.shape[0]):
-        at_start, at_end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
+        at_start, at_end, bend = inputs[k, step], inputs[k, step + 1], bends[k, step]
         for i in range(2 * mode_count):
-            states[n + 1, i] += (
+            states[step + 1, i] += (
                 state_by_input[0, k, i] * at_start + state_by_input[1, k, i] * at_end + state_by_input[2, k, i] * bend
             )
     for j in range(contact_state.shape[1]):
         if contact_state[FORCE, j] != 0.0:
             for i in range(2 * mode_count):
-                states[n + 1, i] += state_by_contact_force[0, j, i] * contact_state[FORCE, j]
+                states[step + 1, i] += state_by_contact_force[0, j, i] * contact_state[FORCE, j]
 
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, gain, relief, laws, time_s, annular):
+def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     max_change, max_force = 0.0, 0.0
     for j in range(eta.size):
-        if annular is not None and laws[j].kind == SECOND:
+        if has_annular is not None and laws[j].kind == ANNULAR_Z:
             continue
-        e, r = eta[j], rate[j]
+        eta_j, rate_j = eta[j], rate[j]
         for k in range(eta.size):
-            e += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
-            r += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
-        if annular is not None and laws[j].kind == SPATIAL:
+            eta_j += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
+            rate_j += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
+        if has_annular is not None and laws[j].kind == ANNULAR_Y:
             second = j + 1
             second_eta, second_rate = eta[second], rate[second]
             for k in range(eta.size):
                 second_eta += gain[0, 0, second, k] * current[FORCE, k] + gain[1, 0, second, k] * current[BEND, k]
                 second_rate += gain[0, 1, second, k] * current[FORCE, k] + gain[1, 1, second, k] * current[BEND, k]
-            force, force2 = vector_force_n(laws[j], (e, second_eta), (r, second_rate), time_s)
-            increment, increment2 = force - current[FORCE, j], force2 - current[FORCE, second]
-            if force != 0.0 or force2 != 0.0:
-                increment, increment2 = _ring_increments(
-                    laws[j], j, gain, (e, second_eta), (r, second_rate), (increment, increment2)
+            force, second_force = vector_force_n(laws[j], (eta_j, second_eta), (rate_j, second_rate), time_s)
+            increment, second_increment = force - current[FORCE, j], second_force - current[FORCE, second]
+            if force != 0.0 or second_force != 0.0:
+                increment, second_increment = _ring_increments(
+                    laws[j], j, gain, (eta_j, second_eta), (rate_j, second_rate), (increment, second_increment)
                 )
             current[FORCE, j] += increment
-            current[FORCE, second] += increment2
-            current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
-            current[ETA, second], current[RATE, second] = (
-                second_eta + gain[0, 0, second, second] * increment2,
-                second_rate + gain[0, 1, second, second] * increment2,
+            current[FORCE, second] += second_increment
+            current[ETA, j], current[RATE, j] = (
+                eta_j + gain[0, 0, j, j] * increment,
+                rate_j + gain[0, 1, j, j] * increment,
             )
-            max_change = max(max_change, abs(increment), abs(increment2))
-            max_force = max(max_force, abs(force), abs(force2))
+            current[ETA, second], current[RATE, second] = (
+                second_eta + gain[0, 0, second, second] * second_increment,
+                second_rate + gain[0, 1, second, second] * second_increment,
+            )
+            max_change = max(max_change, abs(increment), abs(second_increment))
+            max_force = max(max_force, abs(force), abs(second_force))
             continue
-        force = force_n(laws[j], e, r, time_s)
+        force = force_n(laws[j], eta_j, rate_j, time_s)
         increment = force - current[FORCE, j]
         if force != 0.0:
-            increment *= relief[j]
+            increment *= increment_factors[j]
         current[FORCE, j] += increment
-        current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
+        current[ETA, j], current[RATE, j] = (
+            eta_j + gain[0, 0, j, j] * increment,
+            rate_j + gain[0, 1, j, j] * increment,
+        )
         max_change, max_force = max(max_change, abs(increment)), max(max_force, abs(force))
     return max_change, max_force
 
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, annular):
+def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, has_annular):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
-    for iteration in range(MAX_ITERATIONS):
-        max_change, max_force = _sweep(current, eta, rate, gain, relief, laws, time_s, annular)
+    for iteration in range(MAX_SWEEPS):
+        max_change, max_force = _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
         if iteration > 0 and max_change <= TOLERANCE_N:
             break
-        if annular is not None and iteration == MAX_ITERATIONS - 1 and max_change > 1e-6 * max_force:
+        if has_annular is not None and iteration == MAX_SWEEPS - 1 and max_change > 1e-6 * max_force:
             current[FORCE, 0] = np.nan  # not solved: the run ends
         if iteration == 0 or max_change > BEND_REFRESH * max_force:
             for j in range(eta.size):
-                if annular is not None and laws[j].kind < 0:
-                    if may_touch[j] and laws[j].kind == SPATIAL:
+                if has_annular is not None and laws[j].kind < 0:
+                    if may_touch[j] and laws[j].kind == ANNULAR_Y:
                         share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
                 elif may_touch[j]:
@@ -215,58 +221,78 @@ def advance(
     contact_bends,
     inputs,
     input_bends,
-    propagate,
+    propagator,
     state_by_input,
     eta_rows,
     state_by_contact_force,
     gain,
-    relief,
+    increment_factors,
     laws,
     gauss,
-    annular,
+    has_annular,
     first_step,
     step_s,
 ):
     """Fill states (samples + 1, q and q' of every mode) from row 0 on; forces, contact_bends (contacts, samples).
 
     contact_state (4, contacts) belongs to the first row and is updated to the last. inputs and input_bends
-    (inputs, samples + 1) are the known forces. propagate (2, 2, modes) advances a mode; state_by_input and
+    (inputs, samples + 1) are the known forces. propagator (2, 2, modes) advances a mode; state_by_input and
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
     at the end of a step, and of its bend; gain (2, 2, contacts, contacts) those of an end force and a bend to every
-    eta and eta'. relief is the share of a change that its own gain leaves; laws is the table of `compiled_laws`.
-    annular is None for rigs without annular contacts, for which the loop is compiled by itself.
+    eta and eta'. increment_factors are the shares of a change that its own gain leaves; laws is the table of
+    `compiled_laws`. has_annular is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
     mode_count, contact_count = eta_rows.shape[1], eta_rows.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
     may_touch = np.empty(contact_count, dtype=np.bool_)
-    for n in range(forces.shape[1]):
-        time_s = (first_step + n) * step_s
-        _advance_modes(states, n, inputs, input_bends, propagate, state_by_input, state_by_contact_force, contact_state)
+    for step in range(forces.shape[1]):
+        time_s = (first_step + step) * step_s
+        _advance_modes(
+            states, step, inputs, input_bends, propagator, state_by_input, state_by_contact_force, contact_state
+        )
         any_may_touch = False
         for j in range(contact_count):
-            e, r = 0.0, 0.0
+            eta_j, rate_j = 0.0, 0.0
             for i in range(mode_count):
-                e += eta_rows[j, i] * states[n + 1, i]
-                r += eta_rows[j, i] * states[n + 1, mode_count + i]
-            eta[j], rate[j] = e, r
-            if annular is not None and laws[j].kind < 0:
-                may_touch[j] = laws[j].kind == SECOND and _may_touch_ring(
-                    laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
+                eta_j += eta_rows[j, i] * states[step + 1, i]
+                rate_j += eta_rows[j, i] * states[step + 1, mode_count + i]
+            eta[j], rate[j] = eta_j, rate_j
+            if has_annular is not None and laws[j].kind < 0:
+                may_touch[j] = laws[j].kind == ANNULAR_Z and _may_touch_ring(
+                    laws[j], contact_state, j - 1, (eta[j - 1], eta_j), (rate[j - 1], rate_j), time_s, step_s
                 )
                 may_touch[j - 1] |= may_touch[j]
             else:
-                may_touch[j] = _may_touch(laws[j], contact_state, j, e, r, time_s, step_s)
+                may_touch[j] = _may_touch(laws[j], contact_state, j, eta_j, rate_j, time_s, step_s)
             any_may_touch |= may_touch[j]
-            current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
+            current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = (
+                contact_state[FORCE, j],
+                eta_j,
+                rate_j,
+                0.0,
+            )
         if any_may_touch:
-            _solve(contact_state, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, annular)
+            _solve(
+                contact_state,
+                current,
+                eta,
+                rate,
+                may_touch,
+                gain,
+                increment_factors,
+                laws,
+                time_s,
+                step_s,
+                gauss,
+                has_annular,
+            )
             for j in range(contact_count):
                 for i in range(2 * mode_count):
-                    states[n + 1, i] += (
+                    states[step + 1, i] += (
                         state_by_contact_force[1, j, i] * current[FORCE, j]
                         + state_by_contact_force[2, j, i] * current[BEND, j]
                     )
         for j in range(contact_count):
-            forces[j, n], contact_bends[j, n] = current[FORCE, j], current[BEND, j]
+            forces[j, step], contact_bends[j, step] = current[FORCE, j], current[BEND, j]
             for row in range(4):
                 contact_state[row, j] = current[row, j]

@@ -7,7 +7,7 @@ from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.space import check_plane
 from rig.simulation.plants.loading import check_softening, has_static_load, softening_limits_m
-from rig.simulation.plants.modal import constants_of, model_of, observed
+from rig.simulation.plants.modal import constants_of, model_of, sensed_quantities
 
 
 class Stepwise:
@@ -53,7 +53,7 @@ class Stepwise:
         """Quantity at every sensor, before any instrument."""
         states = self._state[None]
         return np.asarray(
-            observed(self.rig, self._model, states, self._inputs[:, None], self._contact_state[:1].T)[:, 0]
+            sensed_quantities(self.rig, self._model, states, self._inputs[:, None], self._contact_state[:1].T)[:, 0]
         )
 
     def advance(self, force_n: float, step_count: int = 1) -> None:

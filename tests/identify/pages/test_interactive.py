@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identify.pages import page
-from identify.pages.artists import MOST_POINTS
+from identify.pages.artists import MAX_POINTS
 from identify.pages.interactive import interactive_html
 from identify.pages.style import picture
 
@@ -81,14 +81,14 @@ def test_long_curves_keep_their_peaks():
     ((_, y),) = [line.get_data() for line in picture(draw).figure.axes[0].get_lines()]
     assert y.size == 50_000
     html = interactive_html(picture(draw).figure)
-    assert len(html) < 20 * MOST_POINTS
+    assert len(html) < 20 * MAX_POINTS
     (source,) = models(html)["ColumnDataSource"]
     y_entry = dict(source["data"]["entries"])["y"]
     written = b64decode(y_entry["array"]["data"])
     y_values = np.frombuffer(
         gzip.decompress(written) if written.startswith(b"\x1f\x8b") else written, dtype=y_entry["dtype"]
     )
-    assert y_values.size <= MOST_POINTS
+    assert y_values.size <= MAX_POINTS
     assert y_values.max() == 7.0
 
 

@@ -69,8 +69,8 @@ def test_blocks_cover_the_record(samples, averages, overlap):
     assert cut.starts[0] == 0
     assert len(cut.starts) >= averages
     assert len(hops) == 1
-    assert abs(hops.pop() - (1 - overlap) * cut.length) <= 1
-    left_over = samples - (cut.starts[-1] + cut.length)
+    assert abs(hops.pop() - (1 - overlap) * cut.block_samples) <= 1
+    left_over = samples - (cut.starts[-1] + cut.block_samples)
     assert 0 <= left_over < cut.starts[1]
 
 
@@ -78,10 +78,10 @@ def test_blocks_cover_the_record(samples, averages, overlap):
 def test_lines_are_those_in_the_band(half, low, width, extra):
     samples = 2 * half + extra
     cut = blocks(samples, RATE_HZ, Averaging(block_s=2 * half / RATE_HZ), (float(low), float(low + width)))
-    assert cut.length == 2 * half
-    assert cut.resolution_hz == pytest.approx(RATE_HZ / cut.length)
-    numbers = [n for n in range(half) if low * cut.length <= n * RATE_HZ <= (low + width) * cut.length]
-    np.testing.assert_allclose(cut.frequency_hz, np.array(numbers) * RATE_HZ / cut.length)
+    assert cut.block_samples == 2 * half
+    assert cut.resolution_hz == pytest.approx(RATE_HZ / cut.block_samples)
+    numbers = [n for n in range(half) if low * cut.block_samples <= n * RATE_HZ <= (low + width) * cut.block_samples]
+    np.testing.assert_allclose(cut.frequency_hz, np.array(numbers) * RATE_HZ / cut.block_samples)
     assert cut.spectra(np.ones(samples)).shape == (len(cut.starts), len(numbers))
 
 

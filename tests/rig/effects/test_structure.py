@@ -11,7 +11,7 @@ from rig.effects.base import Scale
 from rig.errors import RigError
 from rig.model.description import PointMass, PointSpring, StaticLoad, Station, Support
 from rig.model.modes import FiniteElementModes, modes_of, participation
-from rig.simulation.plants.ancf import ELEMENTS
+from rig.simulation.plants.ancf import ELEMENT_COUNT
 from rig.simulation.plants.finite_elements import build
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -171,7 +171,7 @@ SUPPORTED = msgspec.structs.replace(
 def test_the_finite_elements_of_exudyn_have_the_same_frequencies(machine):
     container = exu.SystemContainer()
     system = container.AddSystem()
-    build(exu, system, machine, [0.0], ELEMENTS)
+    build(exu, system, machine, [0.0], ELEMENT_COUNT)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
     container.Reset()

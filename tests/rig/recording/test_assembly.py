@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.errors import RigError
-from rig.recording.assembly import Assembly
+from rig.recording.assembly import SampleAssembly
 from rig.recording.channels import Channels
 from rig.recording.messages import Block
 
@@ -22,7 +22,7 @@ def blocks(values=VALUES, length=7, first=0):
 
 
 def assembly(first=0, room=0):
-    return Assembly(Path("r.mcap"), "acceleration", CHANNELS, first, room)
+    return SampleAssembly(Path("r.mcap"), "acceleration", CHANNELS, first, room)
 
 
 @given(st.permutations(range(9)), st.sampled_from([0, 5, 60, 100]), st.sampled_from([0, 1000]))

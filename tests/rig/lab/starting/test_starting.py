@@ -7,7 +7,7 @@ import pytest
 from rig.errors import RigError
 from rig.lab.starting import write_start
 from rig.lab.starting.analytic import BeamsRig, CantileverRig, MassRig
-from rig.lab.starting.base import spread
+from rig.lab.starting.base import spread_positions
 from rig.lab.starting.masses import ChainRig, TwoMassesRig
 from rig.lab.starting.structure import StructureRig
 from rig.model.beam import Beam
@@ -68,7 +68,7 @@ def test_sensors_stand_at_every_contact_and_spread_over_the_rest():
         places = sorted(s.position_m for s in sensed if s.body == beam)
         assert len(places) == 6
         assert np.diff(places).min() > 0.1
-    assert spread([0.5], 1.0, among_m=[0.0, 0.5, 1.0]) == (0.0, 0.5, 1.0)
+    assert spread_positions([0.5], 1.0, among_m=[0.0, 0.5, 1.0]) == (0.0, 0.5, 1.0)
 
 
 def test_places_that_do_not_meet_are_refused():

@@ -6,7 +6,7 @@ import pytest
 
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station
-from rig.simulation.plants.ancf import ELEMENTS
+from rig.simulation.plants.ancf import ELEMENT_COUNT
 from rig.simulation.plants.finite_elements import build
 from rig.simulation.reference import BarrelCradle
 
@@ -45,7 +45,7 @@ def system():
 def test_first_four_elastic_frequencies_are_within_a_thousandth(system, end_condition):
     rig = one_beam(end_condition)
     beam = rig.bodies[0]
-    build(exu, system, rig, [0.0], ELEMENTS)
+    build(exu, system, rig, [0.0], ELEMENT_COUNT)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
     assert np.count_nonzero(np.asarray(found_hz) < 1) == (
@@ -59,13 +59,13 @@ def test_first_four_elastic_frequencies_are_within_a_thousandth(system, end_cond
 def test_static_tip_deflection_is_within_a_thousandth(system):
     rig = one_beam("clamped-free")
     force_n = 1.0
-    meshes, _, _ = build(exu, system, rig, [force_n], ELEMENTS)
+    meshes, _, _ = build(exu, system, rig, [force_n], ELEMENT_COUNT)
     system.Assemble()
     settings = exu.SimulationSettings()
     settings.solutionSettings.writeSolutionToFile = False
     settings.staticSolver.newton.absoluteTolerance = 1e-6  # newtons; rounding leaves some 1e-8
     assert system.SolveStatic(settings)
-    tip = system.GetNodeOutput(meshes[0].nodes[-1], exu.OutputVariableType.Displacement)[1]
+    tip = system.GetNodeOutput(meshes[0].node_numbers[-1], exu.OutputVariableType.Displacement)[1]
     expected = force_n / (3 * rig.bodies[0].bending_stiffness_n_m2)
     print(f"static tip deflection off by {100 * (tip / expected - 1):.2g} %")
     assert tip == pytest.approx(expected, rel=1e-3)
@@ -76,12 +76,13 @@ def test_nodes_stand_at_contacts_and_force():
     for station in [s for c in rig.contacts for s in (c.at, c.against)] + [rig.force_at]:
         mesh = next(m for m in meshes_of(rig) if m.body.name == station.body)
         assert np.abs(mesh.positions_m - station.position_m).min() < 1e-12
-        assert mesh.positions_m[mesh.nodes.index(mesh.node_at(station.position_m))] == pytest.approx(station.position_m)
-        assert np.diff(mesh.positions_m).max() < 1.001 / ELEMENTS
+        node_index = mesh.node_numbers.index(mesh.node_at(station.position_m))
+        assert mesh.positions_m[node_index] == pytest.approx(station.position_m)
+        assert np.diff(mesh.positions_m).max() < 1.001 / ELEMENT_COUNT
 
 
 def meshes_of(rig):
     container = exu.SystemContainer()
-    meshes, _, _ = build(exu, container.AddSystem(), rig, [0.0], ELEMENTS)
+    meshes, _, _ = build(exu, container.AddSystem(), rig, [0.0], ELEMENT_COUNT)
     container.Reset()
     return meshes
