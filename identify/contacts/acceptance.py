@@ -102,7 +102,7 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
     Without a recorded force, refusals say that one may be missing, and ContactRefusedError is raised if the contact
     laws do not explain the contact forces: other forces acted.
     """
-    names = [c.name for c in separation.rig.contacts]
+    names = [contact.name for contact in separation.rig.contacts]
     parameters = separation.forces.nuisances.parameters
     estimates = {
         name: widened_estimate(outcomes.estimates[name], parameters, separation.mass_pull)
@@ -126,7 +126,7 @@ def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
     """Findings without those of force channels at zero, which a free decay explains."""
-    return tuple(f for f in findings if f.cause != "dead" or not set(f.channels) <= set(forces))
+    return tuple(finding for finding in findings if finding.cause != "dead" or not set(finding.channels) <= set(forces))
 
 
 def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> AnyEstimate:
@@ -145,7 +145,7 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
         if parameter.kind in kinds and parameter.mode_number is None
     }
     largest_pull = max(body_and_force_pulls.values(), default=0.0)
-    is_single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
+    is_single_body = sum(nuisance.kind == NuisanceKind.FREQUENCY for nuisance in body_and_force_pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
     covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
@@ -190,10 +190,10 @@ def equation_findings(
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
     for nifo in spectra:
-        for j, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
+        for contact_index, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, is_visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
+            name, is_visible = names[contact_index], nifo.equation.visibility[contact_index] >= NEARLY_INVISIBLE_SHARE
             if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
             estimate = estimates[name]

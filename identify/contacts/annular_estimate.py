@@ -114,7 +114,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         record.samples_per_error * dense_per_gradient[:pull_count],
         curve.curvature @ knots_per_gradient,
     )
-    covariances = {source: x.T @ x for source, x in zip(("scatter", "tolerances", "drift"), rows, strict=True)}
+    covariances = {source: row.T @ row for source, row in zip(("scatter", "tolerances", "drift"), rows, strict=True)}
     covariances["law"] = _misfit_covariance(fit, derivatives, starts)
     covariance = np.asarray(sum(covariances.values()))
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())

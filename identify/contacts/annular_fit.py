@@ -96,12 +96,15 @@ class AnnularFit:
             partial(ring_force_n, values), np.concatenate([eta, rate]), record.sample_rate_hz, record.decimation
         )
         residual = []
-        for p, plane in enumerate(record.planes):
-            plane_pulls = pulls[record.columns[p]]
+        for plane_index, plane in enumerate(record.planes):
+            plane_pulls = pulls[record.columns[plane_index]]
             unfitted_n = (
-                plane.force_n + values[REST][p] - plane_pulls @ plane.nuisance_n - fitted[p, : plane.force_n.size]
+                plane.force_n
+                + values[REST][plane_index]
+                - plane_pulls @ plane.nuisance_n
+                - fitted[plane_index, : plane.force_n.size]
             )
-            ground = ground_n_per_m(plane) @ knots[p::DIRECTIONS]
+            ground = ground_n_per_m(plane) @ knots[plane_index::DIRECTIONS]
             residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
         prior = record.drift_spline.curvature @ knots - record.drift_spline.target
@@ -114,8 +117,8 @@ class AnnularFit:
         """Relative displacements with slow motion and nuisance signals, m, and their rates, m/s."""
         record = self.record
         pairs = [
-            corrected_motion(plane, knots[p::DIRECTIONS], pulls[record.columns[p]])
-            for p, plane in enumerate(record.planes)
+            corrected_motion(plane, knots[plane_index::DIRECTIONS], pulls[record.columns[plane_index]])
+            for plane_index, plane in enumerate(record.planes)
         ]
         return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
 
@@ -142,15 +145,19 @@ class AnnularFit:
         by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
         by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
         curves = [plane.drift_spline for plane in record.planes]
-        for p, plane in enumerate(record.planes):
-            force_gain = 1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple
-            by_law[p] /= force_gain
+        for plane_index, plane in enumerate(record.planes):
+            force_gain = 1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
+            by_law[plane_index] /= force_gain
             blocks = []
-            for q, curve in enumerate(curves):
-                gain = self._motion_gain(q) / force_gain
+            for curve_index, curve in enumerate(curves):
+                gain = self._motion_gain(curve_index) / force_gain
                 value, speed = (rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate))
-                block = gain * (diags(by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
-                blocks.append(interleaved(block + ground_n_per_m(plane) if p == q else block, q))
+                block = gain * (
+                    diags(by_eta[plane_index, curve_index]) @ value + diags(by_rate[plane_index, curve_index]) @ speed
+                )
+                blocks.append(
+                    interleaved(block + ground_n_per_m(plane) if plane_index == curve_index else block, curve_index)
+                )
             by_knots.append(blocks[0] + blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
@@ -234,11 +241,13 @@ class AnnularFit:
         residual, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.open_samples
         magnitude, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
         weights = []
-        for p, plane in enumerate(record.planes):
+        for plane_index, plane in enumerate(record.planes):
             unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
-            open_n = np.std(residual[p, is_open] if np.any(residual[p, is_open]) else residual[p])
+            open_n = np.std(
+                residual[plane_index, is_open] if np.any(residual[plane_index, is_open]) else residual[plane_index]
+            )
             unmodelled_n = plane.unmodelled_share * np.hypot(magnitude, np.std(record.force_n))
-            stiffness = np.hypot(*by_eta[p])
+            stiffness = np.hypot(*by_eta[plane_index])
             deviation_n = np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2)
             weights.append(record.used / deviation_n)
         return replace(self, weights=np.concatenate(weights))

@@ -66,7 +66,9 @@ class AnnularRecord:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
         curves = [plane.drift_spline for plane in self.planes]
         no_samples = csr_matrix((0, sum(curve.knots for curve in curves)))
-        curvature = vstack([interleaved(curve.curvature, p) for p, curve in enumerate(curves)]).tocsr()
+        curvature = vstack(
+            [interleaved(curve.curvature, curve_index) for curve_index, curve in enumerate(curves)]
+        ).tocsr()
         return Spline(no_samples, no_samples, curvature, np.concatenate([curve.target for curve in curves]))
 
     @property
@@ -208,8 +210,8 @@ def annular_guess(
     law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center])
     drift = vstack(
         [
-            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)
-            for p, plane in enumerate(record.planes)
+            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], plane_index)
+            for plane_index, plane in enumerate(record.planes)
         ]
     )
     knots, solution = robust_regression(eta.ravel(), -drift, law_columns, record.drift_spline)

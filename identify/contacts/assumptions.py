@@ -41,15 +41,15 @@ def assumptions(result: Identification) -> Iterator[str]:
     yield (
         "The bodies are those of rig.json, linear: "
         + "; ".join(
-            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}"
-            for b in condensed(rig).bodies
+            f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
+            for body in condensed(rig).bodies
         )
         + "."
     )
     yield tolerances_sentence(tolerances)
     places = "; ".join(places_of(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
-    if unused_channels := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+    if unused_channels := [sensor.name for sensor in rig.sensors if sensor.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
     low, high = report.trusted_hz
     yield (
@@ -64,7 +64,7 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
     for group in result.contact_groups:
         if len(group.contact_indices) > 1:
-            stops = sum(rig.contacts[j].law.has_stops for j in group.contact_indices)
+            stops = sum(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices)
             assignment_rules = [
                 *(["the slope within the gap is the spring's"] if stops < len(group.contact_indices) else []),
                 *(
@@ -148,7 +148,7 @@ def _sides_known(result: Identification) -> bool:
 
 def places_of(body: str, stations: tuple[Station, ...]) -> str:
     """Positions of a body's stations in words."""
-    return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
+    return f"{body} at " + ", ".join(f"{station.position_m:g}" for station in stations if station.body == body) + " m"
 
 
 def _frequencies(frequencies_hz: np.ndarray) -> str:

@@ -65,8 +65,8 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
 def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
     slow_m = np.zeros(len(record.force_n))
-    for j, sign in zip(group.contact_indices, group.signs, strict=True):
-        estimate = outcomes.estimates.get(rig.contacts[j].name)
+    for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
+        estimate = outcomes.estimates.get(rig.contacts[contact_index].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
             slow_m = record.at_force_samples(drift_m)
@@ -75,8 +75,11 @@ def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outc
 
 def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal = [rig.contacts[j].name for j in group.contact_indices], _nominal_laws(rig, group)
-    springs = [not rig.contacts[j].law.has_stops for j in group.contact_indices]
+    names, nominal = (
+        [rig.contacts[contact_index].name for contact_index in group.contact_indices],
+        _nominal_laws(rig, group),
+    )
+    springs = [not rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices]
     try:
         if not any(springs):
             outcomes = _stop_outcomes(names, nominal, record, forms)
@@ -97,7 +100,9 @@ def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms:
 def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
     """Refusals, with the advice to describe a spring where stops without clearances show no law with a gap."""
     gapless = {
-        c.name for c in rig.contacts if c.law.has_stops and not (c.law.lower_clearance_m or c.law.upper_clearance_m)
+        contact.name
+        for contact in rig.contacts
+        if contact.law.has_stops and not (contact.law.lower_clearance_m or contact.law.upper_clearance_m)
     }
     return {
         name: refused(RefusalCode.NO_GAP).refusal if name in gapless and refusal.code in GAPLESS_CODES else refusal
@@ -107,7 +112,7 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
 
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    laws = [parameters_of_law(rig.contacts[j].law) for j in group.contact_indices]
+    laws = [parameters_of_law(rig.contacts[contact_index].law) for contact_index in group.contact_indices]
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
 
 

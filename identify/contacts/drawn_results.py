@@ -44,7 +44,7 @@ def curves(result: Identification) -> dict[str, Table]:
     """Curves by family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring
     force of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay).
     """
-    names = [c.name for c in result.rig.contacts]
+    names = [contact.name for contact in result.rig.contacts]
     tables = {"motion": _motion_table(result)}
     if result.methods.main_surfaces:
         tables["surface"] = _surface_table(result, names)
@@ -84,7 +84,10 @@ def _nifo_table(result: Identification, names: list[str]) -> Table:
     table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
     for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
         rows = {"FRF s^2": nifo.frf}
-        rows |= {f"{names[j]} stiffness N/m": row for j, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)}
+        rows |= {
+            f"{names[contact_index]} stiffness N/m": row
+            for contact_index, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)
+        }
         for name, row in rows.items():
             if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
                 table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag

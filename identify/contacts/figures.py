@@ -47,7 +47,12 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
     def draw(figure: Any) -> None:
         rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
         for column, pooled_contact in zip(rows.T, report.contacts, strict=True):
-            pairs = [(s, c) for s in segments for c in s.report.contacts if c.name == pooled_contact.name]
+            pairs = [
+                (segment, contact)
+                for segment in segments
+                for contact in segment.report.contacts
+                if contact.name == pooled_contact.name
+            ]
             middle_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in pairs]
             for axes, quantity, scale in zip(column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True):
                 estimates = [getattr(contact, quantity) for _, contact in pairs]
@@ -120,8 +125,10 @@ def _surface(figure: Any, result: Identification, references: References, refere
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
     axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=label)
-    for k, group in enumerate(result.contact_groups[:2]):
-        _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
+    for group_index, group in enumerate(result.contact_groups[:2]):
+        _mark_stops(
+            axes, result, group, references, reference_name, horizontal=group_index > 0, labelled=group_index == 0
+        )
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
@@ -170,9 +177,9 @@ def _separated(figure: Any, result: Identification, references: References, refe
         eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
         laws = [
             sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
-            for sign, j in zip(group.signs, group.contact_indices, strict=True)
+            for sign, contact_index in zip(group.signs, group.contact_indices, strict=True)
             for name, estimate in result.outcomes.estimates.items()
-            if name == result.rig.contacts[j].name
+            if name == result.rig.contacts[contact_index].name
         ]
         if laws:
             axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
@@ -186,12 +193,14 @@ def _histogram(figure: Any, result: Identification, references: References, refe
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
     rate = result.motion.sample_rate_hz
     axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, group in enumerate(result.contact_groups):
+    for group_index, group in enumerate(result.contact_groups):
         eta = result.eta_m[group.contact_indices[0]]
         start = int(0.4 * eta.size)
         excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
-        axes[j][0].plot(result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η")
-        axes[j][1].hist(
+        axes[group_index][0].plot(
+            result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η"
+        )
+        axes[group_index][1].hist(
             1e3 * eta[result.motion.excited_from :],
             bins=120,
             orientation="horizontal",
@@ -199,9 +208,9 @@ def _histogram(figure: Any, result: Identification, references: References, refe
             alpha=0.6,
             density=True,
         )
-        for panel in axes[j]:
+        for panel in axes[group_index]:
             _mark_stops(panel, result, group, references, reference_name, horizontal=True)
-        axes[j][0].set_ylabel(f"η of {group.contact.name}, mm")
+        axes[group_index][0].set_ylabel(f"η of {group.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
@@ -216,8 +225,8 @@ def _stiffness(figure: Any, result: Identification, references: References, refe
         )
         return
     axes = figure.subplots(2, count, squeeze=False, sharex=True)
-    for i, j in enumerate(result.weak_nifo.contacts):
-        contact = result.rig.contacts[j]
+    for i, contact_index in enumerate(result.weak_nifo.contacts):
+        contact = result.rig.contacts[contact_index]
         mean_n_per_m = result.weak_nifo.mean_n_per_m[i]
         reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
@@ -281,8 +290,8 @@ def _mark_stops(
     """Draws the identified stops of a pair of places, and its reference values."""
     line, labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
     reference_labels = iter([f"stops, {reference_name}"] * labelled)
-    for j, sign in zip(group.contact_indices, group.signs, strict=True):
-        stop, name = result.stops[j], result.rig.contacts[j].name
+    for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
+        stop, name = result.stops[contact_index], result.rig.contacts[contact_index].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
                 line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))

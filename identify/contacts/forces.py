@@ -130,10 +130,10 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
     force_count, padding_ratio = len(rig.inputs), lines.padded_samples / motion.samples
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
-    is_floating = {r.body.name: not is_held(r) for r in responses}
+    is_floating = {response.body.name: not is_held(response) for response in responses}
     if slow_by_gauges and any(is_floating.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
-    rows = station_rows(record, lines, np.array([not is_floating[s.body] for s in motion.stations]))
+    rows = station_rows(record, lines, np.array([not is_floating[station.body] for station in motion.stations]))
     input_accelerances = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
     input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
@@ -146,10 +146,12 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
     noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
     states, noise_m = None, np.zeros(len(rig.contacts))
-    has_driven_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
+    has_driven_modes = corner_hz > 0 or any(has_hidden_modes(response, motion) for response in responses)
     for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        weighed_changes = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # as that is at 0 Hz
+        weighed_changes = tuple(
+            change for change in changes if change.parameter.kind is not NuisanceKind.ZERO
+        )  # as that is at 0 Hz
         errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
         weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
@@ -190,7 +192,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
     weights, states = rows.force_weights, rows.initial_states
     force_spectra = contact_spectra(weights, rows.unexplained_signals)
-    end_transient_s = END_TRANSIENT_S if any(b.length_m for b in rig.bodies) else TAPER_S
+    end_transient_s = END_TRANSIENT_S if any(body.length_m for body in rig.bodies) else TAPER_S
     model, slow_signals = None, None
     if slow_by_gauges:
         observed, corner_hz = rows.observed, rows.corner_hz

@@ -47,9 +47,14 @@ class Gauges:
         """Rows of the separation, in a unit in which each gauge has the mean power of the stations' accelerations: all
         errors then have a common floor. Lines that are not usable are zero in the signal and in its response."""
         spectra = lines.spectra(self.strain)
-        for i, sensor in enumerate(self.sensors):
+        for sensor_index, sensor in enumerate(self.sensors):
             sensor_response = sensor.response(lines.omega)
-            spectra[i] = np.divide(spectra[i], sensor_response, out=np.zeros_like(sensor_response), where=is_usable[i])
+            spectra[sensor_index] = np.divide(
+                spectra[sensor_index],
+                sensor_response,
+                out=np.zeros_like(sensor_response),
+                where=is_usable[sensor_index],
+            )
         power = np.mean(np.abs(spectra) ** 2, axis=1)
         row_scale = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
         samples = self.strain.shape[1]
@@ -100,8 +105,10 @@ class GaugeErrors:
     def changes(self, inputs: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
         """Changes by one standard deviation of every error, given the exciting and the contact forces."""
         zero_changes = [
-            Change(Nuisance(NuisanceKind.ZERO, name), [self.station_count + j], self.zero_error[[j]])
-            for j, name in enumerate(self.gauge_names)
+            Change(
+                Nuisance(NuisanceKind.ZERO, name), [self.station_count + gauge_index], self.zero_error[[gauge_index]]
+            )
+            for gauge_index, name in enumerate(self.gauge_names)
         ]
         truncation_changes = [
             Change(
@@ -122,22 +129,28 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, sample_count = recording.rig, motion.samples
-    gauges = [s for s in rig.sensors if not s.measures.translates and np.ptp(recording.values_of(s)) > 0]
+    gauges = [
+        sensor for sensor in rig.sensors if not sensor.measures.translates and np.ptp(recording.values_of(sensor)) > 0
+    ]
     if use != "auto" or rig.base_sensors:
         gauges = []
     excited_from = motion.excited_from
-    if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):
+    if (
+        gauges
+        and not (excited_from or recording.start_s)
+        and all(sensor.measures.order == 2 for sensor in motion.sensors)
+    ):
         excited_from = excitation_start(
-            recording.forces_n, (recording.values_of(s) for s in gauges), rig.sample_rate_hz
+            recording.forces_n, (recording.values_of(gauge) for gauge in gauges), rig.sample_rate_hz
         )
     quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
     if not (gauges and (quiet_samples or is_segment)):
         return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
-    signals = np.stack([recording.values_of(s)[:sample_count] for s in gauges])
+    signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         noise_densities = [
-            s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
-            for s, row in zip(gauges, signals, strict=True)
+            gauge.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
+            for gauge, row in zip(gauges, signals, strict=True)
         ]
         noise = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
         zero_offset, zero_error = signals.mean(axis=1), signals.std(axis=1)
@@ -145,8 +158,8 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     else:
         noise, zero_offset = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
         strain, zero_error = signals - zero_offset[:, None], noise / np.sqrt(quiet_samples)
-    gains = np.abs([s.gain for s in gauges])
-    sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
-    channels = (*motion.channels, *(s.name for s in gauges))
+    gains = np.abs([gauge.gain for gauge in gauges])
+    sensors = tuple(with_fields(gauge, fibre_m=rig.fibre_m(gauge)) for gauge in gauges)
+    channels = (*motion.channels, *(gauge.name for gauge in gauges))
     scaled_gauges = Gauges(sensors, strain, noise / gains, zero_error / gains)
     return scaled_gauges, replace(motion, excited_from=excited_from, channels=channels)

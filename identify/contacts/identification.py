@@ -160,10 +160,13 @@ def contact_report(
         modes=_modes(rig, methods.spectra, outcomes.refusals),
         nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
         surface=results.Surfaces(
-            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces),
+            tuple(
+                results.SurfaceResult(surface.equation.name, _clearances(rig, surface.stops))
+                for surface in methods.surfaces
+            ),
             _clearances(rig, methods.histogram),
         ),
-        transformation=tuple(_transformation_result(t) for t in methods.transformations),
+        transformation=tuple(_transformation_result(transformation) for transformation in methods.transformations),
         trusted_hz=motion.trusted_hz,
         channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
         findings=findings,
@@ -212,7 +215,7 @@ def contact_estimate(
 def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
     """Elastic modes within the band of NIFO."""
     nifo_in_band = [nifo for nifo in spectra if 0 < nifo.equation.frequency_hz < nifo.frequency_hz[-1]]
-    undetermined = [c for c in rig.contacts if c.name in refusals]
+    undetermined = [contact for contact in rig.contacts if contact.name in refusals]
 
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
@@ -224,8 +227,10 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
 
 def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
     stiffness = tuple(
-        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(deviation))
-        for j, mean, error, deviation in zip(
+        results.Stiffness(
+            rig.contacts[contact_index].name, results.Estimate(float(mean), float(error)), float(deviation)
+        )
+        for contact_index, mean, error, deviation in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
@@ -237,9 +242,9 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
 
 def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
     return tuple(
-        results.Clearance(c.name, results.Estimate(s.clearance_m, s.clearance_error_m))
-        for c, s in zip(rig.contacts, stops, strict=True)
-        if s is not None
+        results.Clearance(contact.name, results.Estimate(stop.clearance_m, stop.clearance_error_m))
+        for contact, stop in zip(rig.contacts, stops, strict=True)
+        if stop is not None
     )
 
 

@@ -238,8 +238,8 @@ def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedS
     knee_forces_n = np.geomspace(least_n, largest_n, KNEE_FORCE_COUNT + 2)[1:-1]
     for knees_n in combinations(knee_forces_n, int(sides.max()) - 1):
         knee_excess_n = [
-            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *sides) > m)
-            for m, knee_n in enumerate(knees_n, 1)
+            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *sides) > knee_index)
+            for knee_index, knee_n in enumerate(knees_n, 1)
         ]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
             solution = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)

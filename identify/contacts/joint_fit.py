@@ -228,7 +228,7 @@ def fit_joint(
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
 
-    return tuple(estimate_at(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
+    return tuple(estimate_at(len(LAW) * contact_index, *sides) for contact_index, sides in enumerate(touched.tolist()))
 
 
 def small_sample_factor(free_count: int) -> float:
@@ -297,7 +297,10 @@ def _check_separable(
     laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
         touching_contacts = np.flatnonzero(touched[:, side])
-        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching_contacts):
+        if any(
+            np.mean(sign * eta_m > laws[contact_index, side]) < LEAST_CLOSED_SHARE
+            for contact_index in touching_contacts
+        ):
             raise refused(RefusalCode.NOT_SEPARABLE)
         for i, j in combinations(touching_contacts, 2):
             difference = np.zeros_like(law_parameters)

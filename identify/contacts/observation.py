@@ -59,7 +59,12 @@ class SeparationInput:
     def signs(self) -> Float[np.ndarray, "contacts stations"]:
         """Signs of the stations' displacements in the relative ones."""
         stations, contacts = self.motion.stations, self.rig.contacts
-        return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in contacts])
+        return np.array(
+            [
+                [float(station == contact.at) - float(station == contact.against) for station in stations]
+                for contact in contacts
+            ]
+        )
 
 
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
@@ -98,7 +103,7 @@ def observation_of(
     rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
     displacements, accelerations = _station_spectra(record, motion, lines)
     station_signals, station_response = rows.signals(displacements, accelerations), rows.response
-    shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
+    shows_slow_motion = [not (has_high_passed_springs(responses) or sensor.high_pass_hz) for sensor in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
     observed_base = None
@@ -116,12 +121,14 @@ def observation_of(
         signals=np.concatenate([station_signals, gauge_rows.measured]),
         force_accelerations=input_accelerations[: count_on_bodies(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
-        bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
+        bodies=tuple(
+            observed_body_motion(rig, response, motion, station_signals / station_response) for response in responses
+        ),
         base=observed_base,
         transverse=_observed_transverse(record, lines, rows),
         by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
-    gauge_names = tuple(s.name for s in gauges.sensors)
+    gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
     errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
@@ -145,7 +152,11 @@ def _observed_transverse(
     transverse, stations = record.motion.transverse, record.motion.stations
     if transverse is None:
         return None
-    pairs = [(i, row) for i, station in enumerate(stations) if (row := transverse.row(station)) is not None]
+    pairs = [
+        (station_index, row)
+        for station_index, station in enumerate(stations)
+        if (row := transverse.row(station)) is not None
+    ]
     sensors, rows = [i for i, _ in pairs], [row for _, row in pairs]
     displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, transverse, lines))
     return ObservedTransverse(sensors, station_rows.of(sensors).signals(displacements, accelerations), displacements)
@@ -164,7 +175,7 @@ def noise_observation(
         signals=noise,
         force_accelerations=np.zeros_like(observed.force_accelerations),
         displacements=displacements,
-        bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+        bodies=tuple(observed_body_motion(rig, body.response, motion, accelerations) for body in observed.bodies),
         base=observed.base and observed.base.at_rest,
         transverse=observed.transverse and observed.transverse.at_rest,
     )

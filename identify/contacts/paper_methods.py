@@ -74,7 +74,7 @@ class PaperMethods:
     @property
     def main_surfaces(self) -> tuple[Surface, ...]:
         """Surfaces of the main equation, as far as they could be computed."""
-        return tuple(s for s in self.surfaces if s.equation.name == self.main_equation)
+        return tuple(surface for surface in self.surfaces if surface.equation.name == self.main_equation)
 
 
 def results_by_name(
@@ -111,12 +111,12 @@ def driven_bodies(rig: Rig) -> list[Body]:
 
 def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
-    names = [c.name for c in separation.rig.contacts]
+    names = [contact.name for contact in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
     force_n, force_over_stiffness_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
-        signs = dict(zip((names[j] for j in group.contact_indices), group.signs, strict=True))
+        signs = dict(zip((names[contact_index] for contact_index in group.contact_indices), group.signs, strict=True))
         estimated_names = [name for name in signs if name in outcomes.estimates]
         if estimated_names:
             estimate, sign = outcomes.estimates[estimated_names[0]], signs[estimated_names[0]]
@@ -132,7 +132,10 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
     """Stops of each contact of the rig; None where the record does not determine it."""
-    return tuple(_stops(outcomes.estimates[c.name]) if c.name in outcomes.estimates else None for c in rig.contacts)
+    return tuple(
+        _stops(outcomes.estimates[contact.name]) if contact.name in outcomes.estimates else None
+        for contact in rig.contacts
+    )
 
 
 def _stops(estimate: JointEstimate) -> Stops:
@@ -187,9 +190,9 @@ def paper_methods(
     spectra = results_by_name(notes, "NIFO", nifo_equations, by_nifo)
     surfaces = results_by_name(notes, "the restoring force surface", equations, by_surface)
     single_signals = {
-        rig.contacts[j].name: (eta[j, motion.excited_from :], stop.touched)
-        for j, stop in enumerate(stops)
-        if stop and j in single_contacts
+        rig.contacts[stop_index].name: (eta[stop_index, motion.excited_from :], stop.touched)
+        for stop_index, stop in enumerate(stops)
+        if stop and stop_index in single_contacts
     }
     histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
     main_name = _main_equation(spectra, driven_equations, equation, notes)
@@ -238,7 +241,7 @@ def _surface_decimation(rig: Rig, motion: Kinematics) -> int:
     """Decimation of a surface, to four fifths of the lowest natural frequency that the stations do not resolve."""
     limits_hz = [motion.trusted_hz[1]]
     for body in rig.bodies:
-        station_count = sum(s.body == body.name for s in motion.stations)
+        station_count = sum(station.body == body.name for station in motion.stations)
         if body.length_m > 0 and station_count < body.max_modes:
             mode_number = min(max(station_count, body.rigid_modes) + 1, body.max_modes)
             limits_hz.append(0.8 * float(body.frequencies_hz(mode_number)[-1]))

@@ -63,11 +63,11 @@ def identify_long(
             )
         except RigError as error:
             reason = str(error)
-        rows = sum(len(s.channels.names) for s in recording.signals.values())
+        rows = sum(len(signal.channels.names) for signal in recording.signals.values())
         progress(min(1.0, 8 * rows * recording.end_s * recording.rig.sample_rate_hz / size))
     if not identified_segments:
         raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({reason})")
-    return pooled_report([s.report for s in identified_segments]), tuple(identified_segments)
+    return pooled_report([segment.report for segment in identified_segments]), tuple(identified_segments)
 
 
 def longest_segment_s(path: Path) -> float:
@@ -89,28 +89,37 @@ def longest_segment_s(path: Path) -> float:
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
     merged = _merged_structs(_with_usual_law(reports))
-    answered_names = {c.name for c in merged.contacts}
-    findings = {(f.cause, f.channels, f.of): f for r in reversed(reports) for f in reversed(r.findings)}
-    equations = [r.main_equation for r in reports]
+    answered_names = {contact.name for contact in merged.contacts}
+    findings = {
+        (finding.cause, finding.channels, finding.of): finding
+        for report in reversed(reports)
+        for finding in reversed(report.findings)
+    }
+    equations = [report.main_equation for report in reports]
     return msgspec.structs.replace(
         merged,
         unanswered=tuple(u for u in merged.unanswered if u.name not in answered_names),
         findings=tuple(findings.values())[::-1],
         main_equation=max(equations, key=equations.count),
-        notes=tuple(dict.fromkeys(note for r in reports for note in r.notes)),
+        notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
     )
 
 
 def _with_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
     """Reports with only those contacts whose law is the one of most segments: parameters of different laws cannot be
     pooled."""
-    laws = [(c.name, c.law, c.reference_depth_m) for r in reports for c in r.contacts]
+    laws = [(contact.name, contact.law, contact.reference_depth_m) for report in reports for contact in report.contacts]
     usual_laws = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
     return [
         msgspec.structs.replace(
-            r, contacts=tuple(c for c in r.contacts if (c.name, c.law, c.reference_depth_m) == usual_laws[c.name])
+            report,
+            contacts=tuple(
+                contact
+                for contact in report.contacts
+                if (contact.name, contact.law, contact.reference_depth_m) == usual_laws[contact.name]
+            ),
         )
-        for r in reports
+        for report in reports
     ]
 
 
@@ -123,7 +132,7 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     and v = n / (n - 1) sum of w_i (x_i - mean)^2. The mean is at least as certain as one segment unless the scatter
     exceeds the standard errors. Its own error is that of independent estimates, or that of the scatter if larger.
     """
-    values, errors = np.array([(e.value, e.standard_error) for e in estimates]).T
+    values, errors = np.array([(estimate.value, estimate.standard_error) for estimate in estimates]).T
     if len(estimates) == 1:
         return estimates[0]
     if not np.all(errors > 0):
@@ -132,7 +141,7 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     mean, count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
     scatter = count / (count - 1) * weights @ (values - mean) ** 2
     shared_variance = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
-    own_errors = [e.own_error for e in estimates if e.own_error is not None]
+    own_errors = [estimate.own_error for estimate in estimates if estimate.own_error is not None]
     return Estimate(
         float(mean),
         float(np.sqrt(max(scatter / count, min(scatter / count + shared_variance, mean_variance)))),

@@ -81,7 +81,7 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    findings = page.list_html(f.sentence for f in report.findings)
+    findings = page.list_html(finding.sentence for finding in report.findings)
     page.write(
         path,
         title=title,
@@ -157,11 +157,11 @@ def _sentences(report: ContactReport) -> list[str]:
         reasons = [f"{unanswered.name}: {unanswered.reason}." for unanswered in report.unanswered]
         return ["This record determines no contact.", *reasons]
     values_by_contact = (
-        f"{c.name}: "
-        + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
-        + f"stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
-        + (f" ({c.law})" if c.law_sentence or c.is_spring else "")
-        for c in contacts
+        f"{contact.name}: "
+        + ("" if contact.is_spring else f"clearance {_interval(contact.clearance_m, 'mm', 1e3)}, ")
+        + f"stiffness {_interval(contact.stiffness_n_per_m, 'N/m')}"
+        + (f" ({contact.law})" if contact.law_sentence or contact.is_spring else "")
+        for contact in contacts
     )
     return ["; ".join(values_by_contact)]
 
@@ -177,8 +177,10 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
         return ""
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    half = "" if all(c.ring for c in contacts) else " The clearance is half the total play."
-    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
+    half = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
+    if any(
+        contact.lower_clearance_m and _is_surer(contact.clearance_m, contact.lower_clearance_m) for contact in contacts
+    ):
         half = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
@@ -236,10 +238,10 @@ def _methods(result: Identification) -> str:
     """Section on NIFO, surface and histogram, which begins with the notes on methods that failed."""
     report = result.report
     bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
-    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
+    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(band[1] for band in bands):.3g} Hz) and " if bands else ""
     modes = [
-        (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %", m.flag)
-        for m in report.modes
+        (f"{mode.beam} {mode.index}", f"{mode.frequency_hz:.3f} Hz", f"{100 * mode.damping_ratio:.2f} %", mode.flag)
+        for mode in report.modes
     ]
     return (
         (page.list_html(report.notes) if report.notes else "")
@@ -269,7 +271,9 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
 
 def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
     clearances = [
-        (f"surface of {s.equation}", clearance) for s in report.surface.surfaces for clearance in s.clearances
+        (f"surface of {surface.equation}", clearance)
+        for surface in report.surface.surfaces
+        for clearance in surface.clearances
     ]
     clearances += [("histogram", clearance) for clearance in report.surface.histogram]
     for method, clearance in clearances:

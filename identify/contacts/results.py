@@ -227,8 +227,11 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 
     Where only half the total play is known, the clearances are placed about the nominal middle of the play.
     """
-    estimates = {c.name: c for c in report.contacts}
-    contacts = tuple(replace(c, law=_law(c.law, estimates[c.name])) if c.name in estimates else c for c in rig.contacts)
+    estimates = {contact.name: contact for contact in report.contacts}
+    contacts = tuple(
+        replace(contact, law=_law(contact.law, estimates[contact.name])) if contact.name in estimates else contact
+        for contact in rig.contacts
+    )
     return replace(rig, contacts=contacts)
 
 

@@ -295,7 +295,7 @@ def drift_of(
     if motion.zero_known:
         return None
     stations = contact_stations(rig.contacts[contact_index])
-    unmeasured_stations = [s for s in stations if motion.row(s) is None]
+    unmeasured_stations = [station for station in stations if motion.row(station) is None]
     if unmeasured_stations:
         raise refused(
             RefusalCode.NO_ACCELEROMETER,
@@ -303,8 +303,8 @@ def drift_of(
             position_m=unmeasured_stations[0].position_m,
             body=unmeasured_stations[0].body,
         )
-    slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
-    densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]
+    slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
+    densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
         error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
@@ -325,18 +325,18 @@ def _error_density(
     of the other direction.
     """
     row = motion.stations.index(station)
-    body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
-    body_stations.sort(key=lambda i: motion.stations[i].position_m)
+    body_rows = [station_index for station_index, s in enumerate(motion.stations) if s.body == station.body]
+    body_rows.sort(key=lambda i: motion.stations[i].position_m)
     slow_m_per_s2 = np.stack(
-        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]]
+        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_rows]]
     )
-    absolute_m_per_s2 = slow_m_per_s2[body_stations.index(row)]
+    absolute_m_per_s2 = slow_m_per_s2[body_rows.index(row)]
     if motion.base:
         absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
-    if len(body_stations) > 1:
-        slope = np.gradient(slow_m_per_s2, [motion.stations[i].position_m for i in body_stations], axis=0)[
-            body_stations.index(row)
+    if len(body_rows) > 1:
+        slope = np.gradient(slow_m_per_s2, [motion.stations[i].position_m for i in body_rows], axis=0)[
+            body_rows.index(row)
         ]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:

@@ -62,15 +62,19 @@ def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolera
     """Findings of the check, without what weight does to displacements at rest."""
     findings = check_recording(from_rest_position(recording), use, tolerances)
     findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
-    return tuple(f for f in findings if f.cause != "not at rest")
+    return tuple(finding for finding in findings if finding.cause != "not at rest")
 
 
 def check_directions(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
-    for contact in (c for c in rig.contacts if c.law.spatial):
+    for contact in (contact for contact in rig.contacts if contact.law.spatial):
         for station in contact_stations(contact):
-            sensors = [s for s in rig.sensors if s.station.body == station.body and use in ("auto", s.quantity)]
-            measured_directions = {s.station.direction for s in sensors if s.measures.translates}
+            sensors = [
+                sensor
+                for sensor in rig.sensors
+                if sensor.station.body == station.body and use in ("auto", sensor.quantity)
+            ]
+            measured_directions = {sensor.station.direction for sensor in sensors if sensor.measures.translates}
             if missing := {*rig.directions} - measured_directions:
                 raise refused(
                     RefusalCode.ONE_DIRECTION, contact=contact.name, body=station.body, direction=min(missing)
@@ -83,7 +87,7 @@ def from_rest_position(recording: Recording) -> Recording:
     rig = recording.rig
     start = 0
     if rig.gravity_m_per_s2 and not recording.start_s:
-        channels = (recording.values_of(s) for s in rig.sensors)
+        channels = (recording.values_of(sensor) for sensor in rig.sensors)
         start = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
     signals = dict(recording.signals)
     for name in {"displacement", "strain"} & signals.keys() if start else ():
@@ -133,14 +137,14 @@ def annular_records(
     names = [rig.force_names_in(direction) for direction in rig.directions]
     parameters = [separation.forces.nuisances.parameters for separation in separations]
     records = {}
-    for contact in (c for c in rig.contacts if c.law.spatial):
+    for contact in (contact for contact in rig.contacts if contact.law.spatial):
         planes = []
         for separation in separations:
             in_plane = separation.rig.contact(contact.name)
             (record,) = (
                 record
                 for group, record in zip(separation.contact_groups, separation.records, strict=True)
-                if in_plane in [separation.rig.contacts[j] for j in group.contact_indices]
+                if in_plane in [separation.rig.contacts[contact_index] for contact_index in group.contact_indices]
             )
             planes.append(_with_whole_band(record, separation, in_plane, tolerances))
         records[contact.name] = annular_record(
@@ -196,17 +200,17 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
     for separation in separations:
         contacts = separation.rig.contacts
         groups = [
-            k
-            for k, p in enumerate(separation.contact_groups)
-            if not annular & {contacts[j].name for j in p.contact_indices}
+            group_index
+            for group_index, group in enumerate(separation.contact_groups)
+            if not annular & {contacts[contact_index].name for contact_index in group.contact_indices}
         ]
         if not groups:
             continue
         plane_separation = replace(
             separation,
             forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(groups, groups)]),
-            contact_groups=tuple(separation.contact_groups[k] for k in groups),
-            records=tuple(separation.records[k] for k in groups),
+            contact_groups=tuple(separation.contact_groups[group_index] for group_index in groups),
+            records=tuple(separation.records[group_index] for group_index in groups),
         )
         determined, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {

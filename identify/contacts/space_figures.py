@@ -144,7 +144,7 @@ def _kinds(panel: _Panel) -> None:
     axes, result, estimate = panel.axes, panel.result, panel.estimate
     motion = result.contacts.separations[0].motion
     samples = estimate.eta_m.shape[1]
-    whirls = next(c for c in result.report.contacts if c.name == axes.get_title()).ring
+    whirls = next(contact for contact in result.report.contacts if contact.name == axes.get_title()).ring
     middle_s = samples / motion.sample_rate_hz / 2 + motion.start_s
     if whirls is not None and whirls.whirls:
         middle_s = sum(whirls.whirls[0]) / 2

@@ -81,7 +81,7 @@ def identify_in_space(
         name: record.eta_m + contacts.plane.estimates[name].drift_m
         for separation in contacts.separations
         for place, record in zip(separation.contact_groups, separation.records, strict=True)
-        for name in [separation.rig.contacts[j].name for j in place.contact_indices]
+        for name in [separation.rig.contacts[contact_index].name for contact_index in place.contact_indices]
         if name in contacts.plane.estimates
     }
     first, start_s = motions[0].excited_from, motions[0].start_s
@@ -99,7 +99,9 @@ def identify_in_space(
     report = results.ContactReport(
         rig=rig.name,
         contacts=tuple(estimates),
-        unanswered=results.unanswered({c.name: refusals[c.name] for c in rig.contacts if c.name in refusals}),
+        unanswered=results.unanswered(
+            {contact.name: refusals[contact.name] for contact in rig.contacts if contact.name in refusals}
+        ),
         main_equation="",
         modes=(),
         nifo=(),

@@ -46,7 +46,7 @@ def _write_page(
     sources: Sequence[Path],
 ) -> None:
     report = result.report
-    findings = page.list_html(f.sentence for f in report.findings) if report.findings else ""
+    findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
     orbit = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
     page.write(

@@ -171,7 +171,7 @@ def observed_body_motion(
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
+    return modes_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
 
 
 def driven_body_motion(
@@ -204,7 +204,7 @@ def driven_body_motion(
 def start_transient_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
     """Length of the start that is left out of a record that does not begin at rest, s: longer where springs of an
     elastic body act on high-passed displacements, which remember the start."""
-    remembers_start = np.any(slow_n_per_m) and any(b.length_m for b in rig.bodies)
+    remembers_start = np.any(slow_n_per_m) and any(body.length_m for body in rig.bodies)
     return 2 / CORNER_HZ if remembers_start else START_TRANSIENT_S
 
 
@@ -214,8 +214,10 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
     A displacement that does not begin at zero has the spectrum of a step, whose acceleration is no signal over time.
     """
     derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    orders = [s.measures.order for s in motion.sensors]
-    sensor_spectra = lines.spectra(np.array([derivatives[order][i] for i, order in enumerate(orders)]))
+    orders = [sensor.measures.order for sensor in motion.sensors]
+    sensor_spectra = lines.spectra(
+        np.array([derivatives[order][order_index] for order_index, order in enumerate(orders)])
+    )
     return np.asarray(sensor_spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
@@ -235,7 +237,7 @@ def initial_states(
     samples, padding_samples, force_count = motion.samples, lines.padded_samples - motion.samples, len(motion.forces_n)
     highest_hz = float(lines.omega[-1]) / (2 * np.pi)
     motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
-    orders = [s.measures.order for s in motion.sensors]
+    orders = [sensor.measures.order for sensor in motion.sensors]
 
     def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
         in_metres, omega = rows.in_metres, lines.omega

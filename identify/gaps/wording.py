@@ -118,7 +118,11 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     """Named effects of the likeliest cause that have look-alikes, each with these, in words."""
     if not gap.causes:
         return []
-    effect_words = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
+    effect_words = {
+        strength.effect: word
+        for cause in reversed(gap.causes)
+        for strength, word in zip(cause.strengths, cause.words, strict=True)
+    }
     likeliest = gap.causes[0]
     return [
         (effect_phrases, [effect_words.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
@@ -222,7 +226,7 @@ def level_words(change: LevelDependence) -> str:
 
 def difference_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    value_words = ", ".join(number(v.value) for v in comparison.values)
+    value_words = ", ".join(number(value.value) for value in comparison.values)
     unit_words = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
     place_words = f" ({comparison.place})" if comparison.place else ""
     return f"{comparison.parameter}{place_words} {comparison.trend} ({value_words}{unit_words})"

@@ -215,7 +215,7 @@ def _unmeasured_force(
     force_attempt = attempted("force_description", lambda: described(force_fit)) if force_fit else Attempt()
     if clearance_swing is None:
         return force_attempt
-    contact_by_name = {c.name: c for c in group_rig_of(rig).contacts}
+    contact_by_name = {contact.name: contact for contact in group_rig_of(rig).contacts}
     unexplained_contact_share = dict(zip(contact_by_name, misfit.contact_shares, strict=True))[
         clearance_swing.contact_name
     ]

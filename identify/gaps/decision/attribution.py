@@ -108,7 +108,9 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     variance_ratios = {}
     for response in residual.model.responses:
         body_sensors = [
-            sensor_index for sensor_index, s in enumerate(record.sensors) if s.station.body == response.body.name
+            sensor_index
+            for sensor_index, sensor in enumerate(record.sensors)
+            if sensor.station.body == response.body.name
         ]
         mode_count = min(len(body_sensors), response.mode_count)
         if not mode_count:

@@ -99,7 +99,7 @@ LIMIT_MARGIN = 1e-3
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
-    contact_names = [c.name for c in group_rig_of(rig).contacts]
+    contact_names = [contact.name for contact in group_rig_of(rig).contacts]
     return UnexplainedShares(
         share=misfit.motion_share,
         contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),

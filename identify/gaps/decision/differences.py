@@ -292,8 +292,8 @@ def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | Non
     candidates = cause.hypothesis.candidates if cause else ()
     if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         by_record = np.tile(cause.hypothesis.values, (len(records), 1))
-        return EffectValues(tuple(r.rig for r in records), candidates, by_record)
-    rig_by_record = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
+        return EffectValues(tuple(record.rig for record in records), candidates, by_record)
+    rig_by_record = tuple(record_specific_rig(record, cause.hypothesis) if cause else record.rig for record in records)
     return EffectValues(rig_by_record, (), np.zeros((len(records), 0)))
 
 

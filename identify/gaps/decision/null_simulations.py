@@ -78,7 +78,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     drawn_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
     drawn_contacts = tuple(_draw_contact(contact, tolerances, next_normals) for contact in rig.contacts)
     drawn_bodies = tuple(_draw_body(rig, body, drawn_sensors, tolerances, next_normals) for body in rig.bodies)
-    modal_bodies = {b.name for b in drawn_bodies if not b.is_mass} & {b.name for b in rig.bodies}
+    modal_bodies = {body.name for body in drawn_bodies if not body.is_mass} & {body.name for body in rig.bodies}
     return replace(
         rig,
         bodies=drawn_bodies,

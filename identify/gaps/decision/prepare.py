@@ -109,9 +109,9 @@ class PreparedRecordings:
     @property
     def record_titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{k + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
-            + ", validates" * (k == self.validation_index)
-            for k, observation in enumerate(self.observations)
+            f"{observation_index + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
+            + ", validates" * (observation_index == self.validation_index)
+            for observation_index, observation in enumerate(self.observations)
         )
 
 

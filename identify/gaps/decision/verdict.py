@@ -175,8 +175,8 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
         column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
         look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
         neutral_values = {
-            k: parameter.neutral
-            for k, parameter in zip(column_indices, candidate.parameters, strict=True)
+            column_index: parameter.neutral
+            for column_index, parameter in zip(column_indices, candidate.parameters, strict=True)
             if parameter.neutral is not None
         }
         deviation_in_errors = {

@@ -90,7 +90,13 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     right_percent = 200.0
     for label, rig_quantities, colour, marker, offset in drawn_rigs:
         rows = offset + np.arange(len(rig_quantities))
-        ends = [[np.nan if x is None else 100 * x / q.threshold for x in (q.value, q.upper)] for q in rig_quantities]
+        ends = [
+            [
+                np.nan if x is None else 100 * x / rig_quantity.threshold
+                for x in (rig_quantity.value, rig_quantity.upper)
+            ]
+            for rig_quantity in rig_quantities
+        ]
         values, upper_ends = np.maximum(np.array(ends), LEAST_PERCENT).T  # a value that is not known is not drawn
         axes.plot(values, rows, marker, color=colour, label=label)
         for row, value, upper_end in zip(rows, values, upper_ends, strict=True):
@@ -116,8 +122,8 @@ def _draw_probabilities(figure: Any, gap: Gap) -> None:
         )
     labelled_rows += remaining_probabilities(gap)
     colours = [BLUE] * (len(labelled_rows) - 2) + [GREEN, GREY]
-    bar_names, percentages = ([r[0] for r in labelled_rows], [100 * r[1] for r in labelled_rows])
-    axes = _bar_axes(figure, bar_names, percentages, [probability(r[1]) for r in labelled_rows], colours)
+    bar_names, percentages = ([row[0] for row in labelled_rows], [100 * row[1] for row in labelled_rows])
+    axes = _bar_axes(figure, bar_names, percentages, [probability(row[1]) for row in labelled_rows], colours)
     axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
@@ -235,9 +241,9 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
 
 def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
     axes = figure.subplots()
-    axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
+    axes.bar(np.arange(len(shares)), [100 * share.share for share in shares], width=0.85, color=BLUE)
     labelled = slice(None, None, -(-len(shares) // MAX_LABELS))
-    interval_names = [_shortened_name(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
+    interval_names = [_shortened_name(f"{share.begin:.3g} to {share.end:.3g}") for share in shares]
     axes.set_xticks(
         np.arange(len(shares))[labelled], interval_names[labelled], rotation=40, ha="right", rotation_mode="anchor"
     )

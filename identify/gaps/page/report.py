@@ -128,7 +128,11 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     """Names of the figures that may stand beside the drawing; of quantities if another than the motion decides."""
     if gap.evidence.vetoed and gap.verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED):
         return ("prediction_motion", *DECISIVE_FIGURES[gap.verdict])
-    ratios = {q.name: q.value / q.threshold for q in gap.evidence.quantities if q.value is not None and not q.holds}
+    ratios = {
+        quantity.name: quantity.value / quantity.threshold
+        for quantity in gap.evidence.quantities
+        if quantity.value is not None and not quantity.holds
+    }
     if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
     return DECISIVE_FIGURES[gap.verdict]

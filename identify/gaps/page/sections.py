@@ -149,7 +149,7 @@ def decision(gap: Gap) -> str:
         f"<p>Four questions decide. Their answers give the verdict: {escape(VERDICTS[gap.verdict])}.</p>"
         + page.table(("", "", ""), question_rows)
     )
-    quantity_rows = [_quantity_row(q) for q in evidence.quantities]
+    quantity_rows = [_quantity_row(quantity) for quantity in evidence.quantities]
     for quantity in evidence.quantities_beside * evidence.taken_up:
         quantity_rows.append(_quantity_row(replace(quantity, name=f"{quantity.name}, by the named effects")))
     section_html += "<h3>What matters</h3>"
@@ -339,4 +339,7 @@ def _growth_percent(modulus_growth: Value) -> str:
 
 
 def _shares_by_range(interval_shares: Sequence[Share], range_unit: str) -> dict[str, float]:
-    return {f"{s.begin:.3g} to {s.end:.3g} {range_unit}": s.share for s in interval_shares}
+    return {
+        f"{interval_share.begin:.3g} to {interval_share.end:.3g} {range_unit}": interval_share.share
+        for interval_share in interval_shares
+    }

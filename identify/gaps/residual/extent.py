@@ -110,10 +110,12 @@ class Beginning:
 def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
     """Start of a recording as given sensors show it."""
     rig, rate_hz = recording.rig, recording.rig.sample_rate_hz
-    zero_known = all(s.measures.order == 0 for s in sensors)
+    zero_known = all(sensor.measures.order == 0 for sensor in sensors)
     has_contacts = bool(rig.contacts)
     integrates = has_contacts and not zero_known
-    excitation_start_sample = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate_hz)
+    excitation_start_sample = excitation_start(
+        recording.forces_n, (recording.values_of(sensor) for sensor in sensors), rate_hz
+    )
     samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
     counts_from_blow = not np.any(recording.forces_n) and not integrates
     fade_length_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
@@ -122,7 +124,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
         has_contacts=has_contacts,
         integrates=integrates,
         counts_from_blow=counts_from_blow,
-        all_free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
+        all_free=zero_known and all(is_free(rig, body.name) for body in rig.bodies),
         floats_in_contacts=floats_in_contacts(rig),
         excitation_start_sample=excitation_start_sample,
         quiet_samples=samples_before if samples_before > QUIET_S * rate_hz else 0,
@@ -155,7 +157,7 @@ def high_hz_of(
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
         excited_hz = REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
-        signals = np.stack([recording.values_of(s) for s in sensors])
+        signals = np.stack([recording.values_of(sensor) for sensor in sensors])
         excited_hz = REACH * (
             highest_vibrating_hz(signals, rate_hz, noise_densities)
             if recording.rig.contacts
@@ -209,15 +211,19 @@ def noise_corner_hz(
 def is_free(rig: Rig, body_name: str) -> bool:
     """True if a body is an unsupported mass."""
     body = rig.body(body_name)
-    support_stations = [s.station for s in rig.springs] + [
+    support_stations = [spring.station for spring in rig.springs] + [
         s for contact in rig.contacts for s in contact_stations(contact)
     ]
-    return body.is_mass and bool(body.rigid_modes) and all(s.body != body_name for s in support_stations)
+    return (
+        body.is_mass
+        and bool(body.rigid_modes)
+        and all(support_station.body != body_name for support_station in support_stations)
+    )
 
 
 def floats_in_contacts(rig: Rig) -> bool:
     """True if contacts alone hold an elastic body."""
-    return bool(rig.contacts) and any(b.rigid_modes and not b.is_mass for b in rig.bodies)
+    return bool(rig.contacts) and any(body.rigid_modes and not body.is_mass for body in rig.bodies)
 
 
 def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:

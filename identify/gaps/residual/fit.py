@@ -120,7 +120,7 @@ class ReducedEquations:
         count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear_columns = np.array([c[0].ravel() for c in columns]).reshape(
+        linear_columns = np.array([column[0].ravel() for column in columns]).reshape(
             len(columns), self.residual.linear_residual.size
         )
         matrix[:count, count:] = self.linearization.columns.products(linear_columns)
@@ -195,7 +195,7 @@ def contact_columns(
     contact, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
     columns = np.zeros((contact.residual.size, column_count))
     columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
-    first_tolerance = nuisance_count + sum(c.pulls.size for c in residual.contacts[:contact_index])
+    first_tolerance = nuisance_count + sum(contact.pulls.size for contact in residual.contacts[:contact_index])
     sample_count = contact.observation.weights.size
     columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
         :sample_count, contact.observation.tolerance_slice
@@ -217,7 +217,7 @@ def fit(
     `initial` gives the nuisance parameters and contact unknowns to start from.
     """
     nuisance, unknowns = (
-        (initial.nuisance_pulls, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
+        (initial.nuisance_pulls, tuple(contact.unknowns for contact in initial.contacts)) if initial else (None, None)
     )
     if nuisance is not None and linearization.tuning.pulls and not nuisance.any():
         nuisance = None  # the modes' parameters start at the values that the record's modes give
@@ -273,8 +273,8 @@ def _step(
         stepped_values = np.clip(values + step[nuisance_count:] * inward_steps, *bounds)
         step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
-            c.unknowns + share * u
-            for c, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
+            contact.unknowns + share * u
+            for contact, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
         ]
         try:
             rig = build_rig(stepped_values)

@@ -192,7 +192,7 @@ class Linear:
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
         rig = following_motion(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
 
@@ -220,7 +220,7 @@ def linear_model(
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
         responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
-    responses = tuple(r.damped_by(linear_dampers(record, rig)) for r in responses)
+    responses = tuple(response.damped_by(linear_dampers(record, rig)) for response in responses)
     displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
     model = _linear_model(record, rig, responses, model_error, motion)
@@ -304,7 +304,7 @@ def _linear_model(
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors_by_name, omega = {s.name: s for s in rig.sensors}, record.omega
+    sensors_by_name, omega = {sensor.name: sensor for sensor in rig.sensors}, record.omega
     sensor_response = np.empty((len(record.sensors), omega.size), dtype=complex)
     for response_row, sensor in zip(sensor_response, record.sensors, strict=True):
         response_row[:] = sensors_by_name[sensor.name].response(omega)
@@ -313,8 +313,8 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
 
 def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
-    sensors_by_name = {s.name: s for s in rig.sensors}
-    return [sensors_by_name[s.name].station for s in record.sensors]
+    sensors_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return [sensors_by_name[sensor.name].station for sensor in record.sensors]
 
 
 def _across_weights(
@@ -329,7 +329,7 @@ def ground_spring_correction(
     record: Record, model: Linear, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    sensor_stations: list[Station | None] = [s.station for s in record.sensors]
+    sensor_stations: list[Station | None] = [sensor.station for sensor in record.sensors]
     return -delivered_by(model, sensor_stations, model.ground_force_changes(displacement_changes))
 
 

@@ -98,7 +98,7 @@ def columns_of(record: Record, model: Linear) -> Columns:
                 eta_columns_m.append(eta_change_m.astype(np.complex64))
     eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving), contact_count, record.omega.size)
     return Columns(
-        tuple(c.parameter for c in changes),
+        tuple(change.parameter for change in changes),
         residual_columns,
         contact_columns_n,
         np.array(moving, dtype=int),
@@ -145,10 +145,10 @@ def _projected_change(
 
 def _with_damper_feedback(record: Record, model: Linear, change: Change) -> Change:
     """Change of a body's modes with what its dampers do against it; any other change as it is."""
-    response = next((r for r in model.responses if r.body.name == change.parameter.owner), None)
+    response = next((response for response in model.responses if response.body.name == change.parameter.owner), None)
     if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
         return change
-    shapes = response.shapes([record.sensors[i].station for i in change.sensors])
+    shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in change.sensors])
     observed_count = min(shapes.shape)
     modal_accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_accelerations[:observed_count] = np.linalg.pinv(shapes[:, :observed_count]) @ (
@@ -191,10 +191,16 @@ def _modal_accelerations(record: Record, model: Linear) -> list[Complex[np.ndarr
     unexplained_accelerations = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
     modal_accelerations = []
     for response, modal_acceleration in zip(model.responses, model.modal_accelerations, strict=True):
-        body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        body_sensors = [
+            sensor_index
+            for sensor_index, sensor in enumerate(record.sensors)
+            if sensor.station.body == response.body.name
+        ]
         if body_sensors:
             determined_count = min(len(body_sensors), response.mode_count)
-            shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :determined_count]
+            shapes = response.shapes([record.sensors[body_sensor_index].station for body_sensor_index in body_sensors])[
+                :, :determined_count
+            ]
             modal_acceleration[:determined_count] += np.linalg.pinv(shapes) @ unexplained_accelerations[body_sensors]
         modal_accelerations.append(modal_acceleration)
     return modal_accelerations
@@ -212,12 +218,14 @@ def apply_nuisance(
     fraction of its width is nonlinear. Without contacts the modes of every body are also scaled together; `tuned_modes`
     scales them one by one.
     """
-    mass_names = {b.name for b in rig.bodies if b.is_mass}
-    tuned_names = {b.name for b in rig.bodies if b.is_mass or not rig.contacts}
+    mass_names = {body.name for body in rig.bodies if body.is_mass}
+    tuned_names = {body.name for body in rig.bodies if body.is_mass or not rig.contacts}
     applied_kinds = {
         Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     }
-    applied_kinds |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in mass_names}
+    applied_kinds |= {
+        Nuisance(NuisanceKind.GAIN, sensor.name) for sensor in rig.sensors if sensor.station.body in mass_names
+    }
     applied_pulls = np.where([parameter in applied_kinds for parameter in nuisance_parameters], pulls, 0.0)
     return with_nuisance(rig, nuisance_parameters, applied_pulls, tolerances), applied_pulls
 
@@ -287,8 +295,14 @@ def relative_displacements(
     sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements at the contacts from displacements of some of the sensors there."""
-    sensor_stations = [s.station for s in record.sensors]
+    sensor_stations = [sensor.station for sensor in record.sensors]
     contact_signs = np.array(
-        [[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in sensor_stations] for c in model.rig.contacts]
+        [
+            [
+                (sensor_station == contact.at) * 1.0 - (sensor_station == contact.against) * 1.0
+                for sensor_station in sensor_stations
+            ]
+            for contact in model.rig.contacts
+        ]
     )
     return real_product(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)

@@ -131,12 +131,12 @@ class Residual:
     @property
     def residual_count(self) -> int:
         """Number of residuals, which is the expected cost of noise alone."""
-        return int(self.linear_residual.size + sum(c.residual.size for c in self.contacts))
+        return int(self.linear_residual.size + sum(contact.residual.size for contact in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance_pulls, *(c.pulls for c in self.contacts)])
+        return np.concatenate([self.nuisance_pulls, *(contact.pulls for contact in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
@@ -162,7 +162,7 @@ class Residual:
     def cost(self) -> float:
         return (
             float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance_pulls @ self.nuisance_pulls)
-            + sum(c.cost for c in self.contacts)
+            + sum(contact.cost for contact in self.contacts)
             + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         )
 
@@ -247,7 +247,7 @@ def residual_of(
     if not reused and not rig.tones:
         linear_without_lines = without_lines(linear, linearization.line_frequencies)
     previous = reused.contacts if reused else ()
-    same_motion = bool(previous) and all(c.unknowns is u for c, u in zip(previous, unknowns, strict=True))
+    same_motion = bool(previous) and all(c.unknowns is unknown for c, unknown in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any() and not same_motion:
         added_eta_m = record.sampled(np.tensordot(-nuisance_change[columns.moving], columns.eta_m, 1), upper_band=False)
@@ -288,7 +288,7 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     """
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
-        unknowns = tuple(c.unknowns for c in residual.contacts)
+        unknowns = tuple(contact.unknowns for contact in residual.contacts)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, base=residual)
         contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         return residual.linear_residual - changed.linear_residual, contact_decreases

@@ -72,11 +72,13 @@ def record_of(
     noise_densities = sensor_densities(recording, sensors, beginning.quiet_samples)
     high_hz = high_hz_of(recording, sensors, noise_densities, tolerances)
     decay_modes: tuple[MeasuredMode, ...] = ()
-    if beginning.counts_from_blow and not (rig.contacts and any(b.is_mass or b.rigid_modes for b in rig.bodies)):
+    if beginning.counts_from_blow and not (
+        rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
+    ):
         decay_modes = measured_modes(
-            np.stack([recording.values_of(s) for s in sensors]), rate_hz, high_hz, noise_densities
+            np.stack([recording.values_of(sensor) for sensor in sensors]), rate_hz, high_hz, noise_densities
         )
-        high_hz = min(high_hz, REACH * max((m.frequency_hz for m in decay_modes), default=np.inf))
+        high_hz = min(high_hz, REACH * max((decay_mode.frequency_hz for decay_mode in decay_modes), default=np.inf))
     decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
     transform = transform_of(recording, beginning, decimation)
     omega = transform.omega
@@ -87,7 +89,7 @@ def record_of(
         noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if integrates_alone else CORNER_HZ
     )
     to_acceleration, to_displacement = (
-        np.stack([integrated(omega, target_order - s.measures.order, corner_hz) for s in sensors])
+        np.stack([integrated(omega, target_order - sensor.measures.order, corner_hz) for sensor in sensors])
         for target_order in (2, 0)
     )
     velocity_correction, acceleration_signals = _window_corrections(
@@ -96,7 +98,7 @@ def record_of(
     acceleration_signals += sensor_spectra * to_acceleration
     base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
     period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
-    acceleration_factor = np.stack([omega ** (2 - s.measures.order) for s in sensors])
+    acceleration_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
@@ -117,7 +119,9 @@ def record_of(
         * acceleration_factor**2
         * (_unsettled_noise_factors(rig, sensors, omega) if beginning.counts_from_blow else 1.0),
         smoothed_power=_smoothed_power(
-            acceleration_signals, np.stack([_static_acceleration_ratio(rig, s, omega) for s in sensors]), transform
+            acceleration_signals,
+            np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors]),
+            transform,
         ),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
@@ -126,7 +130,7 @@ def record_of(
         period_s=None if period_samples is None else period_samples / rate_hz,
         tolerances=tolerances,
         counts_from_blow=beginning.counts_from_blow,
-        first_states=np.array([_first_state(recording.values_of(s), rate_hz) for s in sensors]),
+        first_states=np.array([_first_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
         measured_modes=decay_modes,
         counted_slice=_counted_samples(
             sample_count, transform, beginning, acceleration_signals, counted_part.end_s if counted_part else None
@@ -246,7 +250,7 @@ def _base_spectra(
     sensed_acceleration = spectrum * integrated(omega, 2 - order, corner_hz)
     (noise_density,) = sensor_densities(recording, (sensor,), beginning.quiet_samples)
     noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
-    is_corrected = np.array([beginning.zero_known and is_free(rig, s.station.body) for s in sensors])
+    is_corrected = np.array([beginning.zero_known and is_free(rig, sensor.station.body) for sensor in sensors])
     base = BaseSpectra(
         sensor,
         sensed_acceleration + beginning.zero_known * acceleration_correction,
@@ -291,11 +295,11 @@ def _add_eta_above_band(
     omega_above_band: Float[np.ndarray, " lines"],
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
-    for j, contact in enumerate(rig.contacts):
+    for contact_index, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):
                 in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-                eta_above[j] += (
+                eta_above[contact_index] += (
                     sign
                     * in_passband
                     * sensor_spectrum

@@ -75,10 +75,10 @@ def response_to_force(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
     ringing_within_window = acceleration_per_newton * force_n
-    rings_on = np.array([_rings_on(record, rig, s.station.body) for s in record.sensors])
+    rings_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
     if not rings_on.any():
         return ringing_within_window
-    derivative_orders = [s.measures.order for s in record.sensors]
+    derivative_orders = [sensor.measures.order for sensor in record.sensors]
     return np.where(
         rings_on[:, None],
         _windowed_accelerations(
@@ -94,7 +94,9 @@ def modal_response(
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     if not _rings_on(record, rig, response.body.name):
         return response.modal_accelerations(modal_force)
-    derivative_order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
+    derivative_order = next(
+        (sensor.measures.order for sensor in record.sensors if sensor.station.body == response.body.name), 2
+    )
     unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force))
     return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
 
@@ -236,12 +238,12 @@ def ground_force_derivative(
 def following_motion(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
-    return replace(rig, dampers=tuple(d for d in rig.dampers if not _is_linear(record, rig, d)))
+    return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
     """Dampers that the linear model holds; see `following_motion`."""
-    return [d for d in rig.dampers if _is_linear(record, rig, d)]
+    return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 
 def _is_linear(record: Record, rig: Rig, damper: PointDamper) -> bool:
@@ -256,11 +258,11 @@ def has_ground_forces(rig: Rig) -> bool:
 
 def needs_every_line(rig: Rig) -> bool:
     """True if forces to the ground are nonlinear, so that they cannot be computed from a selection of lines."""
-    return bool(_cubic_springs(rig)) or any(d.friction_n for d in rig.dampers)
+    return bool(_cubic_springs(rig)) or any(damper.friction_n for damper in rig.dampers)
 
 
 def _cubic_springs(rig: Rig) -> list[PointSpring]:
-    return [s for s in rig.springs if s.cubic_n_per_m3]
+    return [spring for spring in rig.springs if spring.cubic_n_per_m3]
 
 
 def displaced_at(

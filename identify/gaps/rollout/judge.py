@@ -70,7 +70,10 @@ def judge_correction(
         (corrected_fit.corrected_rig, corrected_fit),
     )
     motions = [measured_motion(recording, rig, residual) for rig, residual in rigs_and_residuals]
-    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    start_sample, stop_sample = (
+        max(motion.first_sample for motion in motions),
+        min(motion.stop_sample for motion in motions),
+    )
     rate_hz = recording.rig.sample_rate_hz
     if stop_sample - start_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
@@ -158,7 +161,10 @@ def _decay_modes(
     ]
     decay_signals = (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     return compared_modes(
-        *(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, mode_limit) for d in decay_signals)
+        *(
+            modes_of_decay(np.nan_to_num(decay_signal[0]), rate_hz, highest_hz, mode_limit)
+            for decay_signal in decay_signals
+        )
     )
 
 
@@ -246,7 +252,10 @@ def log_ratio_of(
     motions = [
         measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
     ]
-    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    start_sample, stop_sample = (
+        max(motion.first_sample for motion in motions),
+        min(motion.stop_sample for motion in motions),
+    )
     starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
     nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
     return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())

@@ -59,7 +59,7 @@ def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
 
 def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
-    base_motions = [c for c in search.candidates if c.kind.stochastic]
+    base_motions = [candidate for candidate in search.candidates if candidate.kind.stochastic]
     if not base_motions or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
         return best_set
     base_search = search_about(search, best_set, ())

@@ -51,7 +51,7 @@ class Candidate:
     @property
     def neutral_strength(self) -> float:
         """Strength without the effect."""
-        return next(p.neutral for p in self.parameters if p.neutral is not None)
+        return next(parameter.neutral for parameter in self.parameters if parameter.neutral is not None)
 
     @property
     def typical_values(self) -> Float[np.ndarray, " parameters"]:
@@ -123,7 +123,9 @@ class Candidate:
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
-        is_neutral = all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True))
+        is_neutral = all(
+            parameter.neutral in (None, value) for value, parameter in zip(values, self.parameters, strict=True)
+        )
         return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
@@ -145,7 +147,7 @@ def scale_of(record: Record, rig: Rig) -> Scale:
     if record.has_force and record.base is None:
         forces_n = record.in_time(record.force_spectra)
     else:
-        sensor_masses_kg = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+        sensor_masses_kg = np.array([rig.body(sensor.station.body).mass_kg for sensor in record.sensors])
         forces_n = record.in_time(sensor_masses_kg[:, None] * record.acceleration_signals) / np.sqrt(
             sensor_masses_kg.size
         )
@@ -240,7 +242,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     """
     record, model, rig = linearization.record, residual.model, residual.rig
     attachments = attachments_of(rig, changed_rig)
-    if attachments is None or any(b.is_mass for b in rig.bodies):
+    if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
     attached_forces = _attached_forces(record, model, attachments)
     linear_decrease, contact_force_decrease_n = model.projection.applied_to(
@@ -258,7 +260,7 @@ def _attached_forces(
     sensor_stations = sensor_stations_of(record, model.rig)
     displacements, accelerations = model.displacements, model.accelerations
     attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, model.motion)
-    linear_springs = [s for s in attachments.springs if s.stiffness_n_per_m]
+    linear_springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
     for spring, displacement in zip(
         linear_springs, displaced_at(model.responses, sensor_stations, linear_springs, displacements), strict=True
     ):

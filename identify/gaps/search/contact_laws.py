@@ -75,7 +75,9 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         **recording.signals,
         "force": replace(force_channels, values=force_channels.values / rig.force_sensor.gain),
     }
-    sensors = tuple(s for s in rig.sensors if s.measures.translates)  # the diagnosis uses no strain gauges
+    sensors = tuple(
+        sensor for sensor in rig.sensors if sensor.measures.translates
+    )  # the diagnosis uses no strain gauges
     separated_rig = msgspec.structs.replace(
         rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors
     )
@@ -231,7 +233,7 @@ def _solution_of_record(
     nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawChange, free_values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
     """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
-    index_by_contact = {contact.name: j for j, contact in enumerate(nominal_rig.contacts)}
+    index_by_contact = {contact.name: contact_index for contact_index, contact in enumerate(nominal_rig.contacts)}
     derivatives, differences, covariances, tolerance_covariances = [], [], [], []
     for estimate in estimates:
         contact_index = index_by_contact[estimate.contact_name]

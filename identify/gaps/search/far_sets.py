@@ -100,8 +100,10 @@ def far_fits(search: Search) -> list[FittedHypothesis]:
     thinned = thinned_record(record)
     shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
     landscape = _Landscape(thinned, rig, shares, ResponseCache(thinned.omega))
-    effects = [c for c in search.candidates if _is_linear_effect(c, rig)]
-    singles = sorted((landscape.minimum(s) for c in effects for s in _best_on_grid(landscape, (), c)), key=_cost_of)
+    effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
+    singles = sorted(
+        (landscape.minimum(s) for effect in effects for s in _best_on_grid(landscape, (), effect)), key=_cost_of
+    )
     pairs = [
         pair
         for single in singles[:FIRST_EFFECTS]

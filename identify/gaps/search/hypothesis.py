@@ -108,7 +108,11 @@ def with_effects(rig: Rig, candidates: Sequence[Candidate], effect_values: Value
 
 
 def _values_by_candidate(candidates: Sequence[Candidate], joined_values: Values) -> list[Float[np.ndarray, " _"]]:
-    return np.split(joined_values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
+    return (
+        np.split(joined_values, np.cumsum([len(candidate.parameters) for candidate in candidates])[:-1])
+        if candidates
+        else []
+    )
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,9 @@ def local_model(
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    candidate_column_count = sum(len(c.start_values()) * len(c.parameters.strengths) for c in candidates)
+    candidate_column_count = sum(
+        len(candidate.start_values()) * len(candidate.parameters.strengths) for candidate in candidates
+    )
     columns = LocalColumns(
         linearization, residual, variances, len(parameters_of(present_set.candidates)) + candidate_column_count
     )

@@ -73,9 +73,9 @@ def stated_scale_refits(rig: Rig) -> int:
 
     Their residual is nonlinear near resonances. Single masses have `extra_relinearizations`.
     """
-    return 0 if rig.contacts or any(b.is_mass for b in rig.bodies) else RESONANT_REFITS
+    return 0 if rig.contacts or any(body.is_mass for body in rig.bodies) else RESONANT_REFITS
 
 
 def extra_relinearizations(rig: Rig) -> int:
     """Number of further linearisations for the resonance of a single mass, where the residual is nonlinear."""
-    return 3 if any(b.is_mass for b in rig.bodies) else 0
+    return 3 if any(body.is_mass for body in rig.bodies) else 0

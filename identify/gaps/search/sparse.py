@@ -132,7 +132,9 @@ def _with_single_effects(
 
 def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
-    shaken_search = search_about(search, base_motion, [c for c in search.candidates if not c.kind.stochastic])
+    shaken_search = search_about(
+        search, base_motion, [candidate for candidate in search.candidates if not candidate.kind.stochastic]
+    )
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
@@ -161,7 +163,11 @@ def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Lineariz
     """Local model about a fitted set, with every further candidate that its rig can have."""
     rig = set_fit.hypothesis.applied_to(search.linearization.rig)
     linearization, residual = linearized_about(set_fit, rig)
-    further = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
+    further = [
+        candidate
+        for candidate in search.candidates
+        if not (candidate.kind.stochastic or candidate.kind.grid_screened) and is_possible(candidate, rig)
+    ]
     nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
         linearization,
@@ -182,12 +188,16 @@ def _brief_fit_with(
     all."""
     members = (*present_set.candidates, *added_candidates)
     start_values = (*present_set.values_by_candidate(), *added_values)
-    kept_members = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
+    kept_member_indices = [
+        member_index
+        for member_index, member in enumerate(members)
+        if not any(contains(other, member) for other in members)
+    ]
     try:
         return fit_briefly(
             search,
-            tuple(members[k] for k in kept_members),
-            np.concatenate([start_values[k] for k in kept_members]),
+            tuple(members[member_index] for member_index in kept_member_indices),
+            np.concatenate([start_values[member_index] for member_index in kept_member_indices]),
             reset_saturated_nuisance(residual),
             linearization,
         )
@@ -240,12 +250,12 @@ def _promising_terms(
     promising_terms: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
         term = model.candidate_terms[term_index]
-        same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
+        same_effects = [candidate for candidate in selected_candidates if candidate.name == term.candidate.name]
         largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strength_indices) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
         place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)
-        is_contained = any(contains(c, term.candidate) for c in selected_candidates)
+        is_contained = any(contains(candidate, term.candidate) for candidate in selected_candidates)
         if not is_contained and len(same_effects) < largest_equal_count and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
@@ -297,7 +307,9 @@ def _look_alike_fit(
     linearization, residual, model = _local_model_of(search, reduced_fit)
     without_member = model.minimum([])
     terms = _promising_terms(model, [], reduced_fit.hypothesis, without_member)
-    trials = [(model.minimum([t], without_member.theta), t) for t in terms if t.candidate.name != member.name]
+    trials = [
+        (model.minimum([term], without_member.theta), term) for term in terms if term.candidate.name != member.name
+    ]
     if not trials:
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)
@@ -314,7 +326,13 @@ def _subset_fit(search: Search, best_set: FittedHypothesis, members: Sequence[in
     if not members:
         return search.nominal_fit()
     candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    subset = tuple(candidates[k] for k in members)
+    subset = tuple(candidates[member_index] for member_index in members)
     start = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best_set.linearization)
+    brief_fit = fit_briefly(
+        search,
+        subset,
+        np.concatenate([values[member_index] for member_index in members]),
+        start,
+        best_set.linearization,
+    )
     return refined(search, brief_fit, best_set.cost)

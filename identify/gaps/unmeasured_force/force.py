@@ -46,8 +46,8 @@ class UnmeasuredForceFit:
             for body_name, body_growth in zip(candidate.body_names, self.at_fit_place.modulus_growth, strict=True):
                 accelerations += body_growth * drift_accelerations(whitened, body_name)
         elif candidate.kind == "sensor":
-            accelerations[[s.name for s in whitened.record.sensors].index(candidate.sensor_name)] = force_spectrum(
-                self.at_fit_place
+            accelerations[[sensor.name for sensor in whitened.record.sensors].index(candidate.sensor_name)] = (
+                force_spectrum(self.at_fit_place)
             )
         else:
             for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):

@@ -65,7 +65,7 @@ class LocatedForce:
 def response_of(whitened: WhitenedRecord, force_place: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
     """Response g of the residual per newton of a candidate's force, or per m/s^2 of a sensor's own signal."""
     if force_place.kind == "sensor":
-        sensor_index = [s.name for s in whitened.record.sensors].index(force_place.sensor_name)
+        sensor_index = [sensor.name for sensor in whitened.record.sensors].index(force_place.sensor_name)
         unit_signal = np.zeros((len(whitened.record.sensors), whitened.record.omega.size), dtype=complex)
         unit_signal[sensor_index] = 1.0
         return whitened.ungated_residual(unit_signal)
@@ -144,15 +144,17 @@ def offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
 
 
 def _shifted_place(place: ForcePlace, shift_m: float) -> ForcePlace:
-    return replace(place, stations=tuple(Station(s.body, s.position_m + shift_m) for s in place.stations))
+    return replace(
+        place, stations=tuple(Station(station.body, station.position_m + shift_m) for station in place.stations)
+    )
 
 
 def _shift_range_m(rig: Rig, place: ForcePlace) -> tuple[float, float]:
     """Lowest and highest shift (m) with which every station stays on its body."""
-    lengths_m = [rig.body(s.body).length_m for s in place.stations]
+    lengths_m = [rig.body(station.body).length_m for station in place.stations]
     return (
-        max(-s.position_m for s in place.stations),
-        min(length_m - s.position_m for s, length_m in zip(place.stations, lengths_m, strict=True)),
+        max(-station.position_m for station in place.stations),
+        min(length_m - station.position_m for station, length_m in zip(place.stations, lengths_m, strict=True)),
     )
 
 
@@ -233,7 +235,9 @@ def _locate_drift(
 ) -> LocatedForce | None:
     """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
     body_names = (
-        expected_place.body_names if expected_place else tuple(b.name for b in whitened.record.rig.bodies if b.length_m)
+        expected_place.body_names
+        if expected_place
+        else tuple(body.name for body in whitened.record.rig.bodies if body.length_m)
     )
     column_by_body = {body_name: modulus_drift_column(whitened, body_name) for body_name in body_names}
     column_by_body = {
@@ -248,9 +252,15 @@ def _locate_drift(
     )
     best_drift: LocatedForce | None = None
     for drifting_bodies in dict.fromkeys(body_choices):
-        column_scales = [FLAT_PRIOR / max(float(np.linalg.norm(column_by_body[b])), 1e-300) for b in drifting_bodies]
+        column_scales = [
+            FLAT_PRIOR / max(float(np.linalg.norm(column_by_body[drifting_body])), 1e-300)
+            for drifting_body in drifting_bodies
+        ]
         drift_columns = np.stack(
-            [column_scale * column_by_body[b] for column_scale, b in zip(column_scales, drifting_bodies, strict=True)]
+            [
+                column_scale * column_by_body[drifting_body]
+                for column_scale, drifting_body in zip(column_scales, drifting_bodies, strict=True)
+            ]
         )
         with_drift_columns = with_columns(
             whitened,

@@ -129,7 +129,7 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
                     padded_samples,
                 )
             )
-            accelerations += response.shapes([s.station for s in record.sensors]) @ response.modal_accelerations(
-                modal_forces
-            )
+            accelerations += response.shapes(
+                [sensor.station for sensor in record.sensors]
+            ) @ response.modal_accelerations(modal_forces)
     return accelerations

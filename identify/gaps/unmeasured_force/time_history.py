@@ -209,7 +209,7 @@ def _unobserved_accelerance(located_force: LocatedForce, station: Station) -> Co
     whitened = located_force.whitened_record
     for response in whitened.model.responses:
         if response.body.name == station.body:
-            observed_mode_count = sum(s.station.body == station.body for s in whitened.record.sensors)
+            observed_mode_count = sum(sensor.station.body == station.body for sensor in whitened.record.sensors)
             return np.asarray(
                 response.shapes([station])[0, observed_mode_count:] ** 2 @ response.accelerance[observed_mode_count:]
             )

@@ -140,7 +140,7 @@ class WhitenedRecord:
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerance from a force at a station to the sensors, m/s^2 per N."""
         accelerances = np.zeros(self.model.sensor_response.shape, dtype=complex)
-        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
         for response in self.model.responses:
             if response.body.name == station.body:
                 accelerances += response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
@@ -200,7 +200,9 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         column_gram=np.zeros((band_starts.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
-    input_accelerations = accelerances(model.rig, model.responses, rig.forces, [s.station for s in record.sensors])
+    input_accelerations = accelerances(
+        model.rig, model.responses, rig.forces, [sensor.station for sensor in record.sensors]
+    )
     force_responses = np.stack(
         [
             unwhitened_record.ungated_residual(by_input / rig.force_sensor.gain - bool(record.base))
@@ -298,7 +300,7 @@ def _measured_accelerations(
     unexplained_accelerations = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
-        - response.shapes([s.station for s in record.sensors]) @ modelled
+        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled
     )
     return np.concatenate([modelled[:mode_count] + inverse_shapes @ unexplained_accelerations, modelled[mode_count:]])
 
