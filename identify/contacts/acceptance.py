@@ -120,8 +120,8 @@ def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
         if estimate.unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
-            percent = 100 * estimate.unexplained_share
-            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=percent)
+            unexplained_percent = 100 * estimate.unexplained_share
+            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=unexplained_percent)
 
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
@@ -138,17 +138,19 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     the fit. Where a spring holds the bodies, a sensor's high-pass counts too: it represents slow motion that
     accelerometers miss and that the spring feels.
     """
-    kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
+    widening_kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
     body_and_force_pulls = {
         parameter: abs(pull)
         for pull, parameter in zip(estimate.pulls, parameters, strict=True)
-        if parameter.kind in kinds and parameter.mode_number is None
+        if parameter.kind in widening_kinds and parameter.mode_number is None
     }
     largest_pull = max(body_and_force_pulls.values(), default=0.0)
     is_single_body = sum(nuisance.kind == NuisanceKind.FREQUENCY for nuisance in body_and_force_pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
-    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
+    covariances = {
+        source: variance_factor * source_covariance for source, source_covariance in estimate.covariances.items()
+    }
     return replace(estimate, covariances=covariances)
 
 
@@ -159,28 +161,28 @@ def fit_findings(
     (N s/m) is the value of that index."""
     for parameter_index, parameter in enumerate(parameters):
         pulls = (estimate.pulls[parameter_index] for estimate in estimates.values())
-        pull = max(pulls, key=abs, default=0.0)
-        if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
-            yield _pull_finding(parameter, pull)
+        largest_pull = max(pulls, key=abs, default=0.0)
+        if parameter.kind in CAUSES and abs(largest_pull) > PULL_LIMIT:
+            yield _pull_finding(parameter, largest_pull)
     for name, estimate in estimates.items():
-        damping, error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
-        if damping < -NEGATIVE_DAMPING_ERRORS * error:
-            damping_text = interval(damping, error, "N s/m")
+        damping_n_s_per_m, damping_error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
+        if damping_n_s_per_m < -NEGATIVE_DAMPING_ERRORS * damping_error:
+            damping_text = interval(damping_n_s_per_m, damping_error, "N s/m")
             yield _fit_finding(name, f"{name} comes out with a negative damping of {damping_text}")
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
-            unexplained = f"{100 * estimate.unexplained_share:.2g} %"
-            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
+            unexplained_text = f"{100 * estimate.unexplained_share:.2g} %"
+            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained_text} of {name}'s force")
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    owner = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
         channels=(parameter.owner,) if parameter.kind in SENSOR_KINDS else (),
-        of=owner,
-        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
+        of=owner_name,
+        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner_name} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
@@ -197,14 +199,14 @@ def equation_findings(
             if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
             estimate = estimates[name]
-            stiffness_n_per_m, standard_error = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
-            combined_error = float(np.hypot(mean_error_n_per_m, standard_error))
+            stiffness_n_per_m, stiffness_error_n_per_m = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
+            combined_error = float(np.hypot(mean_error_n_per_m, stiffness_error_n_per_m))
             limit_n_per_m = max(CONTRADICTION_SHARE * stiffness_n_per_m, CONTRADICTION_ERRORS * combined_error)
             if abs(mean_n_per_m - stiffness_n_per_m) > limit_n_per_m:
                 yield _fit_finding(
                     name,
                     f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
-                    f"together {interval(stiffness_n_per_m, standard_error, 'N/m')} (± 95 %)",
+                    f"together {interval(stiffness_n_per_m, stiffness_error_n_per_m, 'N/m')} (± 95 %)",
                 )
 
 

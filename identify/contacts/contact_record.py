@@ -98,14 +98,14 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     the zero of the relative displacement is unknown.
     """
     is_closed = clearly_closed(record)
-    lower, upper = (
+    is_lower_touched, is_upper_touched = (
         bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
         for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
-    if not (lower or upper):
+    if not (is_lower_touched or is_upper_touched):
         raise refused(RefusalCode.HARDLY_CLOSES)
-    if not ((lower and upper) or record.sides_known):
+    if not ((is_lower_touched and is_upper_touched) or record.sides_known):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    return lower, upper
+    return is_lower_touched, is_upper_touched

@@ -21,8 +21,8 @@ def figures_of(identification: AnyIdentification, laws: Laws, laws_name: str) ->
     """All figures by their names, with the reference laws in them."""
     if isinstance(identification, SpaceIdentification):
         return space_figures(identification, laws, laws_name)
-    marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
-    return contact_figures(identification, marks, laws_name)
+    reference_values = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
+    return contact_figures(identification, reference_values, laws_name)
 
 
 def curves_of(identification: AnyIdentification) -> dict[str, Table]:
@@ -53,15 +53,15 @@ def curves(result: Identification) -> dict[str, Table]:
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    factor = result.decimation
+    decimation = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::factor]
+    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
     rows = min(eta.shape[1], force.shape[1])
-    table: Table = {"time_s": result.motion.time_s(rows, factor)}
-    for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
+    table: Table = {"time_s": result.motion.time_s(rows, decimation)}
+    for group, displacement_m, contact_force_n in zip(result.contact_groups, eta, force, strict=True):
         name = group.contact.name
-        table[f"{name} relative displacement m"] = displacement[:rows]
-        table[f"{name} contact force N"] = contact_n[:rows]
+        table[f"{name} relative displacement m"] = displacement_m[:rows]
+        table[f"{name} contact force N"] = contact_force_n[:rows]
     return table
 
 
