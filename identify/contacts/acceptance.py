@@ -148,9 +148,7 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     is_single_body = sum(nuisance.kind == NuisanceKind.FREQUENCY for nuisance in body_and_force_pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
-    covariances = {
-        source: variance_factor * source_covariance for source, source_covariance in estimate.covariances.items()
-    }
+    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
     return replace(estimate, covariances=covariances)
 
 

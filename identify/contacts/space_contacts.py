@@ -114,12 +114,10 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
     recording_from_rest = from_rest_position(recording)
     plane_recordings = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
-    plane_recordings = [
-        replace(plane_outcomes, rig=condensed(plane_outcomes.rig)) for plane_outcomes in plane_recordings
-    ]
-    separation_y, separation_z = separate_planes(plane_recordings, use, tolerances)
-    records = annular_records(rig, (separation_y, separation_z), tolerances)
-    estimate_by_contact = dict[str, AnnularEstimate]()
+    plane_recordings = [replace(plane, rig=condensed(plane.rig)) for plane in plane_recordings]
+    y, z = separate_planes(plane_recordings, use, tolerances)
+    records = annular_records(rig, (y, z), tolerances)
+    annular = dict[str, AnnularEstimate]()
     refusals = dict[str, Refusal]()
     for name, record in records.items():
         law = rig.contact(name).law
@@ -130,17 +128,15 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         except ContactRefusedError as error:
             refusals[name] = error.refusal
         else:
-            estimate_by_contact[name] = widened_estimate(
-                estimate, record.parameters, max(separation_y.mass_pull, separation_z.mass_pull)
-            )
-    plane_outcomes, findings = _plane_outcomes(rig, (separation_y, separation_z))
-    shared_parameters = next(iter(records.values())).parameters if estimate_by_contact else ()
-    annular_findings = fit_findings(estimate_by_contact, shared_parameters, DAMPING)
+            annular[name] = widened_estimate(estimate, record.parameters, max(y.mass_pull, z.mass_pull))
+    plane, findings = _plane_outcomes(rig, (y, z))
+    shared_parameters = next(iter(records.values())).parameters if annular else ()
+    annular_findings = fit_findings(annular, shared_parameters, DAMPING)
     return SpaceContacts(
-        (separation_y, separation_z),
-        estimate_by_contact,
+        (y, z),
+        annular,
         records,
-        plane_outcomes,
+        plane,
         refusals,
         (*findings, *annular_findings),
     )

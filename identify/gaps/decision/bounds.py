@@ -78,7 +78,7 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
         weights = misfit.nominal_variances.observations[contact_index].weights
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
         force_n2 = max(float(np.mean(misfit.force_n2[:, contact_index])), 1e-300)
-        squared_shares = misfit.contact_n2[:, contact_index] / force_n2
+        squared_shares = misfit.contact_excess_n2[:, contact_index] / force_n2
         bounded_shares.append(contact_bound(contact_name, squared_shares, noise_n2 / force_n2, matters.contact))
     return tuple(bounded_shares)
 

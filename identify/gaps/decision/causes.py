@@ -11,7 +11,7 @@ from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, WeightedHypothesis, strengths_of
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.scales import BAND_HZ
+from identify.gaps.residual.scales import BAND_WIDTH_HZ
 from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, labels_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis
@@ -167,8 +167,8 @@ def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: N
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
     return tuple(
         Band(
-            low_hz=BAND_HZ * band_index,
-            high_hz=BAND_HZ * (band_index + 1),
+            low_hz=BAND_WIDTH_HZ * band_index,
+            high_hz=BAND_WIDTH_HZ * (band_index + 1),
             before=float(nominal_share),
             after=float(corrected_share),
             usual=float(usual_share),

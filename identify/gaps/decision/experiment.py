@@ -22,7 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_simulations import phase_randomized
-from identify.gaps.residual.extent import REACH
+from identify.gaps.residual.extent import BAND_REACH
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
@@ -105,7 +105,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
     for force_factor in FORCE_FACTORS:
         yield Experiment(f"record with {force_factor:g} times the force", _unchanged_rig, force_factor * repeated_n)
-    high_hz = float(record.omega[-1] / (2 * np.pi)) / REACH
+    high_hz = float(record.omega[-1] / (2 * np.pi)) / BAND_REACH
     for band_half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
         filter_sections = butter(FILTER_ORDER, SPLIT_SHARE * high_hz, filter_kind, fs=rate_hz, output="sos")
         band_n = sosfiltfilt(filter_sections, repeated_n)

@@ -38,14 +38,14 @@ SIGNAL_RATIO, CORNER_SHARE = 100.0, 0.25
 """Mean power of a sensor over that of its noise from which a half octave is integrated; and the highest corner of the
 integration, as a share of the lowest natural frequency. Set by hand: noise in a law's argument biases the law, motion
 that is missing in it hardly does (errors in variables of the classical kind and of Berkson's)."""
-REACH = 1.6
+BAND_REACH = 1.6
 """Highest frequency of the diagnosis, as a multiple of the force's highest frequency. Set by hand: impacts excite
 beyond the force."""
 POWER_REACH, POWER_SHARE = 2.0, 0.9
 """Its bound, as a multiple of the frequency below which this share of the force's power lies: that of a hammer falls
 slowly with frequency. Set by hand: above 1.6/0.9, so it binds for blows alone, whose power falls slowly: 0.31 kHz of
 half-sines of 5 ms, not 0.88."""
-SHORTEST_S, SHORTEST_UNCUT_S = 10.0, 1.0
+SHORTEST_RECORD_S, SHORTEST_UNCUT_S = 10.0, 1.0
 """Shortest record; the second for one that counts from its first sample and is not integrated. Set by hand."""
 DECAYED_SHARE, LEAST_COUNTED_S = 0.03, 4.0
 """Share of the loudest second's acceleration below which a record ends, and the least time that counts: accelerometers
@@ -62,8 +62,10 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
     motion_sensors = body_sensors(recording.rig)
     if not motion_sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    max_or_min = max if np.any(recording.forces_n) else min
-    quantity = read_quantity(recording.rig) or max_or_min(motion_sensors, key=lambda s: s.measures.order).quantity
+    highest_or_lowest = max if np.any(recording.forces_n) else min
+    quantity = (
+        read_quantity(recording.rig) or highest_or_lowest(motion_sensors, key=lambda s: s.measures.order).quantity
+    )
     return tuple(sensor for sensor in motion_sensors if sensor.quantity == quantity)
 
 
@@ -96,9 +98,9 @@ class Beginning:
     @property
     def omitted_s(self) -> tuple[float, float]:
         """Seconds omitted at the start and at the end."""
-        rings_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
+        is_ringing_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
         omitted_end_s = (
-            min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings_on else OMITTED_FADES * self.fade_length_s
+            min(OMITTED_S, OMITTED_SHARE * self.duration_s) if is_ringing_on else OMITTED_FADES * self.fade_length_s
         )
         if self.starts_quiet:
             return 0.0, omitted_end_s
@@ -136,7 +138,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
 def check_length(recording: Recording, beginning: Beginning) -> None:
     """Check a record's length; raises RigError if it is too short."""
     is_uncut = not beginning.has_contacts and (beginning.starts_quiet or beginning.counts_from_blow)
-    shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_S
+    shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_RECORD_S
     if recording.duration_s < shortest_s:
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {shortest_s:g} s, better "
@@ -155,10 +157,10 @@ def high_hz_of(
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate_hz)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
-        excited_hz = REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
+        excited_hz = BAND_REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
         signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-        excited_hz = REACH * (
+        excited_hz = BAND_REACH * (
             highest_vibrating_hz(signals, rate_hz, noise_densities)
             if recording.rig.contacts
             else highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
@@ -175,7 +177,9 @@ def high_hz_of(
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1])
+        min(
+            BAND_REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1]
+        )
         for force_n in forces_n
         if np.any(force_n)
     )
@@ -199,9 +203,9 @@ def noise_corner_hz(
         lowest_natural_hz = min(lowest_natural_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
     lines_hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
     while (next_corner_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_natural_hz:
-        in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
-        if not in_half_octave.any() or np.any(
-            signal_power[:, in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
+        is_in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
+        if not is_in_half_octave.any() or np.any(
+            signal_power[:, is_in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
         ):
             break
         corner_hz = float(next_corner_hz)
@@ -270,9 +274,9 @@ def sensor_densities(
     for sensor in sensors:
         signal = recording.values_of(sensor)
         if quiet_samples:
-            hz, power = periodogram(signal[:quiet_samples], rate_hz, "hann")
-            in_band = (hz > 0) & (hz < PASSBAND * rate_hz)
-            noise_density = float(np.sqrt(np.median(power[in_band]) / np.log(2)))
+            line_hz, power_density = periodogram(signal[:quiet_samples], rate_hz, "hann")
+            is_in_band = (line_hz > 0) & (line_hz < PASSBAND * rate_hz)
+            noise_density = float(np.sqrt(np.median(power_density[is_in_band]) / np.log(2)))
         else:
             noise_density, is_certain = spectrogram_noise_density(signal, rate_hz)
             noise_density = noise_density if is_certain or is_free_decay else min(noise_density, sensor.noise_density)

@@ -80,13 +80,13 @@ def _split_by_state(
     free_modes_to_fit, mass_modes = [], []
     for free_mode in all_free_modes:
         body = responses[free_mode.body_index].body
-        body_sensors = (
+        body_sensor_indices = (
             [sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
             if body.is_mass
             else []
         )
-        if body_sensors:
-            first_sensor, gain_by_sensor = body_sensors[0], {sensor.name: sensor.gain for sensor in rig.sensors}
+        if body_sensor_indices:
+            first_sensor, gain_by_sensor = body_sensor_indices[0], {sensor.name: sensor.gain for sensor in rig.sensors}
             modal_per_signal = record.sample_rate_hz / (
                 gain_by_sensor[record.sensors[first_sensor].name] * free_mode.shape[first_sensor]
             )

@@ -56,7 +56,7 @@ ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, 
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearModel:
     """Linear model of a rig, fitted to a record.
 
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
@@ -208,7 +208,7 @@ def linear_model(
     model_error: float | Float[np.ndarray, "sensors lines"],
     cache: ResponseCache | None = None,
     mode_factors: ModeFactors | None = None,
-) -> Linear:
+) -> LinearModel:
     """Linear model of a rig that has the record's sensors and contacts.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
@@ -242,7 +242,7 @@ def _linear_model(
     responses: tuple[Response, ...],
     model_error: float | Float[np.ndarray, "sensors lines"],
     motion: SensedMotion,
-) -> Linear:
+) -> LinearModel:
     """Linear model whose forces on the ground follow this motion at the sensors."""
     sensor_response = sensor_response_of(record, rig)
     sensor_stations = sensor_stations_of(record, rig)
@@ -286,7 +286,7 @@ def _linear_model(
     )
     input_estimates, log_determinant = estimated_inputs(signal_per_input, scaled_signals, contact_count)
     residual = input_residual(signal_per_input, input_estimates, scaled_signals)
-    return Linear(
+    return LinearModel(
         record=record,
         rig=rig,
         responses=responses,
@@ -326,7 +326,7 @@ def _across_weights(
 
 
 def ground_spring_correction(
-    record: Record, model: Linear, displacement_changes: Complex[np.ndarray, "sensors lines"]
+    record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
     sensor_stations: list[Station | None] = [sensor.station for sensor in record.sensors]
@@ -334,7 +334,7 @@ def ground_spring_correction(
 
 
 def delivered_by(
-    model: Linear,
+    model: LinearModel,
     sensor_stations: list[Station | None],
     forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
 ) -> Complex[np.ndarray, "sensors lines"]:

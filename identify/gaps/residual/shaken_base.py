@@ -96,10 +96,12 @@ def body_sensors(rig: Rig) -> tuple[Sensor, ...]:
 
 def read_quantity(rig: Rig) -> str | None:
     """Quantity by which base and bodies are read; None if they have none in common."""
-    on_ground, on_bodies = (
+    quantities_on_ground, quantities_on_bodies = (
         {sensor.quantity for sensor in sensors} for sensors in (rig.base_sensors, body_sensors(rig))
     )
-    return next((quantity for quantity in READ_QUANTITIES if quantity in on_ground & on_bodies), None)
+    return next(
+        (quantity for quantity in READ_QUANTITIES if quantity in quantities_on_ground & quantities_on_bodies), None
+    )
 
 
 def base_sensor(rig: Rig) -> Sensor:

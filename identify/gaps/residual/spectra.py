@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.contacts.separation import drift_of
 from identify.gaps.residual.extent import (
+    BAND_REACH,
     LEAST_COUNTED_S,
-    REACH,
     Beginning,
     beginning_of,
     check_length,
@@ -78,25 +78,27 @@ def record_of(
         decay_modes = measured_modes(
             np.stack([recording.values_of(sensor) for sensor in sensors]), rate_hz, high_hz, noise_densities
         )
-        high_hz = min(high_hz, REACH * max((decay_mode.frequency_hz for decay_mode in decay_modes), default=np.inf))
+        high_hz = min(
+            high_hz, BAND_REACH * max((decay_mode.frequency_hz for decay_mode in decay_modes), default=np.inf)
+        )
     decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
-    transform = transform_of(recording, beginning, decimation)
-    omega = transform.omega
-    sensor_spectra, eta_above_band = _spectra(recording, transform, joined_rig, sensors)
+    record_transform = transform_of(recording, beginning, decimation)
+    omega = record_transform.omega
+    sensor_spectra, eta_above_band = _spectra(recording, record_transform, joined_rig, sensors)
     noise_per_line = sample_count * noise_densities**2 * rate_hz / 2
-    integrates_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
+    is_integrated_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
     corner_hz = (
-        noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if integrates_alone else CORNER_HZ
+        noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if is_integrated_alone else CORNER_HZ
     )
-    to_acceleration, to_displacement = (
+    factor_to_acceleration, factor_to_displacement = (
         np.stack([integrated(omega, target_order - sensor.measures.order, corner_hz) for sensor in sensors])
         for target_order in (2, 0)
     )
     velocity_correction, acceleration_signals = _window_corrections(
-        recording, transform, sensors, omega, beginning.zero_known
+        recording, record_transform, sensors, omega, beginning.zero_known
     )
-    acceleration_signals += sensor_spectra * to_acceleration
-    base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
+    acceleration_signals += sensor_spectra * factor_to_acceleration
+    base, base_correction = _base_spectra(recording, record_transform, beginning, corner_hz)
     period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
     acceleration_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
     return Record(
@@ -104,14 +106,14 @@ def record_of(
         sensors=sensors,
         zero_known=beginning.zero_known,
         sample_rate_hz=rate_hz,
-        transform_length=transform.padded_length,
+        transform_length=record_transform.padded_length,
         sample_count=sample_count,
-        decimation=transform.decimation,
-        window=transform.window,
+        decimation=record_transform.decimation,
+        window=record_transform.window,
         omega=omega,
-        force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
+        force_spectra=record_transform.spectrum(recording.forces_n)[:, : omega.size],
         acceleration_signals=acceleration_signals,
-        displacement_signals=sensor_spectra * to_displacement,
+        displacement_signals=sensor_spectra * factor_to_displacement,
         base=base,
         velocity_correction=velocity_correction - base_correction,
         force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
@@ -121,7 +123,7 @@ def record_of(
         smoothed_power=_smoothed_power(
             acceleration_signals,
             np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors]),
-            transform,
+            record_transform,
         ),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
@@ -133,7 +135,11 @@ def record_of(
         first_states=np.array([_first_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
         measured_modes=decay_modes,
         counted_slice=_counted_samples(
-            sample_count, transform, beginning, acceleration_signals, counted_part.end_s if counted_part else None
+            sample_count,
+            record_transform,
+            beginning,
+            acceleration_signals,
+            counted_part.end_s if counted_part else None,
         ),
         responses_windowed=not rig.contacts,
     )
@@ -298,10 +304,10 @@ def _add_eta_above_band(
     for contact_index, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):
-                in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+                is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
                 eta_above[contact_index] += (
                     sign
-                    * in_passband
+                    * is_in_passband
                     * sensor_spectrum
                     * integrated(omega_above_band, -sensor.measures.order, CORNER_HZ)
                 )

@@ -56,9 +56,9 @@ def known_forces_of(
         else -record.base.in_rig(rig, record.omega).acceleration[None]
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following = [], following_motion(record, rig)
-    if has_ground_forces(following):
-        ground_reactions = ground_forces(record, following, responses, sensor_stations, motion)
+    ground_reactions, following_rig = [], following_motion(record, rig)
+    if has_ground_forces(following_rig):
+        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
     return (
         *zip(rig.forces, measured_forces_n, strict=True),
         *tone_forces,
@@ -75,12 +75,12 @@ def response_to_force(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
     ringing_within_window = acceleration_per_newton * force_n
-    rings_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
-    if not rings_on.any():
+    is_ringing_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
+    if not is_ringing_on.any():
         return ringing_within_window
     derivative_orders = [sensor.measures.order for sensor in record.sensors]
     return np.where(
-        rings_on[:, None],
+        is_ringing_on[:, None],
         _windowed_accelerations(
             record, acceleration_per_newton * _unwindowed_force(record, force_n), derivative_orders
         ),
@@ -117,15 +117,15 @@ def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.
     loads = [x for x in _loads_without_contacts(record, rig) if x.station.body == response.body.name]
     if not loads or is_free(rig, response.body.name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    modal_load = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
-    displacements = modal_load / (2 * np.pi * response.dynamics.natural_hz) ** 2
+    modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
+    displacements = modal_load_n / (2 * np.pi * response.dynamics.natural_hz) ** 2
     return np.outer(displacements, -(record.omega**2) * record.spectrum(np.ones(record.sample_count)))
 
 
 def _loads_without_contacts(record: Record, rig: Rig) -> list[StaticLoad]:
     """Static loads on bodies without contacts, where the zero of displacements is known."""
-    in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
-    return [load for load in rig.loads if record.zero_known and load.station.body not in in_contact]
+    bodies_in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
+    return [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
 
 
 def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
@@ -223,14 +223,14 @@ def ground_force_derivative(
         )
         padded_samples = record.transform_length // record.decimation
         stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
-        changes = []
+        station_forces = []
         for station, slope, motion_change in zip(stations, slopes, motion_changes, strict=True):
             if slope.size > 1:
                 fine_change = _finer(record, slope.size // padded_samples, motion_change)
-                changes.append((station, -_spectrum_on_lines(record, slope * fine_change)))
+                station_forces.append((station, -_spectrum_on_lines(record, slope * fine_change)))
             else:
-                changes.append((station, -slope * motion_change))
-        return changes
+                station_forces.append((station, -slope * motion_change))
+        return station_forces
 
     return force_changes
 
@@ -247,8 +247,8 @@ def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
 
 
 def _is_linear(record: Record, rig: Rig, damper: PointDamper) -> bool:
-    moves_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
-    return not (damper.friction_n or moves_freely)
+    is_moving_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
+    return not (damper.friction_n or is_moving_freely)
 
 
 def has_ground_forces(rig: Rig) -> bool:

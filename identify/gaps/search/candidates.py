@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import Linear, delivered_by, sensor_stations_of
+from identify.gaps.residual.linear import LinearModel, delivered_by, sensor_stations_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Column, Linearization, Residual, contact_columns, derivative
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, derivative
 from identify.gaps.residual.windowed import displaced_at, ground_forces
 from identify.linear.joined import contact_groups
 from rig.effects import effects
@@ -203,7 +203,7 @@ def strength_columns(
     residual: Residual,
     candidate: Candidate,
     start_values: Float[np.ndarray, " parameters"],
-) -> list[Column]:
+) -> list[ResidualColumn]:
     """Decrease of the residuals by a step of each strength of a candidate, at the parameters `start_values`.
 
     Raises RigError where no rig has the effect with these parameters.
@@ -235,7 +235,7 @@ def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
     return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
 
 
-def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column | None:
+def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn | None:
     """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
 
     They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
@@ -254,7 +254,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
 
 
 def _attached_forces(
-    record: Record, model: Linear, attachments: Rig
+    record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
     sensor_stations = sensor_stations_of(record, model.rig)

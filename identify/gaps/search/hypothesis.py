@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from identify.gaps.residual.fit import MAX_STEPS, Build, Values, fit
+from identify.gaps.residual.fit import MAX_STEPS, BuildRig, Values, fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
@@ -32,7 +32,7 @@ MAX_EXCESS_COST = 200.0
 """Excess in -2 ln p over the best hypothesis from which one is neither fitted until it settles nor compared on another
 record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
 LIMIT_SHARE = 0.99
-"""Share of `LIMIT` from which a tolerance stands at its limit."""
+"""Share of `PULL_LIMIT` from which a tolerance stands at its limit."""
 STRAINED_PULL = 1.0
 """Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
 that rubs was explained by damping beyond its tolerance, and the friction was placed elsewhere."""
@@ -73,7 +73,7 @@ class Hypothesis:
     @property
     def tolerance_at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
-        return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * LIMIT))
+        return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * PULL_LIMIT))
 
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
         """Values of each effect."""
@@ -185,7 +185,7 @@ def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np
 
 
 def fit_from(
-    search: Search, build_rig: Build, candidates: tuple[Candidate, ...], start_values: Values, round_limit: int
+    search: Search, build_rig: BuildRig, candidates: tuple[Candidate, ...], start_values: Values, round_limit: int
 ) -> FittedHypothesis:
     """Fit of effects in the rigs of `build_rig` until it settles, from the fit of another rig."""
     linearization = search.linearization.relinearized(build_rig(start_values), None, search.linearization.scales)
@@ -195,7 +195,7 @@ def fit_from(
 
 
 def relinearised(
-    search: Search, build_rig: Build, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
+    search: Search, build_rig: BuildRig, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Best of successive refits, each linearised at the parameters and with the scales of the one before.
 
@@ -231,13 +231,13 @@ def relinearised(
     return likeliest_fit
 
 
-def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:
+def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> BuildRig:
     return partial(with_effects, search.linearization.rig, candidates)
 
 
 def _gauss_newton(
     search: Search,
-    build_rig: Build,
+    build_rig: BuildRig,
     candidates: tuple[Candidate, ...],
     start_values: Values,
     linearization: Linearization,
@@ -299,7 +299,7 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:
     """Residual from which an effect is fitted: all nuisance parameters are reset if one stands at its limit."""
-    if np.max(np.abs(residual.pulls), initial=0.0) < LIMIT - 1e-6:
+    if np.max(np.abs(residual.pulls), initial=0.0) < PULL_LIMIT - 1e-6:
         return residual
     reset_contacts = tuple(replace(contact, unknowns=contact.unknowns_without_pulls) for contact in residual.contacts)
     return replace(residual, nuisance_pulls=np.zeros_like(residual.nuisance_pulls), contacts=reset_contacts)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gaps.residual.fit import Fit, fit
+from identify.gaps.residual.fit import ParameterFit, fit
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
@@ -55,7 +55,7 @@ class _NuisanceFit:
     misfit: Misfit
 
 
-def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> Fit:
+def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
     no_parameters = np.zeros(0)
     return fit(

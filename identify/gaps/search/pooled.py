@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_columns
 from identify.gaps.residual.likelihood import NominalVariances, misfit
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, derivative
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
@@ -203,7 +203,7 @@ def pooled(
         normal_matrix[np.ix_(unknowns, unknowns)] += information.normal_matrix
         right_side[unknowns] += information.right_side
     lower_bounds, upper_bounds = (
-        np.append(np.full(tolerance_count, sign * LIMIT), np.tile(bound, parameter_copies))
+        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, parameter_copies))
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
     pooled_unknowns = prior_means + bounded_minimum(

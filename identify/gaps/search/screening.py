@@ -20,9 +20,9 @@ from scipy.optimize import least_squares
 from identify.gaps.residual.fit import ReducedEquations, reduced_equations
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.lines import sharpest_frequencies
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Column, Linearization, Residual, residual_of, same_but_laws
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_of, same_but_laws
 from identify.gaps.residual.tuning import matched_modes
 from identify.gaps.residual.windowed import needs_every_line
 from identify.gaps.search.candidates import Candidate, strength_columns
@@ -95,14 +95,14 @@ def _strength_gains(
     strength_indices, residual = candidate.parameters.strengths, equations.residual
     screened_starts = [ScreenedCandidate(candidate, 0.0, candidate.typical_values)]
     possible_starts: list[Float[np.ndarray, " parameters"]] = []
-    strength_decreases: list[Column] = []
+    strength_decreases: list[ResidualColumn] = []
     for start_values in candidate.start_values(peaks_hz):
         with suppress(RigError):  # no such rig
             strength_decreases += strength_columns(linearization, residual, candidate, start_values)
             possible_starts.append(start_values)
     normal_equations = equations.with_columns(strength_decreases)
     nuisance_count = len(equations.gradient)
-    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < LIMIT - 1e-6)
+    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
     nuisance_response = np.linalg.solve(
         normal_equations.matrix[np.ix_(free_nuisance, free_nuisance)],
         normal_equations.matrix[free_nuisance, nuisance_count:],
@@ -212,7 +212,7 @@ def law_screening(
                 trial_rig = candidate.applied(linearization.rig, trial_values)
                 nuisance_pulls = law_free_residual.nuisance_pulls
                 trial_residual = residual_of(
-                    linearization, trial_rig, nuisance_pulls, contact_unknowns, base=law_free_residual
+                    linearization, trial_rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
                 )
                 trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), trial_values)
                 best_trial = max(best_trial, trial, key=lambda item: item.cost_decrease)

@@ -12,7 +12,7 @@ from identify.gaps.unmeasured_force.force_laws import ForceLaw
 from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.gaps.unmeasured_force.time_history import OVERSAMPLING, ForceHistory, explained_share, force_history
-from identify.gaps.unmeasured_force.whitened_record import BAND_HZ, WhitenedRecord
+from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
 from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 
@@ -153,9 +153,9 @@ def _force_size(located_force: LocatedForce) -> _Size:
         / (whitened.reals_per_line * record.transform_length * record.sample_rate_hz)
     )
     band_power = spectral_density * whitened.band_sizes
-    band_number = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_HZ))
+    band_number = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_WIDTH_HZ))
     return _Size(
-        spectrum_hz=tuple(((band_number + 0.5) * BAND_HZ).tolist()),
+        spectrum_hz=tuple(((band_number + 0.5) * BAND_WIDTH_HZ).tolist()),
         spectral_density=tuple(spectral_density.tolist()),
         rms_value=float(np.sqrt(np.sum(band_power) * record.sample_rate_hz / record.transform_length)),
         band_hz=_power_band_hz(whitened, band_power),

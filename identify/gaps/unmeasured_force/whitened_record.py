@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.gaps.residual.linear import Linear, linear_model
+from identify.gaps.residual.linear import LinearModel, linear_model
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, accelerances
 from identify.linear.nuisance import Nuisance
@@ -30,7 +30,7 @@ from identify.signals.kinematics import taper
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 
-BAND_HZ = 2.0
+BAND_WIDTH_HZ = 2.0
 """Width of the bands in which s and S are constant, as `scales.BAND_HZ`."""
 GATE_FADE_S = 0.5
 """Length of the fade of the gate. Set by hand."""
@@ -52,7 +52,7 @@ class WhitenedRecord:
     """
 
     record: Record
-    model: Linear
+    model: LinearModel
     line_slice: slice
     complement_basis: Complex[np.ndarray, "lines rows sensors"]
     force_noise_modes: Complex[np.ndarray, "lines rows modes"]
@@ -292,7 +292,7 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
 
 
 def _measured_accelerations(
-    record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
+    record: Record, model: LinearModel, response: Response, modelled: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
@@ -306,6 +306,6 @@ def _measured_accelerations(
 
 
 def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
-    """First line of each band of `BAND_HZ`."""
-    band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_HZ)).astype(int)
+    """First line of each band of `BAND_WIDTH_HZ`."""
+    band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_WIDTH_HZ)).astype(int)
     return np.flatnonzero(np.diff(band_numbers, prepend=-1))
