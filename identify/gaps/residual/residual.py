@@ -223,7 +223,7 @@ def residual_of(
 ) -> Residual:
     """Residual of a rig at given nuisance parameters and contact unknowns, without any fit.
 
-    Defaults are those of the linearisation and `initial_unknowns`. Unchanged parts of `reusable`, one of it, are reused.
+    Defaults: those of the linearisation, and `initial_unknowns`. Unchanged parts of `reusable`, one of it, are reused.
     """
     record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
