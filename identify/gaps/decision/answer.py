@@ -37,7 +37,7 @@ from rig.recording import Recording
 
 __all__ = ["Simulator", "diagnose"]
 
-MATTERS = Matters()
+DEFAULT_MATTERS = Matters()
 """Thresholds of what matters where none are given: 0.5 % of the acceleration, 3 % of a contact force. Set by hand."""
 
 Progress = Callable[[str, float], None]
@@ -50,7 +50,7 @@ def diagnose(
     null_reference_path: Path | None = None,
     progress: Progress = lambda *_: None,
     tolerances: Tolerances | None = None,
-    matters: Matters = MATTERS,
+    matters: Matters = DEFAULT_MATTERS,
     ask_next: bool = False,
 ) -> tuple[Gap, Rig]:
     """Diagnosis of recordings, and the corrected rig (the nominal one, if no effect explains at least a part).
@@ -247,7 +247,7 @@ def _rival_hypotheses(decision: Decision) -> tuple[Hypothesis, Hypothesis] | Non
 
     The nominal rig also stands for something unmeasured, which cannot be simulated.
     """
-    pairs = [
+    probabilities_and_hypotheses = [
         (
             weighted.probability
             + decision.probability_unmeasured * (weighted.validated is decision.nominal_hypothesis),
@@ -255,5 +255,7 @@ def _rival_hypotheses(decision: Decision) -> tuple[Hypothesis, Hypothesis] | Non
         )
         for weighted in decision.weighted_hypotheses
     ]
-    likely_hypotheses = sorted((pair for pair in pairs if pair[0] > RIVAL_PROBABILITY), key=lambda pair: -pair[0])
+    likely_hypotheses = sorted(
+        (pair for pair in probabilities_and_hypotheses if pair[0] > RIVAL_PROBABILITY), key=lambda pair: -pair[0]
+    )
     return (likely_hypotheses[0][1], likely_hypotheses[1][1]) if len(likely_hypotheses) > 1 else None

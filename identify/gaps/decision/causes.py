@@ -24,7 +24,7 @@ from rig.model.unmeasured_force import Value
 
 MULTIPLE_RATIO = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
-DIGITS = 3
+STRENGTH_DIGITS = 3
 """Significant digits of a phrase. Display."""
 UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
 
@@ -51,9 +51,9 @@ def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
         return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
-    negative, positive = candidate.kind.signed_words[parameter.name]
+    negative_words, positive_words = candidate.kind.signed_words[parameter.name]
     return (
-        f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}"
+        f"{_value_words(parameter, abs(value))} {negative_words if value < 0 else positive_words}"
         if is_known
         else UNKNOWN_DIRECTION
     )
@@ -62,13 +62,13 @@ def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is
 def _value_words(parameter: Parameter, value: float) -> str:
     if parameter.neutral == 1.0 and parameter.name == "factor":
         if not 1 / MULTIPLE_RATIO <= value <= MULTIPLE_RATIO:
-            return f"{number(value, DIGITS)} times as large"
-        return f"{number(100 * abs(value - 1), DIGITS)} % {'larger' if value > 1 else 'smaller'}"
+            return f"{number(value, STRENGTH_DIGITS)} times as large"
+        return f"{number(100 * abs(value - 1), STRENGTH_DIGITS)} % {'larger' if value > 1 else 'smaller'}"
     if parameter.unit == "1/min":
-        return f"{number(100 * value, DIGITS)} % a minute"
+        return f"{number(100 * value, STRENGTH_DIGITS)} % a minute"
     if parameter.unit in MILLI_UNITS and 0 < abs(value) < 1:
-        return f"{number(1e3 * value, DIGITS)} m{parameter.unit}"
-    return number(value, DIGITS) + ("" if parameter.unit == "1" else f" {printed_unit(parameter.unit)}")
+        return f"{number(1e3 * value, STRENGTH_DIGITS)} m{parameter.unit}"
+    return number(value, STRENGTH_DIGITS) + ("" if parameter.unit == "1" else f" {printed_unit(parameter.unit)}")
 
 
 MILLI_UNITS = ("m", "s")

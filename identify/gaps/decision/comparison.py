@@ -216,12 +216,16 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
     fitted record.
     """
-    named = [item for item in ranked if item.hypothesis.candidates]
-    if not named:
+    hypotheses_with_effects = [validated for validated in ranked if validated.hypothesis.candidates]
+    if not hypotheses_with_effects:
         return 1.0
-    fitted_costs = np.array([item.hypothesis.cost for item in named])
-    weights = probabilities(np.array([item.log_prior for item in named]) - fitted_costs / (2 * TEMPERATURE))
-    gains = nominal_of(ranked).misfit.minus_two_log - np.array([item.misfit.minus_two_log for item in named])
+    fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
+    weights = probabilities(
+        np.array([validated.log_prior for validated in hypotheses_with_effects]) - fitted_costs / (2 * TEMPERATURE)
+    )
+    gains = nominal_of(ranked).misfit.minus_two_log - np.array(
+        [validated.misfit.minus_two_log for validated in hypotheses_with_effects]
+    )
     return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))
 
 

@@ -95,17 +95,23 @@ def judge(
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
-    priors = log_priors(search_result.hypotheses, search_result.candidates)
-    ranked = validate_hypotheses(
-        record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress
+    log_prior_by_effects = log_priors(search_result.hypotheses, search_result.candidates)
+    ranked_hypotheses = validate_hypotheses(
+        record, validation.nominal_variances, residual, search_result.hypotheses, log_prior_by_effects, progress
     )
-    ranked = [with_lasting_error(item, prepared.null_reference) for item in ranked]
-    ranked = _refit_contact_laws(prepared, ranked, residual)
-    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
-    ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
+    ranked_hypotheses = [
+        with_lasting_error(ranked_hypothesis, prepared.null_reference) for ranked_hypothesis in ranked_hypotheses
+    ]
+    ranked_hypotheses = _refit_contact_laws(prepared, ranked_hypotheses, residual)
+    difference = difference_of(
+        prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked_hypotheses)
+    )
+    ranked_hypotheses = with_contact_evidence(
+        prepared, search_result.candidates, ranked_hypotheses, difference, residual
+    )
     basis = _DecisionBasis(prepared, difference, residual, matters)
     predicted = predicted_decision(
-        ranked,
+        ranked_hypotheses,
         basis.decide,
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
@@ -128,10 +134,10 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
         return validated
     shares_and_limits = zip(remaining_misfit.share_by_band, null_reference.usual_shares(), strict=False)
     growth_by_band = np.array([share / limit if limit else 1.0 for share, limit in shares_and_limits])
-    order = np.argsort(growth_by_band)
-    power_below = np.cumsum(remaining_misfit.power_by_band[order])
-    growth = max(1.0, growth_by_band[order][np.searchsorted(power_below, power_below[-1] / 2)])
-    hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
+    band_order = np.argsort(growth_by_band)
+    power_below = np.cumsum(remaining_misfit.power_by_band[band_order])
+    error_growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
+    hypothesis = replace(validated.hypothesis, covariance=error_growth**2 * validated.hypothesis.covariance)
     return replace(validated, hypothesis=hypothesis)
 
 
@@ -184,9 +190,15 @@ def difference_of(
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
         return Difference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
-    distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), split_bound)
-    return Difference(p_value, motion_bound, tuple(contact_bounds), distances.parameter_bounds, distances.law_estimates)
+    parameter_distances = contact_distances(recordings, rig, validation.record.tolerances)
+    p_value = with_bound(combined_p_value(np.append(p_value_parts, parameter_distances.p_values)), split_bound)
+    return Difference(
+        p_value,
+        motion_bound,
+        tuple(contact_bounds),
+        parameter_distances.parameter_bounds,
+        parameter_distances.law_estimates,
+    )
 
 
 def _refit_contact_laws(
@@ -197,20 +209,22 @@ def _refit_contact_laws(
     It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
     rig.
     """
-    likeliest, *lower_ranked = ranked
+    likeliest_hypothesis, *lower_ranked = ranked
     recordings = [observation.recording for observation in prepared.fitted_recordings]
     record = prepared.validation_recording.record
-    refitted = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
-    if refitted is likeliest.hypothesis:
+    refitted_hypothesis = with_contact_fit(likeliest_hypothesis.hypothesis, recordings, record.tolerances)
+    if refitted_hypothesis is likeliest_hypothesis.hypothesis:
         return ranked
-    priors = {refitted.effect_names: likeliest.log_prior}
+    log_prior_by_effects = {refitted_hypothesis.effect_names: likeliest_hypothesis.log_prior}
     validated_refits = validate_hypotheses(
-        record, prepared.validation_recording.nominal_variances, residual, [refitted], priors
+        record, prepared.validation_recording.nominal_variances, residual, [refitted_hypothesis], log_prior_by_effects
     )
     kept_refits = [
-        item for item in validated_refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN
+        refit
+        for refit in validated_refits
+        if refit.misfit.minus_two_log < likeliest_hypothesis.misfit.minus_two_log + MIN_GAIN
     ]
-    return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
+    return sorted([*(kept_refits or [likeliest_hypothesis]), *lower_ranked], key=lambda refit: -refit.log_posterior)
 
 
 def _decide_with_force(
@@ -239,11 +253,13 @@ def _decide_with_force(
         force_beside = attempted(
             "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, named_rig, record)
         )
-        companion = force_beside.result
-        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, named_rig):
-            companion = None
+        companion_force = force_beside.result
+        if companion_force and acts_at_effects(companion_force.on_fit.force_place, record.rig, named_rig):
+            companion_force = None
         companion_cost = (
-            minus_two_log_with_force(validation, named_rig, companion, named_set.misfit) if companion else None
+            minus_two_log_with_force(validation, named_rig, companion_force, named_set.misfit)
+            if companion_force
+            else None
         )
         decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:

@@ -93,12 +93,14 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
 
 
 def simulated_machines(
-    measured: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, count: int
+    measured_recording: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, machine_count: int
 ) -> Iterator[Recording]:
     """Recordings of machines like `rig`, each off by its own draw of the tolerances, under the measured forces."""
-    for seed, normals in enumerate(standard_normals(measured.rig, count)):
+    for seed, normals in enumerate(standard_normals(measured_recording.rig, machine_count)):
         drawn_rig = draw_rig(rig, channel_errors.tolerances, normals)
-        yield with_channel_errors(simulate(measured.rig, drawn_rig, measured.forces_n, seed), channel_errors, seed)
+        yield with_channel_errors(
+            simulate(measured_recording.rig, drawn_rig, measured_recording.forces_n, seed), channel_errors, seed
+        )
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
@@ -207,11 +209,11 @@ LARGE_MOTION_POWER = 8
 mean over a decay of wrong damping does not tell it. Set by hand."""
 
 
-def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
+def null_simulator(measured_recording: Recording, record: Record, simulate: Simulate) -> Simulate:
     """Simulator of a recording's test: with its force, by its shaken base, or of its free decay."""
     if record.base is not None:
         return ShakenBaseSimulator(simulate)
-    return simulate if record.has_force else FreeDecaySimulator(measured, record, simulate)
+    return simulate if record.has_force else FreeDecaySimulator(measured_recording, record, simulate)
 
 
 @dataclass(frozen=True)

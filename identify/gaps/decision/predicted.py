@@ -53,8 +53,8 @@ def predicted_rollout(
         return Rollout(code="not_simulated")
     validation, predict = prepared.validation_recording, prepared.predict
     corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
-    nulls = prepared.null_reference.predictions
-    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
+    null_errors = prepared.null_reference.predictions
+    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, null_errors, predict)
     if not rollout.falls_short:
         return rollout
     horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
@@ -81,22 +81,24 @@ def predicted_decision(
     hypotheses, and whether their named effects are vetoed.
     """
     first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
-    accepted = None if first_decision.is_vetoed else first_decision
-    likely = [
+    accepted_decision = None if first_decision.is_vetoed else first_decision
+    likely_sets = [
         item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
     ]
-    rivals = [rival for rival in likely if strengths_exclude_neutral(rival.hypothesis)]
+    rival_sets = [rival_set for rival_set in likely_sets if strengths_exclude_neutral(rival_set.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
     while latest_decision.is_doubtful:
         doubtful_set = latest_decision.decision.named_hypothesis
         ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is doubtful_set]
-        rivals = [rival for rival in rivals if rival is not doubtful_set]
-        if not rivals:
-            return accepted or first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
-        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted):
-            accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
-    return accepted or first_decision
+        rival_sets = [rival_set for rival_set in rival_sets if rival_set is not doubtful_set]
+        if not rival_sets:
+            return accepted_decision or first_decision
+        latest_decision = _decision_with_rollout([nominal_of(ranked), *rival_sets], decide, predict)
+        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted_decision):
+            accepted_decision = (
+                None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
+            )
+    return accepted_decision or first_decision
 
 
 def _decision_with_rollout(

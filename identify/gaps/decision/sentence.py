@@ -6,7 +6,7 @@ from identify.gaps.wording import (
     DESCRIPTION_EXPLAINED,
     HINT_EXPLAINED,
     SMALLEST_SHARE,
-    between_records,
+    between_records_sentence,
     bound_words,
     capitalised,
     joined,
@@ -46,7 +46,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     all_sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)
     all_sentences += _ruled_out_sentence(diagnosis)
     all_sentences += [UNSCALED] if diagnosis.free_decay else []
-    all_sentences += [between_records(diagnosis.between)] if diagnosis.between else []
+    all_sentences += [between_records_sentence(diagnosis.between)] if diagnosis.between else []
     return all_sentences + [
         f"Channel {channel_name} is {fault} and was left out."
         for channel_name, fault in diagnosis.channel_faults.items()

@@ -21,12 +21,12 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import ATTACHED_FIELDS, Candidate
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.gaps.unmeasured_force.force import SAME_M
+from identify.gaps.unmeasured_force.force import SAME_PLACE_M
 from identify.gaps.unmeasured_force.location import ForcePlace
 from identify.pages.wording import COVERED
 from rig.model.description import Rig
 
-UNKNOWN_PLACES = 100
+UNMEASURED_FORCE_PLACES = 100
 """Distinguishable places of an unknown force (bodies of some metres, 20 mm each). Derived: two bodies of 1 m, 20 mm
 apart, the accuracy of a weak force's place."""
 RIVAL_PROBABILITY = 0.05
@@ -141,9 +141,17 @@ def decide(
         WeightedHypothesis(*pair)
         for pair in sorted(zip(ranked_hypotheses, posteriors, strict=True), key=lambda pair: -pair[1])
     )
-    likeliest = next((item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None)
-    likeliest_strengths = strengths_of(likeliest.hypothesis, weighted_hypotheses) if likeliest else ()
-    named_hypothesis = _named_hypothesis(likeliest, likeliest_strengths, weighted_hypotheses) if likeliest else None
+    likeliest_hypothesis = next(
+        (item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None
+    )
+    likeliest_strengths = (
+        strengths_of(likeliest_hypothesis.hypothesis, weighted_hypotheses) if likeliest_hypothesis else ()
+    )
+    named_hypothesis = (
+        _named_hypothesis(likeliest_hypothesis, likeliest_strengths, weighted_hypotheses)
+        if likeliest_hypothesis
+        else None
+    )
     named_or_nominal = named_hypothesis or nominal_hypothesis
     contact_names = [quantity.name for quantity in difference.contact_bounds]
     evidence = Evidence(
@@ -170,7 +178,7 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
     Of several strengths of an effect, the one that is most standard errors from its neutral value.
     """
     strengths, first_column = [], 0
-    errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     for candidate in hypothesis.candidates:
         column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
         look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
@@ -180,11 +188,14 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
             if parameter.neutral is not None
         }
         deviation_in_errors = {
-            k: abs(hypothesis.values[k] - neutral_value) / max(errors[k], 1e-300)
+            k: abs(hypothesis.values[k] - neutral_value) / max(standard_errors[k], 1e-300)
             for k, neutral_value in neutral_values.items()
         }
         column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
-        strength_value, half_width = (float(hypothesis.values[column_index]), float(COVERED * errors[column_index]))
+        strength_value, half_width = (
+            float(hypothesis.values[column_index]),
+            float(COVERED * standard_errors[column_index]),
+        )
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
             weighted.probability
@@ -223,7 +234,7 @@ def _look_alikes(
 
 
 def _named_hypothesis(
-    likeliest: ValidatedHypothesis,
+    likeliest_hypothesis: ValidatedHypothesis,
     effect_strengths: Sequence[Strength],
     weighted_hypotheses: Sequence[WeightedHypothesis],
 ) -> ValidatedHypothesis:
@@ -238,7 +249,7 @@ def _named_hypothesis(
             and weighted.validated.hypothesis.effect_names == named_effects
             and all(s.is_named for s in strengths_of(weighted.validated.hypothesis, weighted_hypotheses))
         ),
-        likeliest,
+        likeliest_hypothesis,
     )
 
 
@@ -263,14 +274,14 @@ def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Ri
         ]
     return any(
         force_station.body == effect_station.body
-        and abs(force_station.position_m - effect_station.position_m) <= SAME_M
+        and abs(force_station.position_m - effect_station.position_m) <= SAME_PLACE_M
         for force_station in force_place.stations
         for effect_station in effect_stations
     )
 
 
 def _force_log_posterior(log_prior: float, force_minus_two_log: float | None) -> float:
-    """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; -inf without one."""
+    """Log posterior of an unmeasured force, which may be at any of `UNMEASURED_FORCE_PLACES`; -inf without one."""
     if force_minus_two_log is None:
         return -np.inf
-    return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)
+    return log_prior + float(np.log(PRIOR_UNKNOWN / UNMEASURED_FORCE_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)

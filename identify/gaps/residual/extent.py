@@ -21,9 +21,9 @@ from rig.model.sensing import PASSBAND
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-TAPER_S = 0.5
+FADE_S = 0.5
 """Length of the fade at either end of a record. Set by hand."""
-OMITTED_S, OMITTED_SHARE = 4.5, 0.45
+OMITTED_END_S, OMITTED_SHARE = 4.5, 0.45
 """Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it. Set
 by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
@@ -100,13 +100,13 @@ class Beginning:
         """Seconds omitted at the start and at the end."""
         is_ringing_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
         omitted_end_s = (
-            min(OMITTED_S, OMITTED_SHARE * self.duration_s) if is_ringing_on else OMITTED_FADES * self.fade_length_s
+            min(OMITTED_END_S, OMITTED_SHARE * self.duration_s) if is_ringing_on else OMITTED_FADES * self.fade_length_s
         )
         if self.starts_quiet:
             return 0.0, omitted_end_s
         if self.counts_from_blow:
             return RELEASE_S * self.floats_in_contacts, omitted_end_s
-        return omitted_end_s if self.all_free else OMITTED_S, omitted_end_s
+        return omitted_end_s if self.all_free else OMITTED_END_S, omitted_end_s
 
 
 def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
@@ -120,7 +120,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     )
     samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
     counts_from_blow = not np.any(recording.forces_n) and not integrates
-    fade_length_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
+    fade_length_s = 2 * FADE_S if zero_known and not counts_from_blow else FADE_S
     return Beginning(
         zero_known=zero_known,
         has_contacts=has_contacts,

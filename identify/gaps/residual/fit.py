@@ -277,17 +277,8 @@ def _step(
             for contact, change in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
         ]
         try:
-            rig = build_rig(stepped_values)
-            return _Point(
-                stepped_values,
-                residual_of(
-                    linearization,
-                    rig,
-                    residual.nuisance_pulls + step[:nuisance_count],
-                    tuple(unknowns),
-                    reusable=residual,
-                ),
-            )
+            rig, pulls = build_rig(stepped_values), residual.nuisance_pulls + step[:nuisance_count]
+            return _Point(stepped_values, residual_of(linearization, rig, pulls, tuple(unknowns), reusable=residual))
         except RigError:  # no such rig
             return None
 

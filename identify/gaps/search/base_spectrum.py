@@ -45,17 +45,23 @@ def fit_base_spectrum(
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
     shaken_rig = changed(linearization.rig, base_motion=unit_motion)
-    model = linear_model(record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses)
+    shaken_model = linear_model(
+        record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses
+    )
     contact_count = len(linearization.observations)
-    pattern = model.signal_per_input[contact_count]
-    contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
-    pattern = pattern - np.einsum("isl,il->sl", model.signal_per_input[:contact_count], contact_forces)
+    signal_pattern = shaken_model.signal_per_input[contact_count]
+    contact_forces = linearization.model.projection.applied_to(signal_pattern * linearization.model.error_deviation)[1]
+    signal_pattern = signal_pattern - np.einsum(
+        "isl,il->sl", shaken_model.signal_per_input[:contact_count], contact_forces
+    )
     residual_spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
     sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(residual_spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    residual_spectra, pattern = residual_spectra / sensor_level, pattern / sensor_level
-    pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
-    pattern_power = np.abs(np.sum(pattern.conj() * residual_spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
+    residual_spectra, signal_pattern = residual_spectra / sensor_level, signal_pattern / sensor_level
+    pattern_size = np.sum(np.abs(signal_pattern) ** 2, axis=0)
+    pattern_power = np.abs(np.sum(signal_pattern.conj() * residual_spectra, axis=0)) ** 2 / np.maximum(
+        pattern_size, 1e-300
+    )
     remaining_power = (np.sum(np.abs(residual_spectra) ** 2, axis=0) - pattern_power) / max(
         1, len(residual_spectra) - contact_count - 1
     )

@@ -21,9 +21,9 @@ from rig.errors import RigError
 from rig.model.description import Rig, Station
 from rig.model.parameters import Parameter, ParameterSet
 
-PLACE_VALUES = 9
+PLACE_GRID_COUNT = 9
 """Trial values of a parameter that is a place or a frequency, not a strength."""
-RATIO_VALUES = 8
+RATIO_GRID_COUNT = 8
 """Trial values of a ratio over its whole range."""
 STEP_SHARE = 0.05
 """Step for derivatives, as a share of what the typical effect adds. Set by hand."""
@@ -99,23 +99,23 @@ class Candidate:
             elif self.kind.contains:
                 trial_values.append(np.array([typical_value]))
             elif _has_logarithmic_range(parameter):
-                trial_values.append(np.geomspace(*parameter_range, PLACE_VALUES + 2)[1:-1])
+                trial_values.append(np.geomspace(*parameter_range, PLACE_GRID_COUNT + 2)[1:-1])
             else:
-                trial_values.append(np.linspace(*parameter_range, PLACE_VALUES))
+                trial_values.append(np.linspace(*parameter_range, PLACE_GRID_COUNT))
         return [np.array(values) for values in product(*trial_values)]
 
     def trial_strengths(self, addition_multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
-        lowest, highest = (float(bounds[0]) for bounds in self.parameters.bounds)
+        lowest_strength, highest_strength = (float(bounds[0]) for bounds in self.parameters.bounds)
         typical_addition = float(self.typical_values[0]) - self.neutral_strength
         strengths = [
             self.neutral_strength + sign * multiple * typical_addition
             for sign in (1, -1)
             for multiple in addition_multiples
         ]
-        if self.neutral_strength == 1 and lowest > 0 and highest > 4 * lowest:
-            strengths += list(np.geomspace(lowest, highest, RATIO_VALUES))
-        return [float(strength) for strength in strengths if lowest <= strength <= highest]
+        if self.neutral_strength == 1 and lowest_strength > 0 and highest_strength > 4 * lowest_strength:
+            strengths += list(np.geomspace(lowest_strength, highest_strength, RATIO_GRID_COUNT))
+        return [float(strength) for strength in strengths if lowest_strength <= strength <= highest_strength]
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
         """Typical effect with other values of its parameters."""

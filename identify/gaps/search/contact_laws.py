@@ -75,11 +75,11 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         **recording.signals,
         "force": replace(force_channels, values=force_channels.values / rig.force_sensor.gain),
     }
-    sensors = tuple(
+    motion_sensors = tuple(
         sensor for sensor in rig.sensors if sensor.measures.translates
     )  # the diagnosis uses no strain gauges
     separated_rig = msgspec.structs.replace(
-        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors
+        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=motion_sensors
     )
     try:
         separation = separate(replace(recording, rig=separated_rig, signals=corrected_signals), "auto", tolerances)
@@ -110,16 +110,27 @@ def _unmodelled_part(rig: Rig) -> str:
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
     largest_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
-    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count]
-    comparable = [
-        estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, comparable[0].quantity_weights)
+    comparable_estimates = [
+        estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count
+    ]
+    comparable_estimates = [
+        estimate
+        for estimate in comparable_estimates
+        if np.array_equal(estimate.quantity_weights, comparable_estimates[0].quantity_weights)
     ]
     pooled_values, pooled_covariance = _pooled_values(
-        [(item.quantity_values, item.covariance, item.tolerance_covariance) for item in comparable]
+        [
+            (
+                estimate.quantity_values,
+                estimate.covariance,
+                estimate.tolerance_covariance,
+            )
+            for estimate in comparable_estimates
+        ]
     )
-    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
+    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable_estimates], axis=0)
     return replace(
-        comparable[0],
+        comparable_estimates[0],
         quantity_values=pooled_values,
         covariance=pooled_covariance,
         tolerance_covariance=shared_covariance,
@@ -219,12 +230,14 @@ def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Fl
     return np.array([parameters_of_law(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
 
 
-def numbers_alone_differ(law: ContactLaw, nominal_law: ContactLaw) -> bool:
+def numbers_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) -> bool:
     """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
-    if type(law) is not type(nominal_law) or not law.piecewise_linear:
+    if type(changed_law) is not type(nominal_law) or not changed_law.piecewise_linear:
         return False
     return (
-        msgspec.structs.replace(law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names})
+        msgspec.structs.replace(
+            changed_law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names}
+        )
         == nominal_law
     )
 

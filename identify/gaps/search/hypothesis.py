@@ -25,13 +25,13 @@ from rig.model.parameters import ParameterSet
 MIN_GAIN = 20.0
 """Gain in -2 ln p below which an effect is not fitted: a good third of what the prior of one among some 26 effects at
 some 4 places, and the temperature of the comparison, demand: 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
-FIRST_STEPS, ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
+FIRST_STEPS, REFIT_ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
 """Steps of a first fit; rounds of the following refits at most; gain in -2 ln p, and relative change of the scales,
 below which they have settled. Effort."""
 MAX_EXCESS_COST = 200.0
 """Excess in -2 ln p over the best hypothesis from which one is neither fitted until it settles nor compared on another
 record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
-LIMIT_SHARE = 0.99
+PULL_LIMIT_SHARE = 0.99
 """Share of `PULL_LIMIT` from which a tolerance stands at its limit."""
 STRAINED_PULL = 1.0
 """Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
@@ -73,7 +73,7 @@ class Hypothesis:
     @property
     def tolerance_at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
-        return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * PULL_LIMIT))
+        return bool(np.any(np.abs(self.misfit.pulls) > PULL_LIMIT_SHARE * PULL_LIMIT))
 
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
         """Values of each effect."""
@@ -180,7 +180,7 @@ def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np
     candidates, rig = initial_fit.hypothesis.candidates, search.linearization.rig
     if any(candidate.kind.stochastic for candidate in candidates):
         return initial_fit
-    round_limit = ROUNDS + extra_relinearizations(rig)
+    round_limit = REFIT_ROUNDS + extra_relinearizations(rig)
     return relinearised(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
 
 

@@ -19,8 +19,9 @@ last is the number of linearisations at the stated scales of a rig without conta
 
 def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
-    initial = [linearized(record, rig)]  # let go once it is fitted, as all before the last: they are large
-    nominal_variances = nominal_variances_of(initial[0])
+    # let go once it is fitted, as all before the last: they are large
+    initial_linearizations = [linearized(record, rig)]
+    nominal_variances = nominal_variances_of(initial_linearizations[0])
 
     def fit_in(linearization: Linearization, start_residual: Residual | None) -> _NuisanceFit:
         residual = fitted_nuisance(linearization, start_residual).residual
@@ -30,16 +31,18 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         return fit_in(rescaled(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
 
     def relinearize(previous_fit: _NuisanceFit) -> _NuisanceFit:
-        previous = previous_fit.linearization
-        new_linearization = previous.relinearized(rig, previous_fit.residual, scales=previous.scales)
+        previous_linearization = previous_fit.linearization
+        new_linearization = previous_linearization.relinearized(
+            rig, previous_fit.residual, scales=previous_linearization.scales
+        )
         return fit_in(new_linearization, previous_fit.residual)
 
     def settled(earlier_fit: _NuisanceFit, later_fit: _NuisanceFit) -> bool:
-        cost_fall = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
-        return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_fall > COST_TOLERANCE)
+        cost_decrease = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
+        return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_decrease > COST_TOLERANCE)
 
     nuisance_fit = refit_until_settled(
-        refit_until_settled(fit_in(initial.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
+        refit_until_settled(fit_in(initial_linearizations.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
         refit,
         settled,
         rounds=MAX_ROUNDS,

@@ -26,7 +26,7 @@ from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
-ROUNDS = 2
+POOLING_ROUNDS = 2
 """Gauss-Newton steps over several records at most."""
 STEP_TOLERANCE = 0.1
 """Change of a parameter, in standard errors, below which the steps end."""
@@ -64,8 +64,8 @@ class LinearizedRecord:
             for parameter_index, step in enumerate(np.diag(steps))
         ]
         parameter_columns = [
-            tuple(residual_block / signed_share for residual_block in (linear, *contacts))
-            for (linear, contacts), signed_share in zip(decreases_by_step, signed_shares, strict=True)
+            tuple(residual_block / signed_share for residual_block in (linear_decrease, *contact_decreases))
+            for (linear_decrease, contact_decreases), signed_share in zip(decreases_by_step, signed_shares, strict=True)
         ]
         tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
         tolerance_count = len(tolerance_information.tolerance_names)
@@ -196,12 +196,12 @@ def pooled(
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
     for record_index, information in enumerate(record_information):
         first_parameter = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
-        unknowns = [
+        unknown_indices = [
             *(tolerance_names.index(name) for name in information.tolerance_names),
             *range(first_parameter, first_parameter + parameter_count),
         ]
-        normal_matrix[np.ix_(unknowns, unknowns)] += information.normal_matrix
-        right_side[unknowns] += information.right_side
+        normal_matrix[np.ix_(unknown_indices, unknown_indices)] += information.normal_matrix
+        right_side[unknown_indices] += information.right_side
     lower_bounds, upper_bounds = (
         np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, parameter_copies))
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
@@ -239,12 +239,12 @@ def fitted_together(
     build_rig = partial(with_effects, rig, candidates)
 
     def pooled_about(values: Values) -> _PooledFit:
-        summed_cost, information = 0.0, list[Information]()
+        summed_cost, information_by_record = 0.0, list[Information]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
             record_fit = linearized_record(record, nominal_variances, build_rig(values))
             summed_cost += record_fit.cost
-            information.append(record_fit.with_parameters(build_rig, values, parameter_steps, bounds[1]))
-        return _PooledFit(values, pooled(information, parameter_steps, bounds, values), summed_cost)
+            information_by_record.append(record_fit.with_parameters(build_rig, values, parameter_steps, bounds[1]))
+        return _PooledFit(values, pooled(information_by_record, parameter_steps, bounds, values), summed_cost)
 
     def refit(earlier_fit: _PooledFit) -> _PooledFit:
         if earlier_fit.has_settled:
@@ -256,7 +256,7 @@ def fitted_together(
         return earlier_fit if later_fit.cost > earlier_fit.cost else later_fit
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=POOLING_ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

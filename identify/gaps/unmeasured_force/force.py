@@ -13,7 +13,7 @@ from identify.gaps.unmeasured_force.time_history import force_spectrum
 from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 from rig.model.description import Rig
 
-SAME_M = 0.05
+SAME_PLACE_M = 0.05
 """Two records show the same place if their positions differ by no more than this, or five standard errors."""
 
 
@@ -88,7 +88,7 @@ def _fit_at_place(
 
 
 def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:
-    """True if two records show the same kind at the same place, within the larger of `SAME_M` and five errors."""
+    """True if two records show the same kind at the same place, within the larger of `SAME_PLACE_M` and five errors."""
     first_place, second_place = first_force.force_place, second_force.force_place
     if (first_place.kind, first_place.sensor_name, first_place.body_names) != (
         second_place.kind,
@@ -96,7 +96,7 @@ def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:
         second_place.body_names,
     ):
         return False
-    tolerance_m = max(SAME_M, 5 * float(np.hypot(first_force.position_error_m, second_force.position_error_m)))
+    tolerance_m = max(SAME_PLACE_M, 5 * float(np.hypot(first_force.position_error_m, second_force.position_error_m)))
     return all(
         station.body == other_station.body and abs(station.position_m - other_station.position_m) <= tolerance_m
         for station, other_station in zip(first_place.stations, second_place.stations, strict=True)

@@ -21,8 +21,8 @@ from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
-Kind = Literal["force", "pair", "sensor", "distributed"]
-SPACING_M, FINE_M = 0.05, 0.002
+PlaceKind = Literal["force", "pair", "sensor", "distributed"]
+PLACE_SPACING_M, FINE_SPACING_M = 0.05, 0.002
 """Spacing of the scan over places, and of its refinement. Set by hand: below the wavelength of any mode in the band;
 the place of a strong force is known to some mm."""
 REFITTED_PER_KIND = 3
@@ -37,7 +37,7 @@ class ForcePlace:
     station, "sensor" with a signal of its own, or "distributed", a modulus of the `body_names` that drifts.
     """
 
-    kind: Kind
+    kind: PlaceKind
     stations: tuple[Station, ...] = ()
     sensor_name: str = ""
     body_names: tuple[str, ...] = ()
@@ -159,10 +159,10 @@ def _shift_range_m(rig: Rig, place: ForcePlace) -> tuple[float, float]:
 
 
 def _position_grid_m(length_m: float) -> list[float]:
-    """Positions (m) along a body, evenly spaced by about `SPACING_M`; 0 alone on a point mass."""
+    """Positions (m) along a body, evenly spaced by about `PLACE_SPACING_M`; 0 alone on a point mass."""
     if not length_m:
         return [0.0]
-    return [float(position_m) for position_m in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
+    return [float(position_m) for position_m in np.linspace(0, length_m, max(2, round(length_m / PLACE_SPACING_M) + 1))]
 
 
 def _within_radius(force_place: ForcePlace, expected_place: ForcePlace, search_radius_m: float) -> bool:
@@ -185,8 +185,8 @@ def _located_force(
 
 
 def _refine_position(located_force: LocatedForce) -> LocatedForce:
-    """Candidate at the minimum of J over its shift, to `FINE_M`: each round takes the vertex of a parabola through J at
-    three shifts, then a shorter step. Its standard error follows from the curvature of J."""
+    """Candidate at the minimum of J over its shift, to `FINE_SPACING_M`: each round takes the vertex of a parabola
+    through J at three shifts, then a shorter step. Its standard error follows from the curvature of J."""
     whitened, force_place = located_force.whitened_record, located_force.force_place
     if not force_place.stations or not whitened.record.rig.body(force_place.stations[0].body).length_m:
         return located_force
@@ -200,21 +200,32 @@ def _refine_position(located_force: LocatedForce) -> LocatedForce:
         return evidence_by_shift[shift_m].criterion
 
     lowest_m, highest_m = _shift_range_m(whitened.record.rig, force_place)
-    best_shift_m, step_m = 0.0, SPACING_M / 2
+    best_shift_m, step_m = 0.0, PLACE_SPACING_M / 2
     while True:
-        shifts_m = [float(np.clip(best_shift_m + k * step_m, lowest_m, highest_m)) for k in (-1, 0, 1)]
+        shifts_m = [
+            float(np.clip(best_shift_m + step_count * step_m, lowest_m, highest_m)) for step_count in (-1, 0, 1)
+        ]
         best_shift_m = min(shifts_m, key=criterion_at)
-        if step_m <= FINE_M:
+        if step_m <= FINE_SPACING_M:
             break
-        vertex_m = float(np.clip(_parabola_vertex(shifts_m, [criterion_at(x) for x in shifts_m]), lowest_m, highest_m))
+        vertex_m = float(
+            np.clip(
+                _parabola_vertex(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m]),
+                lowest_m,
+                highest_m,
+            )
+        )
         best_shift_m, step_m = min((best_shift_m, vertex_m), key=criterion_at), step_m / 3.5
-    shifts_m = [float(np.clip(best_shift_m + k * 2 * FINE_M, lowest_m, highest_m)) for k in (-2, -1, 0, 1, 2)]
-    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(x) for x in shifts_m], 2)[0])
-    position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else SPACING_M
+    shifts_m = [
+        float(np.clip(best_shift_m + step_count * 2 * FINE_SPACING_M, lowest_m, highest_m))
+        for step_count in (-2, -1, 0, 1, 2)
+    ]
+    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m], 2)[0])
+    position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else PLACE_SPACING_M
     best_place = _shifted_place(force_place, best_shift_m)
     return replace(
         _located_force(whitened, best_place, located_force.without_force, evidence_by_shift[best_shift_m]),
-        position_error_m=min(position_error_m, SPACING_M),
+        position_error_m=min(position_error_m, PLACE_SPACING_M),
     )
 
 
@@ -222,10 +233,10 @@ def _parabola_vertex(positions_m: list[float], ordinates: list[float]) -> float:
     """Minimum of the parabola through three points within their range, or the lowest point if it has none."""
     if len(set(positions_m)) < 3:
         return positions_m[int(np.argmin(ordinates))]
-    quadratic, linear, _ = np.polyfit(positions_m, ordinates, 2)
+    quadratic_coefficient, linear_coefficient, _ = np.polyfit(positions_m, ordinates, 2)
     return (
-        float(np.clip(-linear / (2 * quadratic), positions_m[0], positions_m[-1]))
-        if quadratic > 0
+        float(np.clip(-linear_coefficient / (2 * quadratic_coefficient), positions_m[0], positions_m[-1]))
+        if quadratic_coefficient > 0
         else positions_m[int(np.argmin(ordinates))]
     )
 
@@ -279,7 +290,8 @@ def _locate_drift(
             no_response = np.zeros(whitened.whitened_residual.shape, dtype=complex)
             covariance = np.linalg.inv(nuisance_equations(with_drift_columns, with_force.noise_variance)[0])
             growth_errors = tuple(
-                float(e) for e in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
+                float(growth_error)
+                for growth_error in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
             )
             drift_place = ForcePlace("distributed", body_names=drifting_bodies)
             best_drift = LocatedForce(

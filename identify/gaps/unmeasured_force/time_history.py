@@ -15,7 +15,7 @@ from rig.model.description import Station
 
 OVERSAMPLING = 4
 """Rate at which laws are evaluated, over the residual's: their kinks widen the band. Set by hand."""
-LAW_ERROR = 0.03
+LAW_ERROR_SHARE = 0.03
 """Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
 KNOT_SPACING_S = 0.25
 """Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz
@@ -138,7 +138,7 @@ def force_spectrum(located_force: LocatedForce) -> Complex[np.ndarray, " allline
 
 
 def force_history(located_force: LocatedForce) -> ForceHistory:
-    """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR` of it."""
+    """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR_SHARE` of it."""
     whitened, with_force = located_force.whitened_record, located_force.with_force
     record, likeliest_spectrum = whitened.record, force_spectrum(located_force)
     place_acceleration = np.zeros(record.omega.size, dtype=complex)
@@ -168,7 +168,7 @@ def force_history(located_force: LocatedForce) -> ForceHistory:
         normal_matrix=normal_matrix,
         right_side=right_side,
     )
-    return with_law_error(history, LAW_ERROR)
+    return with_law_error(history, LAW_ERROR_SHARE)
 
 
 def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:

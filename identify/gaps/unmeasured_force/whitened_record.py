@@ -34,7 +34,7 @@ BAND_WIDTH_HZ = 2.0
 """Width of the bands in which s and S are constant, as `scales.BAND_HZ`."""
 GATE_FADE_S = 0.5
 """Length of the fade of the gate. Set by hand."""
-LOWEST_HZ = 0.75
+LOWEST_LINE_HZ = 0.75
 """Lowest line: below, integration falsifies every motion. Derived: 1.5 times the integration corner."""
 OBSERVABILITY_LIMIT = 1e-2
 """Singular value of the mode shapes at the sensors, over the largest, below which the model gives the motion. Set by
@@ -170,7 +170,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         responses_windowed=False,
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
-    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
+    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
     complement_basis = input_complement(model.signal_per_input[..., line_slice])
     row_count = complement_basis.shape[1]
     if not row_count:
@@ -205,8 +205,8 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     )
     force_responses = np.stack(
         [
-            unwhitened_record.ungated_residual(by_input / rig.force_sensor.gain - bool(record.base))
-            for by_input in input_accelerations[: len(rig.forces)]
+            unwhitened_record.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
+            for acceleration_per_newton in input_accelerations[: len(rig.forces)]
         ],
         axis=2,
     )
