@@ -76,7 +76,9 @@ def checked_contacts(
     Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
     channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
     """
-    findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
+    findings = tuple(
+        finding for finding in check_recording(recording, use, tolerances) if finding.cause != "not at rest"
+    )
     with naming_first_finding(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(contacts.separation.motion):

@@ -187,7 +187,7 @@ class AnnularFit:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
         record, state = self.record, self.state
         sample_count = record.force_n.shape[1]
-        rows = np.zeros((state.pulls.size, DIRECTIONS, sample_count), np.float32)
+        nuisance_rows = np.zeros((state.pulls.size, DIRECTIONS, sample_count), np.float32)
         for plane_index, plane in enumerate(record.planes):
             plane_columns = record.columns[plane_index]
             ground_force_n = ground_n_per_m(plane) @ state.knots[plane_index::DIRECTIONS]
@@ -195,7 +195,7 @@ class AnnularFit:
             for nuisance_index, signal, noise_multiple in zip(
                 plane_columns, plane.nuisance_n, plane.force_noise_multiple, strict=True
             ):
-                rows[nuisance_index, plane_index] += signal - noise_multiple * force_residual_n
+                nuisance_rows[nuisance_index, plane_index] += signal - noise_multiple * force_residual_n
             drift_m = record.at_forces((plane.drift_spline.value @ state.knots[plane_index::DIRECTIONS])[None])[0]
             for nuisance_index, signal_m, noise_multiple in zip(
                 plane_columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
@@ -203,14 +203,14 @@ class AnnularFit:
                 force_change_n = slopes.by_eta[:, plane_index] * signal_m + slopes.by_rate[
                     :, plane_index
                 ] * plane.velocity_of(signal_m)
-                rows[nuisance_index] -= (
+                nuisance_rows[nuisance_index] -= (
                     _low_passed(record, force_change_n) + noise_multiple * by_eta[:, plane_index] * drift_m
                 )
         for plane_index, plane in enumerate(record.planes):
-            rows[:, plane_index] /= np.float32(
+            nuisance_rows[:, plane_index] /= np.float32(
                 1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
             )
-        return rows.reshape(state.pulls.size, -1).T
+        return nuisance_rows.reshape(state.pulls.size, -1).T
 
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
         """Jacobian and normal equations at the state."""
@@ -307,6 +307,6 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 
 
-def _low_passed(record: AnnularRecord, rows: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
+def _low_passed(record: AnnularRecord, signals: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
     """Signals low-passed and decimated like the separated forces."""
-    return decimated(rows, record.decimation)[..., : record.force_n.shape[1]]
+    return decimated(signals, record.decimation)[..., : record.force_n.shape[1]]

@@ -122,13 +122,16 @@ def annular_record(
     """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
     initial states are those of their direction."""
     index_by_parameter: dict[Nuisance, int] = {}
-    columns = []
+    columns_by_plane = []
     for direction, names, plane_parameters in zip("yz", force_names, parameters, strict=True):
-        renamed_parameters = [_in_space(p, direction, names) for p in plane_parameters]
-        columns.append(
-            np.array([index_by_parameter.setdefault(p, len(index_by_parameter)) for p in renamed_parameters], dtype=int)
+        renamed_parameters = [_in_space(parameter, direction, names) for parameter in plane_parameters]
+        columns_by_plane.append(
+            np.array(
+                [index_by_parameter.setdefault(parameter, len(index_by_parameter)) for parameter in renamed_parameters],
+                dtype=int,
+            )
         )
-    return AnnularRecord(planes, tuple(index_by_parameter), (columns[0], columns[1]), quiet_samples)
+    return AnnularRecord(planes, tuple(index_by_parameter), (columns_by_plane[0], columns_by_plane[1]), quiet_samples)
 
 
 def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
@@ -149,19 +152,19 @@ def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
     """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
     Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
     force = record.force_n[:, record.used]
-    mode_n = np.array([_mode(row) for row in force])
-    near_n = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
+    mode_n = np.array([_mode(force_row) for force_row in force])
+    near_deviation = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
     for _ in range(3):
-        is_near = np.abs(force - mode_n[:, None]) < near_n[:, None]
+        is_near = np.abs(force - mode_n[:, None]) < near_deviation[:, None]
         if is_near.all(axis=0).sum() < MODE_SAMPLES:
             break
-        mode_n = np.array([_mode(force[p, is_near[1 - p]]) for p in range(DIRECTIONS)])
+        mode_n = np.array([_mode(force[plane_index, is_near[1 - plane_index]]) for plane_index in range(DIRECTIONS)])
     return mode_n
 
 
-def _mode(values: Float[np.ndarray, " samples"]) -> float:
+def _mode(force_values: Float[np.ndarray, " samples"]) -> float:
     """Half-sample mode: the shortest interval with half the samples, again and again."""
-    sorted_values = np.sort(values)
+    sorted_values = np.sort(force_values)
     while sorted_values.size > MODE_SAMPLES:
         half_count = int(np.ceil(MODE_SHARE * sorted_values.size))
         shortest_start = int(

@@ -160,7 +160,7 @@ def places_of(body: str, stations: tuple[Station, ...]) -> str:
 
 
 def _frequencies(frequencies_hz: np.ndarray) -> str:
-    return ", ".join(f"{f:.4g}" for f in frequencies_hz if f > 0) + " Hz"
+    return ", ".join(f"{frequency_hz:.4g}" for frequency_hz in frequencies_hz if frequency_hz > 0) + " Hz"
 
 
 def _enumeration(words: list[str]) -> str:

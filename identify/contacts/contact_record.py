@@ -53,9 +53,9 @@ class ContactRecord:
     is_initial_state: Bool[np.ndarray, " nuisances"]
     noise_m: float = 0.0
 
-    def at_force_samples(self, rows: Rows) -> Rows:
+    def at_force_samples(self, signal: Rows) -> Rows:
         """Signal, or rows of a matrix, at the samples of the force."""
-        return rows[:: self.decimation][: self.force_n.size]
+        return signal[:: self.decimation][: self.force_n.size]
 
     def velocity_of(self, displacement_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Time derivative by central differences, m/s."""

@@ -56,12 +56,12 @@ def _motion_table(result: Identification) -> Table:
     decimation = result.decimation
     force = result.separated_n
     eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
-    rows = min(eta.shape[1], force.shape[1])
-    table: Table = {"time_s": result.motion.time_s(rows, decimation)}
+    row_count = min(eta.shape[1], force.shape[1])
+    table: Table = {"time_s": result.motion.time_s(row_count, decimation)}
     for group, displacement_m, contact_force_n in zip(result.contact_groups, eta, force, strict=True):
         name = group.contact.name
-        table[f"{name} relative displacement m"] = displacement_m[:rows]
-        table[f"{name} contact force N"] = contact_force_n[:rows]
+        table[f"{name} relative displacement m"] = displacement_m[:row_count]
+        table[f"{name} contact force N"] = contact_force_n[:row_count]
     return table
 
 
@@ -70,12 +70,12 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
     surface = result.surface
     eta = result.eta_m[:, :: surface.decimation]
     velocity = surface.equation.velocity[:: surface.decimation]
-    rows = min(eta.shape[1], surface.measured_force.size, velocity.size)
-    table: Table = {"time_s": result.motion.time_s(rows, surface.decimation)}
-    table |= {f"{name} relative displacement m": row[:rows] for name, row in zip(names, eta, strict=True)}
-    table["modal velocity sqrt(kg) m/s"] = velocity[:rows]
-    table["restoring force N/sqrt(kg)"] = surface.measured_force[:rows]
-    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:rows]
+    row_count = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    table: Table = {"time_s": result.motion.time_s(row_count, surface.decimation)}
+    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, eta, strict=True)}
+    table["modal velocity sqrt(kg) m/s"] = velocity[:row_count]
+    table["restoring force N/sqrt(kg)"] = surface.measured_force[:row_count]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:row_count]
     return table
 
 
@@ -83,12 +83,15 @@ def _nifo_table(result: Identification, names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
     table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
     for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
-        rows = {"FRF s^2": nifo.frf}
-        rows |= {
-            f"{names[contact_index]} stiffness N/m": row
-            for contact_index, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)
+        complex_columns = {"FRF s^2": nifo.frf}
+        complex_columns |= {
+            f"{names[contact_index]} stiffness N/m": complex_column
+            for contact_index, complex_column in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)
         }
-        for name, row in rows.items():
+        for name, complex_column in complex_columns.items():
             if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
-                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag
+                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = (
+                    complex_column.real,
+                    complex_column.imag,
+                )
     return table

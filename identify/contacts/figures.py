@@ -63,11 +63,11 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
                     pooled_estimate.value + COVERED * pooled_estimate.standard_error * np.array([-1, 1])
                 )
                 half_widths = [COVERED * unit_scale * estimate.standard_error for estimate in estimates]
-                values = [unit_scale * estimate.value for estimate in estimates]
+                scaled_values = [unit_scale * estimate.value for estimate in estimates]
                 axes.errorbar(
-                    middle_s, values, half_widths, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %"
+                    middle_s, scaled_values, half_widths, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %"
                 )
-                axes.plot(middle_s, values, "k.", ms=3, label="segments")
+                axes.plot(middle_s, scaled_values, "k.", ms=3, label="segments")
                 axes.axhline(unit_scale * pooled_estimate.value, color=BLUE, lw=1.2, zorder=3, label="all together")
                 axes.axhspan(*interval, color=BLUE, alpha=0.2, lw=0, label="95 % of all together")
             axes_column[0].set_title(pooled_contact.name)
@@ -250,8 +250,8 @@ def _draw_stiffness(figure: Any, result: Identification, references: References,
             (result.paper_nifo, GREY, "the paper's form"),
             (result.weak_nifo, BLUE, "weak form"),
         ):
-            values = nifo.stiffness_n_per_m[column_index].real
-            axes[0][column_index].plot(nifo.frequency_hz, values, color=colour, lw=1.0, label=label)
+            stiffness_n_per_m = nifo.stiffness_n_per_m[column_index].real
+            axes[0][column_index].plot(nifo.frequency_hz, stiffness_n_per_m, color=colour, lw=1.0, label=label)
             deviation_percent = 100 * np.abs(nifo.stiffness_n_per_m[column_index] / reference_n_per_m - 1)
             axes[1][column_index].semilogy(nifo.frequency_hz, np.maximum(deviation_percent, 1e-6), color=colour, lw=1.0)
         axes[0][column_index].axhline(
@@ -274,7 +274,7 @@ def _draw_stiffness(figure: Any, result: Identification, references: References,
 
 def _draw_frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
-    magnitude_axes, middle, lower = figure.subplots(3, 1, sharex=True)
+    magnitude_axes, middle, phase_axes = figure.subplots(3, 1, sharex=True)
     weak_nifo, paper_nifo = result.weak_nifo, result.paper_nifo
     shape_square_per_kg = weak_nifo.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
@@ -285,11 +285,11 @@ def _draw_frf(figure: Any, result: Identification, _references: References, _ref
         receptance_m_per_n = shape_square_per_kg * np.abs(frf)
         magnitude_axes.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
         middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
-        lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
+        phase_axes.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
     magnitude_axes.set_ylabel("receptance,\nm/N")
     middle.set_ylabel("accelerance,\nm/s²/N")
     magnitude_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    lower.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
+    phase_axes.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
     figure.suptitle(f"Linear FRF of modal equation {weak_nifo.equation.name}")
 
 

@@ -135,15 +135,21 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     is_floating = {response.body.name: not is_held(response) for response in responses}
     if slow_by_gauges and any(is_floating.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
-    rows = station_rows(record, lines, np.array([not is_floating[station.body] for station in motion.stations]))
+    separation_rows = station_rows(
+        record, lines, np.array([not is_floating[station.body] for station in motion.stations])
+    )
     input_accelerances = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
     input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
-    observed, gauge_errors, noise_power = observation_of(record, lines, responses, rows, input_accelerations)
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, separation_rows, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
     least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
-    lacks_slow_motion = any(s.measures.order > 0 for s in motion.displaced_by) if motion.zero_known else gauges.sensors
+    lacks_slow_motion = (
+        any(displacement_sensor.measures.order > 0 for displacement_sensor in motion.displaced_by)
+        if motion.zero_known
+        else gauges.sensors
+    )
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
     observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
     noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
@@ -159,13 +165,13 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
             state_estimate = initial_states(
-                responses, motion, rows, lines, sensor_response * input_accelerances, station_errors
+                responses, motion, separation_rows, lines, sensor_response * input_accelerances, station_errors
             )
             unexplained_signals = unexplained_signals - state_estimate.signals
         if slow_by_gauges:
             contact_accelerances = input_accelerances[force_count:]
             padded_power = noise_power * padding_ratio
-            acceleration_power = padded_power[: len(motion.stations)] / np.abs(rows.response) ** 2
+            acceleration_power = padded_power[: len(motion.stations)] / np.abs(separation_rows.response) ** 2
             corner_hz, noise_m = quietest_corner(
                 record.signs, contact_accelerances, contact_weights, padded_power, acceleration_power, lines
             )

@@ -80,7 +80,7 @@ class Gauges:
                 body_response.accelerance[highest_modes],
             )
             for force_index, gauge_index in product(
-                *(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (force_shapes, gauge_shapes))
+                *(np.flatnonzero(shape_rows.any(axis=1)).tolist() for shape_rows in (force_shapes, gauge_shapes))
             ):
                 share_by_force_and_gauge[force_index, gauge_index] = (
                     response[gauge_index]
@@ -124,9 +124,9 @@ class GaugeErrors:
                     NuisanceKind.TRUNCATION, f"{self.gauge_names[truncated_gauge]} by {self.force_names[force_index]}"
                 ),
                 [self.station_count + truncated_gauge],
-                (share * input_spectra[force_index])[None],
+                (signal_per_newton * input_spectra[force_index])[None],
             )
-            for (force_index, truncated_gauge), share in self.truncation.items()
+            for (force_index, truncated_gauge), signal_per_newton in self.truncation.items()
         ]
         return (*zero_changes, *truncation_changes)
 
@@ -159,8 +159,8 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     gauge_signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         noise_densities = [
-            gauge.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
-            for gauge, row in zip(gauges, gauge_signals, strict=True)
+            gauge.noise_density or spectrogram_noise_density(gauge_signal, rig.sample_rate_hz)[0]
+            for gauge, gauge_signal in zip(gauges, gauge_signals, strict=True)
         ]
         noise_deviation = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
         zero_offset, zero_error = gauge_signals.mean(axis=1), gauge_signals.std(axis=1)

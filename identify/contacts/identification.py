@@ -151,14 +151,14 @@ def contact_report(
 ) -> results.ContactReport:
     """Report of the outcomes and of the results of the paper's methods."""
     motion = methods.motion
-    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
+    eta_m = {contact.name: eta_row for contact, eta_row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
         contacts=tuple(contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
-        nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
+        nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.spectra),
         surface=results.Surfaces(
             tuple(
                 results.SurfaceResult(surface.equation.name, _clearances(rig, surface.stops))
@@ -220,7 +220,9 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
         undetermined_names = tuple(
-            c.name for c in undetermined_contacts if body in {s.body for s in contact_stations(c)}
+            contact.name
+            for contact in undetermined_contacts
+            if body in {station.body for station in contact_stations(contact)}
         )
         return results.Mode(body, nifo.equation.index, *fit_mode(nifo), undetermined_names)
 

@@ -97,13 +97,15 @@ class LawFit:
             equations.free_gradient * pulls_and_free_step
         )
 
-        def state_after(share: float) -> State | None:
-            law_parameters = state.law_parameters + share * scaled_to_laws @ pulls_and_free_step[state.pulls.size :, 0]
+        def state_after(step_share: float) -> State | None:
+            law_parameters = (
+                state.law_parameters + step_share * scaled_to_laws @ pulls_and_free_step[state.pulls.size :, 0]
+            )
             if not state.form.is_within_bounds(law_parameters):
                 return None
-            pulls = state.pulls + share * pulls_and_free_step[: state.pulls.size, 0]
+            pulls = state.pulls + step_share * pulls_and_free_step[: state.pulls.size, 0]
             return self._with_cost(
-                state_at(self.record, state.form, law_parameters, state.knots + share * knot_step[:, 0], pulls)
+                state_at(self.record, state.form, law_parameters, state.knots + step_share * knot_step[:, 0], pulls)
             )
 
         return Step(state_after, float(cost_decrease))

@@ -162,7 +162,7 @@ def _observed_transverse(
         if (row := transverse.row(station)) is not None
     ]
     station_indices, transverse_rows = (
-        [i for i, _ in station_and_transverse_rows],
+        [sensor_index for sensor_index, _ in station_and_transverse_rows],
         [row for _, row in station_and_transverse_rows],
     )
     displacements, accelerations = (spectra[transverse_rows] for spectra in _station_spectra(record, transverse, lines))

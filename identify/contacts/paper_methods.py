@@ -125,12 +125,14 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
         if estimated_names:
             estimate, sign = outcomes.estimates[estimated_names[0]], sign_by_name[estimated_names[0]]
             eta_m, velocity = eta_m + sign * estimate.drift_m, velocity + sign * estimate.drift_m_per_s
-        for j, sign in zip(group.contact_indices, group.signs, strict=True):
-            eta[j] = sign * eta_m
-            if names[j] in estimated_names:
-                estimate = outcomes.estimates[names[j]]
-                force_over_stiffness_m[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
-                force_n[j] = estimate.force_n(eta[j], sign * velocity)
+        for index, sign in zip(group.contact_indices, group.signs, strict=True):
+            eta[index] = sign * eta_m
+            if names[index] in estimated_names:
+                estimate = outcomes.estimates[names[index]]
+                force_over_stiffness_m[index] = evaluated_law(
+                    estimate.spring_m, eta[index][None], record.sample_rate_hz
+                )
+                force_n[index] = estimate.force_n(eta[index], sign * velocity)
     return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
 

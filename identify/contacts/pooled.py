@@ -101,7 +101,9 @@ def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     main_equations = [report.main_equation for report in reports]
     return msgspec.structs.replace(
         merged_report,
-        unanswered=tuple(u for u in merged_report.unanswered if u.name not in answered_names),
+        unanswered=tuple(
+            unanswered for unanswered in merged_report.unanswered if unanswered.name not in answered_names
+        ),
         findings=tuple(findings.values())[::-1],
         main_equation=max(main_equations, key=main_equations.count),
         notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
@@ -170,30 +172,34 @@ def _merged_structs(structs: Sequence[Struct]) -> Struct:
     """Structure merged field by field; the numbers of averages are added."""
     merged_fields: dict[str, Any] = {}
     for name in structs[0].__struct_fields__:
-        values = [value for struct in structs if (value := getattr(struct, name)) is not None]
+        field_values = [value for struct in structs if (value := getattr(struct, name)) is not None]
         merged_fields[name] = (
-            sum(values[1:], values[0]) if name in SUMMED_FIELDS else _merged_value(values) if values else None
+            sum(field_values[1:], field_values[0])
+            if name in SUMMED_FIELDS
+            else _merged_value(field_values)
+            if field_values
+            else None
         )
     return type(structs[0])(**merged_fields)
 
 
-def _merged_value(values: Sequence[Any]) -> Any:
+def _merged_value(field_values: Sequence[Any]) -> Any:
     """Value of a field: estimates pooled, numbers averaged, structures merged; else the first."""
-    match values[0]:
+    match field_values[0]:
         case Estimate():
-            return pooled_estimate(values)
+            return pooled_estimate(field_values)
         case msgspec.Struct():
-            return _merged_structs(values)
+            return _merged_structs(field_values)
         case tuple():
-            return _merged_rows(values)
+            return _merged_rows(field_values)
         case float():
-            return float(np.mean(values))
-    return values[0]
+            return float(np.mean(field_values))
+    return field_values[0]
 
 
-def _merged_rows(rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
+def _merged_rows(struct_rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Structures of several rows, merged where their `IDENTIFYING_FIELDS` agree; the first row if there are none."""
     structs_by_name: dict[tuple[Any, ...], list[Any]] = {}
-    for struct in (struct for row in rows for struct in row if isinstance(struct, msgspec.Struct)):
+    for struct in (struct for struct_row in struct_rows for struct in struct_row if isinstance(struct, msgspec.Struct)):
         structs_by_name.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
-    return tuple(map(_merged_structs, structs_by_name.values())) if structs_by_name else rows[0]
+    return tuple(map(_merged_structs, structs_by_name.values())) if structs_by_name else struct_rows[0]

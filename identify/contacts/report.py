@@ -236,7 +236,10 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
 
 def refusals(report: ContactReport) -> str:
     """Table of the contacts that the record does not determine, and why."""
-    return page.table(("contact", "not told by this record, because"), [(u.name, u.reason) for u in report.unanswered])
+    return page.table(
+        ("contact", "not told by this record, because"),
+        [(unanswered.name, unanswered.reason) for unanswered in report.unanswered],
+    )
 
 
 def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
@@ -252,7 +255,7 @@ def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) 
 def _methods_html(result: Identification) -> str:
     """Section on NIFO, surface and histogram, which begins with the notes on methods that failed."""
     report = result.report
-    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
+    bands = [nifo.band_hz for nifo in report.nifo]  # each that of the forces on its body
     nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(band[1] for band in bands):.3g} Hz) and " if bands else ""
     modes = [
         (f"{mode.beam} {mode.index}", f"{mode.frequency_hz:.3f} Hz", f"{100 * mode.damping_ratio:.2f} %", mode.flag)

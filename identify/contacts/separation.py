@@ -154,10 +154,10 @@ def highest_driven_hz(motion: Kinematics) -> float:
 
     Raises ContactRefusedError if neither a force nor a motion was recorded.
     """
-    rows = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
-    if not rows:
+    driven_signals = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
+    if not driven_signals:
         raise refused(RefusalCode.ALL_ZERO)
-    return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
+    return max(force_band(row, motion.sample_rate_hz)[1] for row in driven_signals)
 
 
 def highest_vibration_hz(motion: Kinematics) -> float:
@@ -323,25 +323,25 @@ def _error_density(
     It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
     of the other direction.
     """
-    row = motion.stations.index(station)
+    station_row = motion.stations.index(station)
     body_rows = [station_index for station_index, s in enumerate(motion.stations) if s.body == station.body]
-    body_rows.sort(key=lambda i: motion.stations[i].position_m)
+    body_rows.sort(key=lambda row_index: motion.stations[row_index].position_m)
     slow_m_per_s2 = np.stack(
         [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_rows]]
     )
-    absolute_m_per_s2 = slow_m_per_s2[body_rows.index(row)]
+    absolute_m_per_s2 = slow_m_per_s2[body_rows.index(station_row)]
     if motion.base:
         absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
     if len(body_rows) > 1:
-        slope = np.gradient(slow_m_per_s2, [motion.stations[i].position_m for i in body_rows], axis=0)[
-            body_rows.index(row)
+        slope = np.gradient(slow_m_per_s2, [motion.stations[row_index].position_m for row_index in body_rows], axis=0)[
+            body_rows.index(station_row)
         ]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
         transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
+    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 
 def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:

@@ -86,7 +86,7 @@ def slow_model(
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
-    is_integrated = [float(s.measures.order > 0) for s in motion.displaced_by]
+    is_integrated = [float(displacement_sensor.measures.order > 0) for displacement_sensor in motion.displaced_by]
     low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
     tolerances_of_exact_sensors = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
@@ -151,8 +151,8 @@ def slow_motion(
     i_omega = 1j * lines.omega[: correction_spectra.shape[-1]]
     real_at_zero = np.concatenate([correction_spectra[:, :1].real, correction_spectra[:, 1:]], axis=1)
     displacement, velocity = (
-        np.fft.irfft(rows, lines.padded_samples)[:, :sample_count]
-        for rows in (real_at_zero, i_omega * correction_spectra)
+        np.fft.irfft(row_spectra, lines.padded_samples)[:, :sample_count]
+        for row_spectra in (real_at_zero, i_omega * correction_spectra)
     )
     return SlowMotion(displacement, velocity, noise_m)
 

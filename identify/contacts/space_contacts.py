@@ -94,9 +94,9 @@ def from_rest_position(recording: Recording) -> Recording:
         first_excited_sample = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
     signals = dict(recording.signals)
     for name in {"displacement", "strain"} & signals.keys() if first_excited_sample else ():
-        values = signals[name].values
+        channel_values = signals[name].values
         signals[name] = replace(
-            signals[name], values=values - values[:, :first_excited_sample].mean(axis=1, keepdims=True)
+            signals[name], values=channel_values - channel_values[:, :first_excited_sample].mean(axis=1, keepdims=True)
         )
     return replace(recording, signals=signals)
 
@@ -201,8 +201,8 @@ def _with_whole_band(
 
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
-    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        error_share = float(estimate.errors[index] / estimate.values[index])
+    for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
         if not error_share < UNCERTAIN_SHARE:
             raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
 

@@ -60,11 +60,11 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
 
     def drawn(draw: Callable[[_Panel], None]) -> Picture:
         def of_all(figure: Any) -> None:
-            row = figure.subplots(1, len(estimates), squeeze=False)[0]
-            for axes, (name, estimate) in zip(row, estimates.items(), strict=True):
+            axes_row = figure.subplots(1, len(estimates), squeeze=False)[0]
+            for axes, (name, estimate) in zip(axes_row, estimates.items(), strict=True):
                 axes.set_title(name)
                 draw(_Panel(figure, axes, result, estimate, laws.get(name), laws_name))
-            handles, labels = row[0].get_legend_handles_labels()
+            handles, labels = axes_row[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=4)
 
         return picture(of_all)
@@ -196,10 +196,10 @@ def _first(result: SpaceIdentification) -> int:
 
 
 def _at_forces(
-    result: SpaceIdentification, rows: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
+    result: SpaceIdentification, signals: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
 ) -> Float[np.ndarray, "2 fewer"]:
     """Signals at the samples of the separated force that are shown."""
-    return rows[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
+    return signals[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
 
 
 _SPACE_FIGURES = {
@@ -218,7 +218,7 @@ def space_curves(result: SpaceIdentification) -> dict[str, Table]:
     for name, estimate in result.contacts.annular.items():
         eta, first_sample = _at_forces(result, estimate.eta_m, estimate), _first(result)
         table.setdefault("time_s", motion.time_s(first_sample + eta.shape[1], result.decimation)[first_sample:])
-        for row, force, direction in zip(eta, estimate.force_n[:, first_sample:], "yz", strict=True):
-            table[f"{name} relative displacement {direction} m"] = row
+        for eta_row, force, direction in zip(eta, estimate.force_n[:, first_sample:], "yz", strict=True):
+            table[f"{name} relative displacement {direction} m"] = eta_row
             table[f"{name} contact force {direction} N"] = force
     return {"motion": table}

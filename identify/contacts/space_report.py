@@ -69,15 +69,15 @@ def _variance_table(result: SpaceIdentification) -> str:
     """Table of the share of each annular estimate's variance by source."""
     rows = []
     for name, estimate in result.contacts.annular.items():
-        for quantity, index in (
+        for quantity, parameter_index in (
             ("clearance", CLEARANCE),
             ("stiffness", STIFFNESS),
             ("damping", DAMPING),
             ("friction", FRICTION),
         ):
-            variance = estimate.covariance[index, index]
+            variance = estimate.covariance[parameter_index, parameter_index]
             shares = {
-                source: float(source_covariance[index, index] / variance)
+                source: float(source_covariance[parameter_index, parameter_index] / variance)
                 for source, source_covariance in estimate.covariances.items()
             }
             rows.append((f"{quantity} of {name}", *(percent(shares[source]) for source in VARIANCE_SOURCES)))

@@ -150,13 +150,13 @@ class StationErrors:
 
 
 def force_weights(
-    contact_accelerances: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
+    contact_accelerances: Complex[np.ndarray, "contacts stations lines"], station_errors: StationErrors
 ) -> Complex[np.ndarray, "contacts stations lines"]:
     """Weights W of the contact forces f = W (A - G_F F), line by line, from the accelerations by a unit of each force.
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    contact_weights, condition_number = to_free_inputs(contact_accelerances, errors.line_chunks())
+    contact_weights, condition_number = to_free_inputs(contact_accelerances, station_errors.line_chunks())
     if not condition_number <= CONDITION_LIMIT:
         raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
     return contact_weights
@@ -208,8 +208,8 @@ def driven_body_motion(
 def start_transient_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
     """Length of the start that is left out of a record that does not begin at rest, s: longer where springs of an
     elastic body act on high-passed displacements, which remember the start."""
-    remembers_start = np.any(slow_n_per_m) and any(body.length_m for body in rig.bodies)
-    return 2 / CORNER_HZ if remembers_start else START_TRANSIENT_S
+    is_start_remembered = np.any(slow_n_per_m) and any(body.length_m for body in rig.bodies)
+    return 2 / CORNER_HZ if is_start_remembered else START_TRANSIENT_S
 
 
 def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np.ndarray, "stations lines"]:
@@ -228,10 +228,10 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
 def initial_states(
     responses: tuple[Response, ...],
     motion: Kinematics,
-    rows: StationRows,
+    station_rows: StationRows,
     lines: SpectralLines,
     accelerations_by_input: Complex[np.ndarray, "inputs stations lines"],
-    errors: StationErrors,
+    station_errors: StationErrors,
 ) -> InitialStates:
     """Initial states of the modes, from the record cut off sharply at both ends.
 
@@ -248,7 +248,7 @@ def initial_states(
     derivative_orders = [sensor.measures.order for sensor in motion.sensors]
 
     def unit_spectra(cut_lines: SpectralLines, cut_samples: int) -> Complex[np.ndarray, "states stations lines"]:
-        in_metres, omega = rows.in_metres, lines.omega
+        in_metres, omega = station_rows.in_metres, lines.omega
         spectra = unit_free_spectra(
             motions_of_modes,
             derivative_orders,
@@ -256,11 +256,13 @@ def initial_states(
             omega,
             lambda free_signals: cut_lines.spectra(free_signals[:, :cut_samples]),
         )
-        return rows.signals(spectra, spectra)
+        return station_rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * lines.omega * sample_count / lines.rate_hz)
-    measured_signals = rows.signals(untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
+    measured_signals = station_rows.signals(
+        untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered)
+    )
     is_spring_held = np.array([mode_motion.is_held for mode_motion in motions_of_modes])
     state_estimate = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
@@ -269,7 +271,9 @@ def initial_states(
         measured_signals
         - np.sum(accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
         accelerations_by_input[force_count:],
-        errors.line_chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
+        station_errors.line_chunks(
+            0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))
+        ),
         correlated_line_count=lines.correlated_line_count,
     )
     return state_estimate.initial_states(unit_spectra(lines, sample_count), np.flatnonzero(is_spring_held))

@@ -109,8 +109,8 @@ def bound_numbers(bound: Bounded) -> list[str]:
         ]
     unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
     return [
-        "no bound" if size is None else f"{number(unit_scale * size, 3)} {unit}"
-        for size in (bound.value, bound.upper, bound.threshold)
+        "no bound" if bound_value is None else f"{number(unit_scale * bound_value, 3)} {unit}"
+        for bound_value in (bound.value, bound.upper, bound.threshold)
     ]
 
 
@@ -119,9 +119,9 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     if not gap.causes:
         return []
     effect_words = {
-        strength.effect: word
+        strength.effect: effect_word
         for cause in reversed(gap.causes)
-        for strength, word in zip(cause.strengths, cause.words, strict=True)
+        for strength, effect_word in zip(cause.strengths, cause.words, strict=True)
     }
     likeliest = gap.causes[0]
     return [
@@ -223,9 +223,9 @@ def level_words(change: LevelDependence) -> str:
     joint_words = "a stop or a hardening spring" if trend_words == "stiffens" else "friction or clearance in a joint"
     return (
         f"The machine {trend_words} with the motion: from {number(change.lowest_n, 2)} to "
-        f"{number(change.highest_n, 2)} N rms the mode of the {change.body} at {number(change.frequency_hz)} Hz changes "
-        f"by {frequency_words} and its damping by {damping_words}, as {joint_words} makes it; a changed mass or linear "
-        "stiffness would be the same at every level."
+        f"{number(change.highest_n, 2)} N rms the mode of the {change.body} at {number(change.frequency_hz)} Hz "
+        f"changes by {frequency_words} and its damping by {damping_words}, as {joint_words} makes it; a changed mass "
+        "or linear stiffness would be the same at every level."
     )
 
 

@@ -64,9 +64,11 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
         ),
         surface={
             contact.name: _residual_map(
-                signals.eta_m[:: signals.decimation], signals.eta_rate_m_per_s[:: signals.decimation], squares
+                contact_signals.eta_m[:: contact_signals.decimation],
+                contact_signals.eta_rate_m_per_s[:: contact_signals.decimation],
+                squares,
             )
-            for contact, signals, squares in zip(
+            for contact, contact_signals, squares in zip(
                 linearization.model.rig.contacts, residual.signals, contact_squares, strict=True
             )
         }

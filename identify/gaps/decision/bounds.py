@@ -199,7 +199,7 @@ def _law_p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances
 
 
 def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distances = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
+    distance_by_parameter = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
     half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
     parameter_names, parameter_units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
     parameter_deviations = stated_deviations(contact, tolerances)
@@ -207,7 +207,7 @@ def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Toler
         (parameter_names[parameter_index], parameter_units[parameter_index], parameter_deviations[parameter_index])
         for parameter_index in _parameter_indices(contact)
     ]
-    parameters_and_distances = zip(described_parameters, distances, half_widths, strict=False)
+    parameters_and_distances = zip(described_parameters, distance_by_parameter, half_widths, strict=False)
     return [
         Bounded(
             f"{parameter_name} of {contact.name}",

@@ -29,11 +29,13 @@ STRENGTH_DIGITS = 3
 UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
 
 
-def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True) -> str:
+def phrase(
+    candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True
+) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
     word_fields = {
         parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
-        for parameter, value in zip(candidate.parameters, values, strict=True)
+        for parameter, value in zip(candidate.parameters, effect_values, strict=True)
     }
     for place_field, place in candidate.place.items():
         word_fields[place_field] = _place_words(place_field, place, rig)
@@ -41,7 +43,7 @@ def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: 
         word_fields.setdefault(place_field, str(getattr(candidate.typical_effect, place_field)))
     word_fields["at"] = ""
     if "relative_position" in candidate.parameters.names:
-        relative_position = float(values[candidate.parameters.names.index("relative_position")])
+        relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
         body_name = candidate.place.get("body") or rig.first_driven
         word_fields["at"] = f" at {relative_position * rig.body(body_name).length_m:.2f} m"
     return candidate.kind.words.format_map(word_fields)
@@ -88,8 +90,8 @@ def _place_words(place_field: str, place: str | None, rig: Rig) -> str:
 def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
     """Phrases of the effects of a hypothesis, with values and places."""
     return tuple(
-        phrase(candidate, values, rig)
-        for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
+        phrase(candidate, effect_values, rig)
+        for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
     )
 
 
@@ -109,8 +111,8 @@ def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedS
 
 
 def cause_of(
-    weighted: WeightedHypothesis,
-    all_weighted: Sequence[WeightedHypothesis],
+    weighted_hypothesis: WeightedHypothesis,
+    all_weighted_hypotheses: Sequence[WeightedHypothesis],
     record: Record,
     null_reference: NullReference,
     matters: Matters,
@@ -119,7 +121,7 @@ def cause_of(
 
     Standard errors include model error: residuals were weighted by scales estimated from them.
     """
-    validated, hypothesis = weighted.validated, weighted.validated.hypothesis
+    validated, hypothesis = weighted_hypothesis.validated, weighted_hypothesis.validated.hypothesis
     parameter_values: dict[str, Value] = {}
     place_by_field: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
@@ -151,8 +153,8 @@ def cause_of(
     return Cause(
         effects=hypothesis.effects,
         words=tuple(effect_words),
-        strengths=strengths_of(hypothesis, all_weighted),
-        probability=weighted.probability,
+        strengths=strengths_of(hypothesis, all_weighted_hypotheses),
+        probability=weighted_hypothesis.probability,
         parameters=parameter_values,
         places=place_by_field,
         explained=explained_share(validated.nominal_misfit, validated.misfit, matters),

@@ -159,8 +159,8 @@ def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
         return with_effects(record.rig, hypothesis.candidates, all_values)
 
     start_rig = record.rig  # with a base motion's row, if there is one
-    for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
-        start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
+    for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
+        start_rig = candidate.applied(start_rig, effect_values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
     specific_steps = steps_of(hypothesis.candidates)[specific_indices]
     lower_bounds, upper_bounds = (bounds[specific_indices] for bounds in hypothesis.parameters.bounds)
@@ -205,7 +205,7 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
 
 
-def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
+def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:
     """p-value of the nominal rig against hypotheses that were fitted on another record.
 
     With S = -2 ln p on the record that was not fitted, the split likelihood ratio of their mixture gives (Wasserman,
@@ -216,14 +216,14 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
     fitted record.
     """
-    hypotheses_with_effects = [validated for validated in ranked if validated.hypothesis.candidates]
+    hypotheses_with_effects = [validated for validated in ranked_hypotheses if validated.hypothesis.candidates]
     if not hypotheses_with_effects:
         return 1.0
     fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
     weights = probabilities(
         np.array([validated.log_prior for validated in hypotheses_with_effects]) - fitted_costs / (2 * TEMPERATURE)
     )
-    gains = nominal_of(ranked).misfit.minus_two_log - np.array(
+    gains = nominal_of(ranked_hypotheses).misfit.minus_two_log - np.array(
         [validated.misfit.minus_two_log for validated in hypotheses_with_effects]
     )
     return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))

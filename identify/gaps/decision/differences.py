@@ -215,7 +215,7 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
-    comparable_candidates = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
+    comparable_candidates = [effect for effect in candidates if not (effect.kind.stochastic or effect.kind.of_a_record)]
     record_set = _RecordSet(records, variances_by_record, comparable_candidates)
     initial_effects = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)

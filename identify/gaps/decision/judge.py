@@ -110,15 +110,15 @@ def judge(
         prepared, search_result.candidates, ranked_hypotheses, difference, residual
     )
     basis = _DecisionBasis(prepared, difference, residual, matters)
-    predicted = predicted_decision(
+    prediction = predicted_decision(
         ranked_hypotheses,
         basis.decide,
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
-    decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
+    decision, unmeasured_causes = prediction.decision, UnmeasuredCauses()
     if may_hide_force(decision.evidence):
-        decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
-    return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
+        decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked, decision)
+    return Judgement(decision, prediction, unmeasured_causes, linearization, residual)
 
 
 def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
@@ -133,7 +133,9 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     if p_value(null_reference, remaining_misfit) >= USUAL_P_VALUE:
         return validated
     shares_and_limits = zip(remaining_misfit.share_by_band, null_reference.usual_shares(), strict=False)
-    growth_by_band = np.array([share / limit if limit else 1.0 for share, limit in shares_and_limits])
+    growth_by_band = np.array(
+        [remaining_share / usual_share if usual_share else 1.0 for remaining_share, usual_share in shares_and_limits]
+    )
     band_order = np.argsort(growth_by_band)
     power_below = np.cumsum(remaining_misfit.power_by_band[band_order])
     error_growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
@@ -158,9 +160,14 @@ class _DecisionBasis:
     matters: Matters
 
     def decide(
-        self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
+        self,
+        ranked_hypotheses: Sequence[ValidatedHypothesis],
+        is_vetoed: bool = False,
+        force_rivals: ForceRivals | None = None,
     ) -> Decision:
-        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
+        return decide(
+            ranked_hypotheses, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed
+        )
 
 
 def difference_of(
@@ -202,19 +209,19 @@ def difference_of(
 
 
 def _refit_contact_laws(
-    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
+    prepared: PreparedRecordings, ranked_hypotheses: list[ValidatedHypothesis], residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
     rig.
     """
-    likeliest_hypothesis, *lower_ranked = ranked
+    likeliest_hypothesis, *lower_ranked = ranked_hypotheses
     recordings = [observation.recording for observation in prepared.fitted_recordings]
     record = prepared.validation_recording.record
     refitted_hypothesis = with_contact_fit(likeliest_hypothesis.hypothesis, recordings, record.tolerances)
     if refitted_hypothesis is likeliest_hypothesis.hypothesis:
-        return ranked
+        return ranked_hypotheses
     log_prior_by_effects = {refitted_hypothesis.effect_names: likeliest_hypothesis.log_prior}
     validated_refits = validate_hypotheses(
         record, prepared.validation_recording.nominal_variances, residual, [refitted_hypothesis], log_prior_by_effects
@@ -228,7 +235,7 @@ def _refit_contact_laws(
 
 
 def _decide_with_force(
-    basis: _DecisionBasis, ranked: Sequence[ValidatedHypothesis], decision: Decision
+    basis: _DecisionBasis, ranked_hypotheses: Sequence[ValidatedHypothesis], decision: Decision
 ) -> tuple[Decision, UnmeasuredCauses]:
     """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
     prepared, residual, validation = (basis.prepared, basis.nominal_residual, basis.prepared.validation_recording)
@@ -236,14 +243,14 @@ def _decide_with_force(
     force_in_nominal = attempted(
         "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, record.rig, record)
     )
-    nominal_hypothesis = nominal_of(ranked)
+    nominal_hypothesis = nominal_of(ranked_hypotheses)
     force_cost = (
         minus_two_log_with_force(validation, record.rig, force_in_nominal.result, nominal_hypothesis.misfit)
         if force_in_nominal.result
         else None
     )
     cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
-    decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
+    decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost))
     force_attempt, named_set = force_in_nominal, decision.named_hypothesis
     if (
         named_set
@@ -261,7 +268,7 @@ def _decide_with_force(
             if companion_force
             else None
         )
-        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
+        decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force_attempt, residual = force_beside, fit_nuisance(record, named_rig)[1]
     swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))

@@ -130,8 +130,8 @@ def _dominant_mode(
 
 
 def _standard_error_of(
-    function: Callable[[Float[np.ndarray, " parameters"]], float],
-    values: Float[np.ndarray, " parameters"],
+    quantity_of: Callable[[Float[np.ndarray, " parameters"]], float],
+    parameter_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
@@ -139,7 +139,9 @@ def _standard_error_of(
     try:
         slopes = np.array(
             [
-                (function(values + step) - function(values - step)) / (2 * step.sum()) if step.any() else 0.0
+                (quantity_of(parameter_values + step) - quantity_of(parameter_values - step)) / (2 * step.sum())
+                if step.any()
+                else 0.0
                 for step in steps
             ]
         )

@@ -308,9 +308,9 @@ def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarr
     return np.asarray(signals - signals.mean(axis=1, keepdims=True))
 
 
-def _largest_motion(signals: Float[np.ndarray, "sensors samples"]) -> float:
+def _largest_motion(sensor_signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
-    motion_magnitude = np.linalg.norm(signals, axis=0)
+    motion_magnitude = np.linalg.norm(sensor_signals, axis=0)
     largest_magnitude = max(float(motion_magnitude.max()), 1e-300)
     return largest_magnitude * float(np.mean((motion_magnitude / largest_magnitude) ** LARGE_MOTION_POWER)) ** (
         1 / LARGE_MOTION_POWER
@@ -318,12 +318,12 @@ def _largest_motion(signals: Float[np.ndarray, "sensors samples"]) -> float:
 
 
 def _octave_levels(
-    signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
+    sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
 ) -> Float[np.ndarray, " octaves"]:
     """Logarithm of the rms of all sensors in each octave below a frequency."""
-    fade_window = np.hanning(2 * signals.shape[1])[signals.shape[1] :]
-    line_power = np.sum(np.abs(np.fft.rfft(signals * fade_window, axis=1)) ** 2, axis=0)[1:]
-    lines_hz = np.fft.rfftfreq(signals.shape[1], 1 / rate_hz)[1:]
+    fade_window = np.hanning(2 * sensor_signals.shape[1])[sensor_signals.shape[1] :]
+    line_power = np.sum(np.abs(np.fft.rfft(sensor_signals * fade_window, axis=1)) ** 2, axis=0)[1:]
+    lines_hz = np.fft.rfftfreq(sensor_signals.shape[1], 1 / rate_hz)[1:]
     octave_of_line = np.floor(np.log2(highest_hz / lines_hz[lines_hz <= highest_hz])).astype(int)
     return np.asarray(0.5 * np.log(np.maximum(np.bincount(octave_of_line, line_power[lines_hz <= highest_hz]), 1e-300)))
 

@@ -69,7 +69,7 @@ def predicted_rollout(
 
 
 def predicted_decision(
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
@@ -80,10 +80,12 @@ def predicted_decision(
     predicts as expected. If none does, the first that is not vetoed stays, or the first with its veto. decide takes
     hypotheses, and whether their named effects are vetoed.
     """
-    first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
+    first_decision = latest_decision = _decision_with_rollout(ranked_hypotheses, decide, predict)
     accepted_decision = None if first_decision.is_vetoed else first_decision
     likely_sets = [
-        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
+        weighted_hypothesis.validated
+        for weighted_hypothesis in first_decision.decision.weighted_hypotheses
+        if weighted_hypothesis.probability > RIVAL_PROBABILITY
     ]
     rival_sets = [rival_set for rival_set in likely_sets if strengths_exclude_neutral(rival_set.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
@@ -93,7 +95,7 @@ def predicted_decision(
         rival_sets = [rival_set for rival_set in rival_sets if rival_set is not doubtful_set]
         if not rival_sets:
             return accepted_decision or first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked), *rival_sets], decide, predict)
+        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rival_sets], decide, predict)
         if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted_decision):
             accepted_decision = (
                 None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
@@ -102,14 +104,14 @@ def predicted_decision(
 
 
 def _decision_with_rollout(
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
-    decision = decide(ranked, False)
+    decision = decide(ranked_hypotheses, False)
     if not decision.corrects_rig or decision.named_hypothesis is None:
-        return PredictedDecision(ranked, decision)
-    predicted = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+        return PredictedDecision(ranked_hypotheses, decision)
+    predicted = PredictedDecision(ranked_hypotheses, decision, predict(decision.named_hypothesis))
     if predicted.is_vetoed:
-        return PredictedDecision(ranked, decide(ranked, True), predicted.rollout_attempt)
+        return PredictedDecision(ranked_hypotheses, decide(ranked_hypotheses, True), predicted.rollout_attempt)
     return predicted

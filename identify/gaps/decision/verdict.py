@@ -72,14 +72,14 @@ class Decision:
     @property
     def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([weighted.validated for weighted in self.weighted_hypotheses])
+        return nominal_of([weighted_hypothesis.validated for weighted_hypothesis in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
         return next(
-            weighted.probability
-            for weighted in self.weighted_hypotheses
-            if weighted.validated is self.nominal_hypothesis
+            weighted_hypothesis.probability
+            for weighted_hypothesis in self.weighted_hypotheses
+            if weighted_hypothesis.validated is self.nominal_hypothesis
         )
 
     @property
@@ -125,7 +125,8 @@ def decide(
         difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal_hypothesis.misfit) < USUAL_P_VALUE
     )
     log_posteriors = [
-        item.log_posterior if held_back_shows else item.log_posterior_of_both for item in ranked_hypotheses
+        validated_hypothesis.log_posterior if held_back_shows else validated_hypothesis.log_posterior_of_both
+        for validated_hypothesis in ranked_hypotheses
     ]
     for hypothesis_index, validated in enumerate(ranked_hypotheses):
         if validated is force_rivals.accompanied_hypothesis:
@@ -138,11 +139,19 @@ def decide(
         float(probability) for probability in probabilities(np.array(log_posteriors))
     )
     weighted_hypotheses = tuple(
-        WeightedHypothesis(*pair)
-        for pair in sorted(zip(ranked_hypotheses, posteriors, strict=True), key=lambda pair: -pair[1])
+        WeightedHypothesis(*hypothesis_and_probability)
+        for hypothesis_and_probability in sorted(
+            zip(ranked_hypotheses, posteriors, strict=True),
+            key=lambda hypothesis_and_probability: -hypothesis_and_probability[1],
+        )
     )
     likeliest_hypothesis = next(
-        (item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None
+        (
+            validated_hypothesis.validated
+            for validated_hypothesis in weighted_hypotheses
+            if validated_hypothesis.validated.hypothesis.candidates
+        ),
+        None,
     )
     likeliest_strengths = (
         strengths_of(likeliest_hypothesis.hypothesis, weighted_hypotheses) if likeliest_hypothesis else ()
@@ -188,8 +197,8 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
             if parameter.neutral is not None
         }
         deviation_in_errors = {
-            k: abs(hypothesis.values[k] - neutral_value) / max(standard_errors[k], 1e-300)
-            for k, neutral_value in neutral_values.items()
+            index: abs(hypothesis.values[index] - neutral_value) / max(standard_errors[index], 1e-300)
+            for index, neutral_value in neutral_values.items()
         }
         column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
         strength_value, half_width = (
@@ -198,9 +207,9 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
         )
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
-            weighted.probability
-            for weighted in weighted_hypotheses
-            if interchangeable_names & set(weighted.validated.hypothesis.effect_names)
+            weighted_hypothesis.probability
+            for weighted_hypothesis in weighted_hypotheses
+            if interchangeable_names & set(weighted_hypothesis.validated.hypothesis.effect_names)
         )
         interval = (strength_value - half_width, strength_value + half_width)
         strengths.append(
@@ -224,7 +233,9 @@ def _look_alikes(
     effect_counts = Counter(hypothesis.effect_names)
     look_alike_names: list[str] = []
     for rival in (
-        weighted.validated.hypothesis for weighted in weighted_hypotheses if weighted.probability > RIVAL_PROBABILITY
+        weighted_hypothesis.validated.hypothesis
+        for weighted_hypothesis in weighted_hypotheses
+        if weighted_hypothesis.probability > RIVAL_PROBABILITY
     ):
         added_effects = Counter(rival.effect_names) - effect_counts
         removed_effects = effect_counts - Counter(rival.effect_names)
@@ -247,7 +258,10 @@ def _named_hypothesis(
             for weighted in weighted_hypotheses
             if named_effects
             and weighted.validated.hypothesis.effect_names == named_effects
-            and all(s.is_named for s in strengths_of(weighted.validated.hypothesis, weighted_hypotheses))
+            and all(
+                effect_strength.is_named
+                for effect_strength in strengths_of(weighted.validated.hypothesis, weighted_hypotheses)
+            )
         ),
         likeliest_hypothesis,
     )

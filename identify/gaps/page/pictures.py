@@ -91,7 +91,10 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     for label, rig_quantities, colour, marker, row_offset in drawn_rigs:
         rows = row_offset + np.arange(len(rig_quantities))
         ends_percent = [
-            [np.nan if x is None else 100 * x / quantity.threshold for x in (quantity.value, quantity.upper)]
+            [
+                np.nan if quantity_value is None else 100 * quantity_value / quantity.threshold
+                for quantity_value in (quantity.value, quantity.upper)
+            ]
             for quantity in rig_quantities
         ]
         values_percent, upper_percent = np.maximum(
@@ -196,7 +199,7 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
             0.6 + 1.5 * len(attribution.positions_m),
             partial(_draw_positions, shares_by_body=attribution.positions_m),
         )
-    if any(s.share for s in attribution.band_hz):
+    if any(interval_share.share for interval_share in attribution.band_hz):
         yield (
             "band",
             _HEIGHT_IN,
@@ -214,7 +217,7 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
                 _FRAME_IN + _ROW_IN * len(shares),
                 partial(_draw_share_bars, share_by_part=shares, title=title),
             )
-    if any(s.share for s in attribution.time_s):
+    if any(interval_share.share for interval_share in attribution.time_s):
         yield (
             "time",
             _HEIGHT_IN,

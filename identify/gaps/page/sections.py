@@ -270,9 +270,9 @@ def location_html(attribution: Attribution) -> str:
         "linear or contact": attribution.parts,
         "modal equation": attribution.modal_equations,
         "station": {
-            f"{body_name}, {position_m:g} m": s
+            f"{body_name}, {position_m:g} m": station_share
             for body_name, share_by_station in attribution.positions_m.items()
-            for position_m, s in share_by_station.items()
+            for position_m, station_share in share_by_station.items()
         },
         "band": _shares_by_range(attribution.band_hz, "Hz"),
         "contact state": attribution.contact_state,

@@ -114,17 +114,17 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     rig, rate_hz = recording.rig, recording.rig.sample_rate_hz
     zero_known = all(sensor.measures.order == 0 for sensor in sensors)
     has_contacts = bool(rig.contacts)
-    integrates = has_contacts and not zero_known
+    is_integrated = has_contacts and not zero_known
     excitation_start_sample = excitation_start(
         recording.forces_n, (recording.values_of(sensor) for sensor in sensors), rate_hz
     )
     samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
-    counts_from_blow = not np.any(recording.forces_n) and not integrates
+    counts_from_blow = not np.any(recording.forces_n) and not is_integrated
     fade_length_s = 2 * FADE_S if zero_known and not counts_from_blow else FADE_S
     return Beginning(
         zero_known=zero_known,
         has_contacts=has_contacts,
-        integrates=integrates,
+        integrates=is_integrated,
         counts_from_blow=counts_from_blow,
         all_free=zero_known and all(is_free(rig, body.name) for body in rig.bodies),
         floats_in_contacts=floats_in_contacts(rig),
@@ -216,7 +216,7 @@ def is_free(rig: Rig, body_name: str) -> bool:
     """True if a body is an unsupported mass."""
     body = rig.body(body_name)
     support_stations = [spring.station for spring in rig.springs] + [
-        s for contact in rig.contacts for s in contact_stations(contact)
+        station for contact in rig.contacts for station in contact_stations(contact)
     ]
     return (
         body.is_mass

@@ -268,13 +268,13 @@ def _step(
         if all(np.array_equal(*pair) for pair in zip(sides_before, sides, strict=True)):
             break
 
-    def point_after(share: float) -> _Point | None:
-        step = share * full_step
+    def point_after(step_share: float) -> _Point | None:
+        step = step_share * full_step
         stepped_values = np.clip(values + step[nuisance_count:] * inward_steps, *bounds)
         step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
-            contact.unknowns + share * change
-            for contact, change in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
+            contact.unknowns + step_share * change
+            for contact, change in zip(residual.contacts, equations.unknown_steps(step / step_share), strict=True)
         ]
         try:
             rig, pulls = build_rig(stepped_values), residual.nuisance_pulls + step[:nuisance_count]

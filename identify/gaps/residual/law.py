@@ -39,7 +39,7 @@ PullSides = Float[np.ndarray, " pulls"]
 
 
 def initial_unknowns(
-    signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
+    contact_signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
 
@@ -48,9 +48,10 @@ def initial_unknowns(
     unknowns = np.zeros(observation.drift_spline.knots + len(observation.law_prior_deviations) * len(law.laws))
     first_law, (lower_m, upper_m) = law.laws[0], law.clearances_m
     eta_m, velocity_m_per_s, time_s = (
-        x[:: signals.decimation] for x in (signals.eta_m, signals.eta_rate_m_per_s, signals.time_s)
+        signal[:: contact_signals.decimation]
+        for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)
     )
-    elastic_n = signals.force_n - law.force_n(
+    elastic_n = contact_signals.force_n - law.force_n(
         np.zeros_like(eta_m), velocity_m_per_s
     )  # less what acts in the open contact too
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0

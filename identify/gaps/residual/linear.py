@@ -101,7 +101,7 @@ class LinearModel:
     @cached_property
     def missed_accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations of a free motion that the sensors miss."""
-        return sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(self.sensor_response))
+        return sum((mode.missed_acceleration for mode in self.free_modes), np.zeros_like(self.sensor_response))
 
     @cached_property
     def base(self) -> BaseSpectra | None:

@@ -267,8 +267,8 @@ def with_nuisance(
     force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
-        bodies=tuple(nuisance_body(b) for b in rig.bodies),
-        sensors=tuple(nuisance_sensor(s) for s in rig.sensors),
+        bodies=tuple(nuisance_body(body) for body in rig.bodies),
+        sensors=tuple(nuisance_sensor(sensor) for sensor in rig.sensors),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
 

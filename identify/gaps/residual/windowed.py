@@ -114,7 +114,11 @@ def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]
 def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a held body that rests under static loads: second derivatives of its windowed static
     displacements phi F / omega^2 in each mode."""
-    loads = [x for x in _loads_without_contacts(record, rig) if x.station.body == response.body.name]
+    loads = [
+        static_load
+        for static_load in _loads_without_contacts(record, rig)
+        if static_load.station.body == response.body.name
+    ]
     if not loads or is_free(rig, response.body.name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])

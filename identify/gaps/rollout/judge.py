@@ -203,7 +203,7 @@ class BlockRatios:
 
 
 def block_ratios(
-    nominal_errors: Windows, corrected_errors: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
+    nominal_errors: Windows, corrected_errors: Windows, window_starts: Int[np.ndarray, " windows"], rate_hz: float
 ) -> BlockRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
     block_samples = min(nominal_errors.shape[2], round(BLOCK_S * rate_hz))
@@ -214,7 +214,7 @@ def block_ratios(
             for window_errors in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
         ]
     )
-    middle_s = (starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
+    middle_s = (window_starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
     least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
@@ -223,10 +223,10 @@ def block_ratios(
 
 
 def _means_by_block(
-    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
+    window_values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
     """Mean of the values in each block."""
-    return np.array([values[blocks == block_number].mean() for block_number in np.unique(blocks)])
+    return np.array([window_values[blocks == block_number].mean() for block_number in np.unique(blocks)])
 
 
 def veto(ratios_by_block: BlockRatios) -> Code:
@@ -337,7 +337,7 @@ def _shrinkage_interval(
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
+    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)])
     resamples = [
         np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
         for _ in range(BOOTSTRAP_DRAWS)

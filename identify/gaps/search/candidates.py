@@ -117,21 +117,25 @@ class Candidate:
             strengths += list(np.geomspace(lowest_strength, highest_strength, RATIO_GRID_COUNT))
         return [float(strength) for strength in strengths if lowest_strength <= strength <= highest_strength]
 
-    def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
+    def effect(self, parameter_values: Float[np.ndarray, " parameters"]) -> Effect:
         """Typical effect with other values of its parameters."""
-        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(values))
+        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(parameter_values))
 
-    def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
+    def applied(self, rig: Rig, parameter_values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
         is_neutral = all(
-            parameter.neutral in (None, value) for value, parameter in zip(values, self.parameters, strict=True)
+            parameter.neutral in (None, value)
+            for value, parameter in zip(parameter_values, self.parameters, strict=True)
         )
-        return rig if is_neutral else self.effect(values).applied_to(rig)
+        return rig if is_neutral else self.effect(parameter_values).applied_to(rig)
 
 
-def contains(containing: Candidate, contained: Candidate) -> bool:
+def contains(containing_candidate: Candidate, contained_candidate: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return contained.kind.name in containing.kind.contains and contained.place == containing.place
+    return (
+        contained_candidate.kind.name in containing_candidate.kind.contains
+        and contained_candidate.place == containing_candidate.place
+    )
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:
@@ -240,15 +244,15 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
 
     They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
     """
-    record, model, rig = linearization.record, residual.model, residual.rig
+    record, present_model, rig = linearization.record, residual.model, residual.rig
     attachments = attachments_of(rig, changed_rig)
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
-    attached_forces = _attached_forces(record, model, attachments)
-    linear_decrease, contact_force_decrease_n = model.projection.applied_to(
-        delivered_by(model, sensor_stations_of(record, model.rig), attached_forces)
+    attached_forces = _attached_forces(record, present_model, attachments)
+    linear_decrease, contact_force_decrease_n = present_model.projection.applied_to(
+        delivered_by(present_model, sensor_stations_of(record, present_model.rig), attached_forces)
     )
-    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
+    eta_decrease_m = -present_model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 

@@ -66,14 +66,14 @@ class _Landscape:
     unmodelled_shares: Float[np.ndarray, "sensors lines"]
     cache: ResponseCache
 
-    def cost(self, candidates: tuple[Candidate, ...], values: Values) -> float:
+    def cost(self, candidates: tuple[Candidate, ...], effect_values: Values) -> float:
         """Cost sum ln(1 + |r|^2); infinite where there is no such rig."""
         lower_bounds, upper_bounds = parameters_of(candidates).bounds
-        if np.any(values < lower_bounds) or np.any(values > upper_bounds):
+        if np.any(effect_values < lower_bounds) or np.any(effect_values > upper_bounds):
             return np.inf
         try:
             model = linear_model(
-                self.record, with_effects(self.rig, candidates, values), self.unmodelled_shares, self.cache
+                self.record, with_effects(self.rig, candidates, effect_values), self.unmodelled_shares, self.cache
             )
         except RigError:
             return np.inf
@@ -143,11 +143,11 @@ def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candi
     candidates = tuple(present_candidate for far_set in present_sets for present_candidate in far_set.candidates)
     if candidate in candidates and len(candidate.parameters) == len(candidate.parameters.strengths):
         return
-    values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
+    present_values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
     member_candidates = (*candidates, candidate)
-    value_points = (np.append(values, grid_values) for grid_values in grid_values_of(candidate))
+    value_points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
     costs_and_points = [(landscape.cost(member_candidates, point), point) for point in value_points]
-    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, values))
+    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, present_values))
     if np.isfinite(cost):
         yield FarSet(member_candidates, point, cost)
 

@@ -266,13 +266,13 @@ def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
 def _fitted_hypothesis(
     search: Search,
     candidates: tuple[Candidate, ...],
-    values: Float[np.ndarray, " parameters"],
+    effect_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
     residual: Residual,
 ) -> FittedHypothesis:
     hypothesis = Hypothesis(
-        candidates, values, covariance, misfit(linearization.record, search.nominal_variances, residual)
+        candidates, effect_values, covariance, misfit(linearization.record, search.nominal_variances, residual)
     )
     return FittedHypothesis(hypothesis, linearization, residual)
 
@@ -284,9 +284,9 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     base_estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
     if base_estimate is None:
         return None
-    values, standard_errors = base_estimate
+    base_values, standard_errors = base_estimate
     try:
-        shaken_rig = candidate.applied(search.linearization.rig, values)
+        shaken_rig = candidate.applied(search.linearization.rig, base_values)
     except RigError:
         return None
     linearization = search.linearization.relinearized(
@@ -294,7 +294,7 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     )
     linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
-    return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
+    return _fitted_hypothesis(search, (candidate,), base_values, np.diag(standard_errors**2), linearization, residual)
 
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:

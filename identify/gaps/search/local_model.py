@@ -266,13 +266,15 @@ def _present_columns(
     linearization: Linearization, residual: Residual, rig: Rig, present_set: Hypothesis
 ) -> Iterator[ResidualColumn]:
     """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
-    candidates, values = present_set.candidates, present_set.values
+    candidates, effect_values = present_set.candidates, present_set.values
     build_rig = partial(with_effects, rig, candidates)
     steps = steps_of(candidates)
-    signed_shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
+    signed_shares = np.where(
+        effect_values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP
+    )
     for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
         linear_decrease, contact_decreases = derivative(
-            linearization, build_rig(values + signed_share * step), residual
+            linearization, build_rig(effect_values + signed_share * step), residual
         )
         yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 

@@ -110,8 +110,8 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
             for tolerance_index, parameter in enumerate(linearization.columns.parameters)
         ),
         *(
-            (c.name, tolerance_index)
-            for c, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
+            (joined_contact.name, tolerance_index)
+            for joined_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
             for tolerance_index in range(contact.pulls.size)
         ),
     )
@@ -238,13 +238,17 @@ def fitted_together(
     rig, parameter_steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
     build_rig = partial(with_effects, rig, candidates)
 
-    def pooled_about(values: Values) -> _PooledFit:
+    def pooled_about(expansion_values: Values) -> _PooledFit:
         summed_cost, information_by_record = 0.0, list[Information]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
-            record_fit = linearized_record(record, nominal_variances, build_rig(values))
+            record_fit = linearized_record(record, nominal_variances, build_rig(expansion_values))
             summed_cost += record_fit.cost
-            information_by_record.append(record_fit.with_parameters(build_rig, values, parameter_steps, bounds[1]))
-        return _PooledFit(values, pooled(information_by_record, parameter_steps, bounds, values), summed_cost)
+            information_by_record.append(
+                record_fit.with_parameters(build_rig, expansion_values, parameter_steps, bounds[1])
+            )
+        return _PooledFit(
+            expansion_values, pooled(information_by_record, parameter_steps, bounds, expansion_values), summed_cost
+        )
 
     def refit(earlier_fit: _PooledFit) -> _PooledFit:
         if earlier_fit.has_settled:

@@ -328,7 +328,7 @@ def _cost_minima(
                 mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), method="dogbox", **solver_options
             )
             cost_and_values = 2 * float(solution.cost), solution.x
-        distances = [np.abs(cost_and_values[1] - values) for _, values in distinct_minima]
+        distances = [np.abs(cost_and_values[1] - minimum_values) for _, minimum_values in distinct_minima]
         if all(np.any(distance > DISTINCT_SHARE * (upper_bounds - lower_bounds)) for distance in distances):
             distinct_minima.append(cost_and_values)
     return distinct_minima

@@ -35,8 +35,8 @@ MAX_REFINED, RIVAL_GAIN = 3, 0.5
 """Number of these that are refined, and share of the best one's gain that they must reach. Effort."""
 
 
-def _cost_of_fit(fitted: FittedHypothesis) -> float:
-    return fitted.cost
+def _cost_of_fit(fitted_hypothesis: FittedHypothesis) -> float:
+    return fitted_hypothesis.cost
 
 
 class _BestFits:
@@ -198,11 +198,11 @@ def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis)
 
 
 def _refined_all(
-    search: Search, rivals: Iterable[FittedHypothesis], best_cost: float = np.inf
+    search: Search, rival_fits: Iterable[FittedHypothesis], best_cost: float = np.inf
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
-    for rival_fit in sorted(rivals, key=_cost_of_fit):
+    for rival_fit in sorted(rival_fits, key=_cost_of_fit):
         refined_fits.append(refined(search, rival_fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
     return sorted(refined_fits, key=_cost_of_fit)

@@ -95,7 +95,10 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     likeliest_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest_fit)))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, likeliest_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
-    return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
+    return sorted(
+        {ranked.effect_names: ranked for ranked in reversed(hypotheses)}.values(),
+        key=lambda hypothesis: hypothesis.cost,
+    )
 
 
 def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
@@ -291,7 +294,7 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     costs_without_member: list[float] = []
     variant_hypotheses: list[Hypothesis] = []
     for member_index in member_indices:
-        reduced_fit = _subset_fit(search, best_set, [i for i in member_indices if i != member_index])
+        reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
         costs_without_member.append(reduced_fit.cost)
@@ -319,8 +322,8 @@ def _look_alike_fit(
         return None
     solution, term = min(solutions_and_terms, key=lambda pair: pair[0].statistic)
     del model
-    values = (term.values(solution.theta),)
-    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
+    term_values = (term.values(solution.theta),)
+    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), term_values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:
         return None
     return refined(search, brief_fit, best_set.cost)
@@ -330,13 +333,13 @@ def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequ
     """Fit of some members of the set without the others; the nominal rig where there are none."""
     if not member_indices:
         return search.nominal_fit()
-    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
+    candidates, values_by_member = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
     subset_candidates = tuple(candidates[member_index] for member_index in member_indices)
     start_residual = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(
         search,
         subset_candidates,
-        np.concatenate([values[member_index] for member_index in member_indices]),
+        np.concatenate([values_by_member[member_index] for member_index in member_indices]),
         start_residual,
         best_set.linearization,
     )

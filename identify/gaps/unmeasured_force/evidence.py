@@ -214,13 +214,13 @@ def _score_variances(
             excess_power = _band_sums(
                 whitened, line_weights * (projection_power - at_lines(force_spectrum) * response_squares)
             )
-            numerator = unexplained_squares / noise_variance**2 + excess_power
-            denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
-            noise_variance = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise_variance)
+            score_numerator = unexplained_squares / noise_variance**2 + excess_power
+            score_denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
+            noise_variance = np.maximum(score_numerator / score_denominator, VARIANCE_FLOOR * noise_variance)
         line_weights = response_squares / (at_lines(noise_variance) + at_lines(force_spectrum) * response_squares) ** 2
         if spectrum_shape is None:
-            numerator = _band_sums(whitened, line_weights * (projection_power - at_lines(noise_variance)))
-            force_spectrum = np.maximum(numerator, 0.0) / np.maximum(
+            score_numerator = _band_sums(whitened, line_weights * (projection_power - at_lines(noise_variance)))
+            force_spectrum = np.maximum(score_numerator, 0.0) / np.maximum(
                 _band_sums(whitened, line_weights * response_squares), 1e-300
             )
         else:

@@ -84,10 +84,10 @@ def fit_form(
     if law_form.parameter_name and parameter_min == parameter_max:
         parameter = parameter_min
     elif law_form.parameter_name:
-        minimum = minimize_scalar(
+        optimum = minimize_scalar(
             lambda p: -solve_form(history, law_form, p)[1], bounds=(parameter_min, parameter_max), method="bounded"
         )
-        parameter = float(minimum.x)
+        parameter = float(optimum.x)
         parameter_step = 1e-3 * (parameter_max - parameter_min)
         gains_around = [
             solve_form(history, law_form, parameter + step_count * parameter_step)[1] for step_count in (-1, 0, 1)

@@ -229,15 +229,15 @@ def _refine_position(located_force: LocatedForce) -> LocatedForce:
     )
 
 
-def _parabola_vertex(positions_m: list[float], ordinates: list[float]) -> float:
+def _parabola_vertex(positions_m: list[float], criterion_values: list[float]) -> float:
     """Minimum of the parabola through three points within their range, or the lowest point if it has none."""
     if len(set(positions_m)) < 3:
-        return positions_m[int(np.argmin(ordinates))]
-    quadratic_coefficient, linear_coefficient, _ = np.polyfit(positions_m, ordinates, 2)
+        return positions_m[int(np.argmin(criterion_values))]
+    quadratic_coefficient, linear_coefficient, _ = np.polyfit(positions_m, criterion_values, 2)
     return (
         float(np.clip(-linear_coefficient / (2 * quadratic_coefficient), positions_m[0], positions_m[-1]))
         if quadratic_coefficient > 0
-        else positions_m[int(np.argmin(ordinates))]
+        else positions_m[int(np.argmin(criterion_values))]
     )
 
 

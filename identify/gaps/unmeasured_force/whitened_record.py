@@ -292,7 +292,7 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
 
 
 def _measured_accelerations(
-    record: Record, model: LinearModel, response: Response, modelled: Complex[np.ndarray, "modes lines"]
+    record: Record, model: LinearModel, response: Response, modelled_accelerations: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
@@ -300,9 +300,14 @@ def _measured_accelerations(
     unexplained_accelerations = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
-        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled
+        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled_accelerations
     )
-    return np.concatenate([modelled[:mode_count] + inverse_shapes @ unexplained_accelerations, modelled[mode_count:]])
+    return np.concatenate(
+        [
+            modelled_accelerations[:mode_count] + inverse_shapes @ unexplained_accelerations,
+            modelled_accelerations[mode_count:],
+        ]
+    )
 
 
 def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
