@@ -60,7 +60,7 @@ AnyEstimate = TypeVar("AnyEstimate", JointEstimate, AnnularEstimate)
 
 
 @dataclass(frozen=True)
-class Contacts:
+class AcceptedContacts:
     """Contacts of a recording: separated forces, outcome of each contact, and findings against them."""
 
     separation: Separation
@@ -70,7 +70,7 @@ class Contacts:
 
 def checked_contacts(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
-) -> Contacts:
+) -> AcceptedContacts:
     """`find_contacts` after a check of the recording, with the findings of both.
 
     Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
@@ -88,7 +88,7 @@ def checked_contacts(
 
 def find_contacts(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances, forms: Sequence[FormName] = ()
-) -> Contacts:
+) -> AcceptedContacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
     zone, or the one of `forms` that the record supports.
 
@@ -98,7 +98,7 @@ def find_contacts(
     return accept(separation, determine(separation, forms))
 
 
-def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
+def accept(separation: Separation, outcomes: Outcomes) -> AcceptedContacts:
     """Outcomes in the order of the rig, with standard errors widened by their pulls, and the findings on the fits.
 
     Without a recorded force, refusals say that one may be missing, and ContactRefusedError is raised if the contact
@@ -115,7 +115,7 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
     if is_unforced(separation.motion):
         _check_free_decay(estimates)
         refusals = {name: replace(refusal, unforced=True) for name, refusal in refusals.items()}
-    return Contacts(separation, Outcomes(estimates, refusals), tuple(fit_findings(estimates, parameters)))
+    return AcceptedContacts(separation, Outcomes(estimates, refusals), tuple(fit_findings(estimates, parameters)))
 
 
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:

@@ -44,10 +44,10 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        slow_m = [
+        slow_eta_m = [
             _slow_displacement_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)
         ]
-        forces_n = coupling_n_per_m @ np.array(slow_m)
+        forces_n = coupling_n_per_m @ np.array(slow_eta_m)
         records_and_forces = zip(records, forces_n, strict=True)
         uncoupled_records = [
             replace(record, force_n=record.force_n - force_n) for record, force_n in records_and_forces
@@ -70,13 +70,13 @@ def _slow_displacement_m(
     rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes
 ) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
-    slow_m = np.zeros(len(record.force_n))
+    slow_eta_m = np.zeros(len(record.force_n))
     for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
         estimate = outcomes.estimates.get(rig.contacts[contact_index].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
-            slow_m = record.at_force_samples(drift_m)
-    return slow_m
+            slow_eta_m = record.at_force_samples(drift_m)
+    return slow_eta_m
 
 
 def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:

@@ -194,7 +194,7 @@ def contact_estimate(
     name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
 ) -> results.ContactEstimate:
     """Entry of contact.json of a contact of one direction."""
-    lower, upper, stiffness, damping, clearance = (
+    lower_clearance, upper_clearance, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
     )
@@ -203,8 +203,8 @@ def contact_estimate(
         clearance_m=clearance,
         stiffness_n_per_m=stiffness,
         damping_n_s_per_m=damping,
-        lower_clearance_m=lower if estimate.sides_known and estimate.touched[0] else None,
-        upper_clearance_m=upper if estimate.sides_known and estimate.touched[1] else None,
+        lower_clearance_m=lower_clearance if estimate.sides_known and estimate.touched[0] else None,
+        upper_clearance_m=upper_clearance if estimate.sides_known and estimate.touched[1] else None,
         closed_share=closed_share(estimate, eta_m),
         law=estimate.form.name,
         exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.exponent_count else None,

@@ -24,7 +24,7 @@ from identify.contacts.law_form import (
     linear_form,
     unit_forces,
 )
-from identify.contacts.linearization import Guess, ground_n_per_m
+from identify.contacts.linearization import LawGuess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.drift import Spline
 from identify.signals.refit import refit_until_settled
@@ -51,7 +51,7 @@ LEAST_DEVIATION_SHARE = 1e-3
 """Deviations below this share of the median deviation weigh as much as that share."""
 
 
-def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> Guess:
+def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> LawGuess:
     """Law and drift b by the regression eta + b = +-clearance + force / k, linear in clearance, 1 / k and b, over the
     samples at which a stop on these sides, or else on the touched ones, is clearly closed.
 
@@ -124,7 +124,7 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
     return np.array([-eta.min(), eta.max()])
 
 
-def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[Guess]:
+def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[LawGuess]:
     """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
     beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
@@ -156,10 +156,10 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
 
 
 def _guesses_with_spring(
-    record: ContactRecord, nominal_laws: NominalLaws, form: LawForm, stop_guesses: Sequence[Guess]
-) -> list[Guess]:
+    record: ContactRecord, nominal_laws: NominalLaws, form: LawForm, stop_guesses: Sequence[LawGuess]
+) -> list[LawGuess]:
     """Guesses of stops with the spring of `nominal_laws` beside them."""
-    candidates: list[Guess] = []
+    candidates: list[LawGuess] = []
     for stop_parameters, knots in stop_guesses:
         laws = nominal_laws.copy()
         laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = stop_parameters.reshape(-1, len(LAW))
@@ -167,7 +167,7 @@ def _guesses_with_spring(
     return _best_guesses(record, candidates, form)
 
 
-def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
+def _best_guesses(record: ContactRecord, candidates: Sequence[LawGuess], form: LawForm) -> list[LawGuess]:
     """Refined guesses of least misfit."""
     ranked_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
     return [guess for misfit, guess in ranked_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
@@ -176,16 +176,16 @@ def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawF
 def without_spring(record: ContactRecord, spring_law: LawParameters) -> ContactRecord:
     """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
     remains, as of a spring to the ground."""
-    *_, stiffness, damping = spring_law.tolist()
+    *_, stiffness_n_per_m, damping_n_s_per_m = spring_law.tolist()
     eta, velocity = (
         signal[:: record.decimation][: record.force_n.size] for signal in (record.eta_m, record.velocity_m_per_s)
     )
     drift = record.drift and replace(
         record.drift,
-        spring_n_per_m=record.drift.spring_n_per_m + stiffness,
-        damper_n_s_per_m=record.drift.damper_n_s_per_m + damping,
+        spring_n_per_m=record.drift.spring_n_per_m + stiffness_n_per_m,
+        damper_n_s_per_m=record.drift.damper_n_s_per_m + damping_n_s_per_m,
     )
-    return replace(record, force_n=record.force_n - stiffness * eta - damping * velocity, drift=drift)
+    return replace(record, force_n=record.force_n - stiffness_n_per_m * eta - damping_n_s_per_m * velocity, drift=drift)
 
 
 def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray, " samples"]]:
@@ -222,7 +222,7 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
 
 def _refined_guess(
     record: ContactRecord, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"], form: LawForm
-) -> tuple[float, Guess]:
+) -> tuple[float, LawGuess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
     drift_spline, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
@@ -239,7 +239,7 @@ def _refined_guess(
     )
 
 
-def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
+def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[LawGuess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
     magnitude_n = np.abs(record.force_n)
     contact_count_by_side, largest_force_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))

@@ -25,7 +25,7 @@ from identify.contacts.law_form import (
     TouchedStops,
     linear_form,
 )
-from identify.contacts.linearization import State, drift_signals
+from identify.contacts.linearization import FitState, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
@@ -185,9 +185,9 @@ def fit_joint(
     forms = forms if is_single and touched.any() else ()
     fit = chosen_form(fit, forms)
     state = fit.state
-    scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
+    scaled_to_laws, (derivatives, normal_equations) = fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    knots_per_gradient, pulls_and_free_per_gradient = equations.solved(
+    knots_per_gradient, pulls_and_free_per_gradient = normal_equations.solved(
         np.zeros((drift_spline.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
     pulls_and_laws_per_gradient = np.concatenate(
@@ -285,7 +285,7 @@ def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> Non
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 
-def _check_bridged(record: ContactRecord, state: State) -> None:
+def _check_bridged(record: ContactRecord, state: FitState) -> None:
     """Raises ContactRefusedError as `check_bridged`, unless a spring tells the slow motion."""
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return

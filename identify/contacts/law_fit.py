@@ -22,10 +22,10 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import FormName, LawForm, TouchedStops
 from identify.contacts.linearization import (
     BorderedEquations,
-    Guess,
+    FitState,
     Jacobian,
+    LawGuess,
     Pulls,
-    State,
     corrected_motion,
     jacobian,
     normal_equations,
@@ -48,7 +48,7 @@ class LawFit:
 
     record: ContactRecord
     free_to_laws: Float[np.ndarray, "laws free"]
-    state: State
+    state: FitState
     weights: Weights
 
     @property
@@ -89,7 +89,7 @@ class LawFit:
         )
         return replace(self, state=state)
 
-    def _step_from(self, state: State) -> Step[State]:
+    def _step_from(self, state: FitState) -> Step[FitState]:
         fit = replace(self, state=state)
         scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
         knot_step, pulls_and_free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
@@ -97,7 +97,7 @@ class LawFit:
             equations.free_gradient * pulls_and_free_step
         )
 
-        def state_after(step_share: float) -> State | None:
+        def state_after(step_share: float) -> FitState | None:
             law_parameters = (
                 state.law_parameters + step_share * scaled_to_laws @ pulls_and_free_step[state.pulls.size :, 0]
             )
@@ -110,7 +110,7 @@ class LawFit:
 
         return Step(state_after, float(cost_decrease))
 
-    def _with_cost(self, state: State) -> State:
+    def _with_cost(self, state: FitState) -> FitState:
         """State with its cost: weighted squares of residuals and of the priors."""
         drift_spline = self.record.drift_spline
         residual_square = np.sum((self.weights * state.residual_n) ** 2)
@@ -165,7 +165,7 @@ def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarra
 def first_fit(
     record: ContactRecord,
     free_to_laws: Float[np.ndarray, "laws free"],
-    guesses: list[Guess],
+    guesses: list[LawGuess],
     pulls: Pulls,
     form: LawForm,
 ) -> LawFit:
@@ -187,14 +187,14 @@ def first_fit(
     return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
-def _open_deviation_n(state: State) -> float:
+def _open_deviation_n(state: FitState) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
     stops_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
     open_residual_n = state.residual_n[stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
     return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
 
 
-def residual_weights(record: ContactRecord, state: State, open_deviation_n: float) -> Weights:
+def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
     unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_m)

@@ -25,7 +25,7 @@ KNOT_BANDWIDTH = 3
 
 Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
-Guess = tuple[LawParameters, Knots]
+LawGuess = tuple[LawParameters, Knots]
 """Start of a fit: the law, and the drift's knots."""
 
 
@@ -55,7 +55,7 @@ class LinearizedState(Protocol):
 
 
 @dataclass(frozen=True)
-class State:
+class FitState:
     """Parameters of a fit with residual and cost there; tangent_n_per_m is the law's low-passed stiffness."""
 
     law_parameters: LawParameters
@@ -110,7 +110,9 @@ def sample_chunks(sample_count: int) -> Iterator[slice]:
     return (slice(first_sample, first_sample + CHUNK_SAMPLES) for first_sample in range(0, sample_count, CHUNK_SAMPLES))
 
 
-def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls) -> State:
+def state_at(
+    record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls
+) -> FitState:
     """State at some parameters; its cost, which needs weights, is left infinite."""
     eta, velocity = corrected_motion(record, knots, pulls)
     law_force_n = evaluated_law(
@@ -120,7 +122,7 @@ def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters
     force_residual_n = unexplained_n / (1 - pulls @ record.force_noise_multiple)
     residual_n = force_residual_n - ground_n_per_m(record) @ knots
     tangent_n_per_m = _low_passed(record, form.slopes(law_parameters, eta, velocity)[0])
-    return State(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
+    return FitState(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
 
 
 def corrected_motion(
@@ -154,7 +156,7 @@ def _weighted_sum(
     return weighted_sum
 
 
-def jacobian(record: ContactRecord, state: State) -> Jacobian:
+def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     """Jacobian of the fitted force at a state."""
     eta, velocity = corrected_motion(record, state.knots, state.pulls)
     by_displacement, by_velocity = state.form.slopes(state.law_parameters, eta, velocity)

@@ -53,7 +53,7 @@ def nuisance_signals(
     parameters: tuple[Nuisance, ...],
     observed: ObservedSignals,
     noise_alone: ObservedSignals,
-    weights: ForceWeights,
+    contact_weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
     sample_count: int,
@@ -64,34 +64,44 @@ def nuisance_signals(
     `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
     what a parameter adds to the contact forces moves the stations slowly.
     """
-    row_count, station_count = weights.shape[1], signs.shape[1]
+    row_count, station_count = contact_weights.shape[1], signs.shape[1]
     signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
     signal_shape = (len(parameters), len(signs), sample_count)
     force_n, eta_m = np.empty(signal_shape, np.float32), np.zeros(signal_shape, np.float32)
     force_multiple, eta_multiple = np.zeros(signal_shape[:2]), np.zeros(signal_shape[:2])
-    noise_forces = contact_spectra(weights, noise_alone.signals)
+    noise_forces = contact_spectra(contact_weights, noise_alone.signals)
     noise_etas = real_product(signs, noise_alone.displacements)
-    for nuisance_index, (change, noise_change) in enumerate(
+    for nuisance_index, (nuisance_change, noise_change) in enumerate(
         zip(changes_of(observed), changes_of(noise_alone), strict=True)
     ):
-        sensor_weights, sensor_signs = weights[:, change.sensors], signs[:, change.sensors]
-        force_spectra = contact_spectra(sensor_weights, change.signals)
+        sensor_weights, sensor_signs = contact_weights[:, nuisance_change.sensors], signs[:, nuisance_change.sensors]
+        force_spectra = contact_spectra(sensor_weights, nuisance_change.signals)
         force_n[nuisance_index] = lines.signals(force_spectra, sample_count)
         force_multiple[nuisance_index] = _noise_multiple(
             noise_forces, contact_spectra(sensor_weights, noise_change.signals)
         )
-        displacements = np.zeros_like(change.signals) if change.displacements is None else change.displacements
+        displacements = (
+            np.zeros_like(nuisance_change.signals)
+            if nuisance_change.displacements is None
+            else nuisance_change.displacements
+        )
         if slow_model is not None:
             row_displacements = np.zeros((row_count, displacements.shape[1]), dtype=complex)
-            row_displacements[change.sensors] = displacements
+            row_displacements[nuisance_change.sensors] = displacements
             station_displacements = row_displacements[:station_count]
-            displacement_change = slow_model.displacement_change(change.parameter, force_spectra, station_displacements)
+            displacement_change = slow_model.displacement_change(
+                nuisance_change.parameter, force_spectra, station_displacements
+            )
             eta_m[nuisance_index] = lines.signals(
                 real_product(signs[:, :station_count], displacement_change), sample_count
             )
-        elif change.displacements is not None and np.any(sensor_signs):
+        elif nuisance_change.displacements is not None and np.any(sensor_signs):
             eta_m[nuisance_index] = lines.signals(real_product(sensor_signs, displacements), sample_count)
-        if change.displacements is not None and noise_change.displacements is not None and np.any(sensor_signs):
+        if (
+            nuisance_change.displacements is not None
+            and noise_change.displacements is not None
+            and np.any(sensor_signs)
+        ):
             eta_multiple[nuisance_index] = _noise_multiple(
                 noise_etas, real_product(sensor_signs, noise_change.displacements)
             )

@@ -37,9 +37,11 @@ def check_certain(estimate: JointEstimate, lacks_slow_motion: bool) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted.
     Displacement sensors would help where the record lacks the contact's slow motion."""
     estimate_without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
-    stiffness = ("stiffness", estimate.stiffness_n_per_m, estimate_without_misfit.error(STIFFNESS_GRADIENT))
-    clearance = ("clearance", estimate.clearance_m, estimate_without_misfit.clearance_error_m)
-    for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
+    stiffness_and_error = ("stiffness", estimate.stiffness_n_per_m, estimate_without_misfit.error(STIFFNESS_GRADIENT))
+    clearance_and_error = ("clearance", estimate.clearance_m, estimate_without_misfit.clearance_error_m)
+    for quantity, value, standard_error in (
+        [stiffness_and_error] if estimate.is_spring else [clearance_and_error, stiffness_and_error]
+    ):
         if not standard_error < UNCERTAIN_SHARE * value:
             error_percent = min(100 * standard_error / max(value, 1e-12), 100)
             remedy = None if lacks_slow_motion else RemedyCode.RECORD_LONGER_OR_EXCITE_MORE

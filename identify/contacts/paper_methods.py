@@ -78,16 +78,16 @@ class PaperMethods:
 
 
 def results_by_name(
-    notes: list[str], description: str, items: Mapping[str, Item], compute: Callable[[Item], Result]
+    notes: list[str], description: str, inputs_by_name: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
-    """Results of `make` for each item, by its name; a note for each item where it fails numerically."""
-    results = {}
-    for name, item in items.items():
+    """Results of `compute` for each input, by its name; a note for each where it fails numerically."""
+    result_by_name = {}
+    for name, method_input in inputs_by_name.items():
         try:
-            results[name] = compute(item)
+            result_by_name[name] = compute(method_input)
         except (ValueError, ArithmeticError) as error:  # RigError and LinAlgError are ValueErrors
             notes.append(f"{description} of {name} cannot be made: {error}")
-    return results
+    return result_by_name
 
 
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
@@ -145,8 +145,8 @@ def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
 
 
 def _stops(estimate: JointEstimate) -> Stops:
-    (lower, upper, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
-    return Stops(lower, upper, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
+    (lower_m, upper_m, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
+    return Stops(lower_m, upper_m, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
 
 
 def paper_methods(

@@ -234,7 +234,7 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
     """
     estimate_by_name = {contact.name: contact for contact in report.contacts}
     contacts = tuple(
-        replace(contact, law=_law(contact.law, estimate_by_name[contact.name]))
+        replace(contact, law=_identified_law(contact.law, estimate_by_name[contact.name]))
         if contact.name in estimate_by_name
         else contact
         for contact in rig.contacts
@@ -242,9 +242,9 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
     return replace(rig, contacts=contacts)
 
 
-def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
+def _identified_law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
     if isinstance(law, Annular):
-        return _annular_law(law, estimate)
+        return _identified_annular_law(law, estimate)
     lower_m, upper_m = law.lower_clearance_m, law.upper_clearance_m
     if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
         growth_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
@@ -266,7 +266,7 @@ def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
     )
 
 
-def _annular_law(law: Annular, estimate: ContactEstimate) -> Annular:
+def _identified_annular_law(law: Annular, estimate: ContactEstimate) -> Annular:
     """Law with the identified numbers. The centre stays as in rig.json: where a record tells it, it is against the rest
     position."""
     friction, sliding_speed = estimate.friction_coefficient, estimate.sliding_speed_m_per_s

@@ -59,7 +59,7 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
         return {}
 
     def drawn(draw: Callable[[_Panel], None]) -> Picture:
-        def of_all(figure: Any) -> None:
+        def draw_all(figure: Any) -> None:
             axes_row = figure.subplots(1, len(estimates), squeeze=False)[0]
             for axes, (name, estimate) in zip(axes_row, estimates.items(), strict=True):
                 axes.set_title(name)
@@ -67,7 +67,7 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
             handles, labels = axes_row[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=4)
 
-        return picture(of_all)
+        return picture(draw_all)
 
     return {name: drawn(draw) for name, draw in _SPACE_FIGURES.items()}
 

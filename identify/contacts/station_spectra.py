@@ -65,8 +65,8 @@ class SpectralLines:
     ) -> Float[np.ndarray, "*rows fewer"]:
         """First samples of the signals of spectra, at every `decimation`-th sample."""
         real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :sample_count]
-        return np.asarray(signals / self.decimation)
+        decimated_signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :sample_count]
+        return np.asarray(decimated_signals / self.decimation)
 
     @property
     def correlated_line_count(self) -> int:

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.acceptance import Contacts, checked_contacts
+from identify.contacts.acceptance import AcceptedContacts, checked_contacts
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import LawForm
@@ -189,7 +189,7 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
+    contacts: AcceptedContacts, joined_contact: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
     samples = _contact_samples(contacts, joined_contact, contact_record)
@@ -235,7 +235,7 @@ def _identify_contact(
 
 
 def _contact_samples(
-    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord
+    contacts: AcceptedContacts, joined_contact: ContactGroup, contact_record: ContactRecord
 ) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 

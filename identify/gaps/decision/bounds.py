@@ -45,7 +45,7 @@ TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
 
 
 @dataclass(frozen=True)
-class Difference:
+class NominalDifference:
     """Difference of nominal rig and records: the p-value over all records, and the quantities that matter."""
 
     p_value: float

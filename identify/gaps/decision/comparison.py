@@ -94,7 +94,7 @@ def validate_hypotheses(
     nominal_variances: NominalVariances,
     nominal_residual: Residual,
     hypotheses: Sequence[Hypothesis],
-    priors: Mapping[tuple[str, ...], float],
+    log_prior_by_effects: Mapping[tuple[str, ...], float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[ValidatedHypothesis]:
     """Validate hypotheses on a record that was not fitted; the likeliest first, without those that it cannot hold.
@@ -111,7 +111,9 @@ def validate_hypotheses(
                 rigs_and_misfits = _rigs_and_misfits(record, nominal_variances, unchanged_misfit, hypothesis)
             except RigError:
                 continue
-        validated_hypotheses.append(ValidatedHypothesis(hypothesis, *rigs_and_misfits, priors[hypothesis.effect_names]))
+        validated_hypotheses.append(
+            ValidatedHypothesis(hypothesis, *rigs_and_misfits, log_prior_by_effects[hypothesis.effect_names])
+        )
         progress((hypothesis_index + 1) / len(hypotheses))
     return sorted(validated_hypotheses, key=lambda validated_hypothesis: -validated_hypothesis.log_posterior)
 

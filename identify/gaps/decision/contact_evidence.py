@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, law_distance
+from identify.gaps.decision.bounds import NominalDifference, law_distance
 from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, validate_hypotheses
 from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.residual.likelihood import misfit
@@ -35,7 +35,7 @@ def with_contact_evidence(
     prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
     ranked_hypotheses: Sequence[ValidatedHypothesis],
-    difference: Difference,
+    difference: NominalDifference,
     validation_residual: Residual,
 ) -> list[ValidatedHypothesis]:
     """Hypotheses with their `contact_minus_two_log`, and that of the contact fit itself; the likeliest first.
@@ -51,9 +51,9 @@ def with_contact_evidence(
         contact_hypothesis.effect_names != ranked_hypothesis.hypothesis.effect_names
         for ranked_hypothesis in ranked_hypotheses
     ):
-        priors = log_priors([contact_hypothesis], candidates)
+        log_prior_by_effects = log_priors([contact_hypothesis], candidates)
         hypotheses += validate_hypotheses(
-            record, validation.nominal_variances, validation_residual, [contact_hypothesis], priors
+            record, validation.nominal_variances, validation_residual, [contact_hypothesis], log_prior_by_effects
         )
     with_evidence = []
     for hypothesis in hypotheses:

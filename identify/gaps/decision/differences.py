@@ -27,7 +27,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import parameters_of, steps_of, with_effects
-from identify.gaps.search.pooled import Information, LinearizedRecord, PooledEstimate, linearized_record, pooled
+from identify.gaps.search.pooled import LinearizedRecord, PooledEstimate, RecordInformation, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -103,13 +103,13 @@ class VaryingParameters:
         lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
         return lower_bounds[self.columns], upper_bounds[self.columns]
 
-    def information(self, record_index: int, linearised_record: LinearizedRecord) -> Information:
+    def information(self, record_index: int, linearised_record: LinearizedRecord) -> RecordInformation:
         def build(record_values: Values) -> Rig:
             return self.effects.with_values(record_index, self.columns, record_values).rig(record_index)
 
         return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
-    def pooled(self, information: Sequence[Information]) -> PooledEstimate:
+    def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
         return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
@@ -155,7 +155,7 @@ class _RecordSet:
             for start_values in candidate.start_values() if candidate.name not in effects.effect_names else ():
                 with_candidate = effects.with_effect(candidate, np.tile(start_values, (len(self.records), 1)))
                 varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
-        trial_information: list[list[Information]] = [[] for _ in varying_trials]
+        trial_information: list[list[RecordInformation]] = [[] for _ in varying_trials]
         for record_index in range(len(self.records)):
             linearised_record = self.linearized_record(effects, record_index)
             for record_information, (_, values) in zip(trial_information, varying_trials, strict=True):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
+from identify.gaps.decision.bounds import NominalDifference, contact_distances, share_bounds
 from identify.gaps.decision.comparison import (
     ValidatedHypothesis,
     explained_share,
@@ -155,7 +155,7 @@ class _DecisionBasis:
     """Evidence common to all decisions on the hypotheses."""
 
     prepared: PreparedRecordings
-    difference: Difference
+    difference: NominalDifference
     nominal_residual: Residual
     matters: Matters
 
@@ -171,10 +171,14 @@ class _DecisionBasis:
 
 
 def difference_of(
-    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, split_bound: float
-) -> Difference:
-    """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
-    nominal rig's on the one that was searched.
+    prepared: PreparedRecordings,
+    searched_misfit: Misfit,
+    nominal_residual: Residual,
+    matters: Matters,
+    split_bound: float,
+) -> NominalDifference:
+    """Difference of the nominal rig and all records; `nominal_residual` is that of the validation record,
+    `searched_misfit` the nominal rig's on the one that was searched.
 
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
@@ -184,7 +188,9 @@ def difference_of(
         if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
         fitted_residual = (
-            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
+            nominal_residual
+            if observation is validation
+            else fit_nuisance(observation.record, observation.record.rig)[1]
         )
         return misfit(observation.record, observation.nominal_variances, fitted_residual)
 
@@ -195,11 +201,11 @@ def difference_of(
     force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
-        return Difference(p_value, motion_bound, tuple(contact_bounds))
+        return NominalDifference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
     parameter_distances = contact_distances(recordings, rig, validation.record.tolerances)
     p_value = with_bound(combined_p_value(np.append(p_value_parts, parameter_distances.p_values)), split_bound)
-    return Difference(
+    return NominalDifference(
         p_value,
         motion_bound,
         tuple(contact_bounds),

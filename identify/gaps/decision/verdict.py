@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, share_bounds
+from identify.gaps.decision.bounds import NominalDifference, share_bounds
 from identify.gaps.decision.comparison import (
     PRIOR_UNKNOWN,
     TEMPERATURE,
@@ -109,7 +109,7 @@ class Decision:
 
 def decide(
     ranked_hypotheses: Sequence[ValidatedHypothesis],
-    difference: Difference,
+    difference: NominalDifference,
     null_reference: NullReference,
     matters: Matters,
     force_rivals: ForceRivals | None = None,

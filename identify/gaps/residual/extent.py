@@ -70,7 +70,7 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
 
 
 @dataclass(frozen=True)
-class Beginning:
+class RecordBeginning:
     """Start of a record, and whether its signals are integrated.
 
     zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
@@ -109,7 +109,7 @@ class Beginning:
         return omitted_end_s if self.all_free else OMITTED_END_S, omitted_end_s
 
 
-def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
+def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> RecordBeginning:
     """Start of a recording as given sensors show it."""
     rig, rate_hz = recording.rig, recording.rig.sample_rate_hz
     zero_known = all(sensor.measures.order == 0 for sensor in sensors)
@@ -121,7 +121,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
     counts_from_blow = not np.any(recording.forces_n) and not is_integrated
     fade_length_s = 2 * FADE_S if zero_known and not counts_from_blow else FADE_S
-    return Beginning(
+    return RecordBeginning(
         zero_known=zero_known,
         has_contacts=has_contacts,
         integrates=is_integrated,
@@ -135,7 +135,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     )
 
 
-def check_length(recording: Recording, beginning: Beginning) -> None:
+def check_length(recording: Recording, beginning: RecordBeginning) -> None:
     """Check a record's length; raises RigError if it is too short."""
     is_uncut = not beginning.has_contacts and (beginning.starts_quiet or beginning.counts_from_blow)
     shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_RECORD_S
@@ -230,12 +230,12 @@ def floats_in_contacts(rig: Rig) -> bool:
     return bool(rig.contacts) and any(body.rigid_modes and not body.is_mass for body in rig.bodies)
 
 
-def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
+def end_of_motion_s(sensor_accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
     """End of the last second with motion, s; inf for the whole record. Raises RigError if the sensors show none."""
-    second_samples = max(1, round(min(1.0, accelerations.shape[1] / rate_hz / 4) * rate_hz))
-    second_count = accelerations.shape[1] // second_samples
+    second_samples = max(1, round(min(1.0, sensor_accelerations.shape[1] / rate_hz / 4) * rate_hz))
+    second_count = sensor_accelerations.shape[1] // second_samples
     power_by_second = (
-        (accelerations[:, : second_count * second_samples] ** 2)
+        (sensor_accelerations[:, : second_count * second_samples] ** 2)
         .sum(axis=0)
         .reshape(second_count, second_samples)
         .mean(axis=1)

@@ -209,15 +209,17 @@ def fit(
     values: Values,
     steps: Values,
     bounds: tuple[Values, Values],
-    start: Residual | None = None,
+    start_residual: Residual | None = None,
     max_steps: int = MAX_STEPS,
 ) -> ParameterFit:
     """Minimise the cost over parameters within bounds, from `values`; `steps` scale the differences for derivatives.
 
-    `start` gives the nuisance parameters and contact unknowns to start from.
+    `start_residual` gives the nuisance parameters and contact unknowns to start from.
     """
     initial_pulls, initial_unknowns = (
-        (start.nuisance_pulls, tuple(contact.unknowns for contact in start.contacts)) if start else (None, None)
+        (start_residual.nuisance_pulls, tuple(contact.unknowns for contact in start_residual.contacts))
+        if start_residual
+        else (None, None)
     )
     if initial_pulls is not None and linearization.tuning.pulls and not initial_pulls.any():
         initial_pulls = None  # the modes' parameters start at the values that the record's modes give
@@ -317,10 +319,10 @@ def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
 def bounded_minimum(
     matrix: Float[np.ndarray, "n n"],
     gradient: Float[np.ndarray, " n"],
-    low: Float[np.ndarray, " n"],
-    high: Float[np.ndarray, " n"],
+    lower_bounds: Float[np.ndarray, " n"],
+    upper_bounds: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """Minimise x'Mx/2 - g'x over low <= x <= high.
+    """Minimise x'Mx/2 - g'x over lower_bounds <= x <= upper_bounds.
 
     Raises RigError if M or g is not finite, or if M is singular beyond single-precision rounding.
     """
@@ -330,8 +332,10 @@ def bounded_minimum(
         )
     cholesky = _cholesky(matrix)
     whitened_gradient = solve_triangular(cholesky, gradient, lower=True)
-    low = np.minimum(low, 0.0) - BOUND_SLACK
-    return np.asarray(lsq_linear(cholesky.T, whitened_gradient, (low, np.maximum(high, 0.0) + BOUND_SLACK), "bvls").x)
+    lower_bounds = np.minimum(lower_bounds, 0.0) - BOUND_SLACK
+    return np.asarray(
+        lsq_linear(cholesky.T, whitened_gradient, (lower_bounds, np.maximum(upper_bounds, 0.0) + BOUND_SLACK), "bvls").x
+    )
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -20,7 +20,7 @@ from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, FittedMotion, Results, Signal
-from identify.gaps.residual.tangent import Tangent
+from identify.gaps.residual.tangent import LawTangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
 from rig.errors import RigError
@@ -147,9 +147,9 @@ class ContactResidual:
         return decimated(self._finer_slopes, self.signals.slope_rate_multiple)
 
     @cached_property
-    def tangent(self) -> Tangent:
+    def tangent(self) -> LawTangent:
         """Tangent stiffness of all laws together."""
-        return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
+        return LawTangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         """Tangent stiffness of each law at a relative displacement, N/m."""

@@ -76,8 +76,8 @@ class Misfit:
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
     variance_correction accounts for variances that change within a band (`scales.measured_levels`).
     contact_level_by_second is the mean square of each contact's residual relative to the nominal variance,
-    contact_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is `lines.cost_of_lines`,
-    independent_samples the number of independent samples.
+    contact_excess_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is
+    `lines.cost_of_lines`, independent_samples the number of independent samples.
     """
 
     nominal_variances: NominalVariances

@@ -20,7 +20,7 @@ Rows = Float[np.ndarray, "rows times"]
 
 
 def cost_of_lines(residual_rows: Rows, direction_count: int, repeats_per_sample: float = 0.0) -> float:
-    """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
+    """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING_RATIO median power of the neighbours)).
 
     A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
     forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
@@ -89,7 +89,7 @@ def _force_lines(
 
 
 def _outstanding_ratio(residual_rows: Rows, repeats_per_sample: float) -> Float[np.ndarray, "rows lines"]:
-    """Power of each peak over OUTSTANDING times its neighbours'; zero off peaks, at the ends, on the force's lines."""
+    """Power of each peak over OUTSTANDING_RATIO times its neighbours'; zero off peaks, at ends, on a force's lines."""
     line_power = np.abs(np.fft.rfft(residual_rows * hann(residual_rows.shape[1]))) ** 2
     is_peak = line_power == maximum_filter1d(line_power, 2 * NEIGHBOUR_LINES[0] - 1, axis=1)
     is_peak[:, : NEIGHBOUR_LINES[1]] = is_peak[:, -NEIGHBOUR_LINES[1] :] = False
@@ -105,9 +105,9 @@ def _outstanding_ratio(residual_rows: Rows, repeats_per_sample: float) -> Float[
     return outstanding_ratio
 
 
-def _refined_frequency(residual_rows: Rows, frequency: float, spacing: float) -> float:
-    """Frequency of largest power of all rows within `spacing` of a frequency; per sample."""
-    frequency_grid = frequency + spacing * np.linspace(-1, 1, 2 * REFINEMENT_STEPS + 1)
+def _refined_frequency(residual_rows: Rows, frequency: float, line_spacing: float) -> float:
+    """Frequency of largest power of all rows within `line_spacing` of a frequency; per sample."""
+    frequency_grid = frequency + line_spacing * np.linspace(-1, 1, 2 * REFINEMENT_STEPS + 1)
     spectra = zoom_fft(
         residual_rows * hann(residual_rows.shape[1]),
         frequency_grid[[0, -1]],

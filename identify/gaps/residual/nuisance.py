@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.windowed import following_motion, has_ground_forces
+from identify.gaps.residual.windowed import has_ground_forces, rig_of_following_dampers
 from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
@@ -136,7 +136,7 @@ def _projected_change(
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     change = _with_damper_feedback(record, model, change)
-    if change.displacements is None or not has_ground_forces(following_motion(record, model.rig)):
+    if change.displacements is None or not has_ground_forces(rig_of_following_dampers(record, model.rig)):
         return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
@@ -246,14 +246,14 @@ def with_nuisance(
     def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
         return float(max(0.1, 1 + tolerance * pull_by_parameter.get(Nuisance(kind, owner), 0.0)))
 
-    def nuisance_body(nominal_body: Body) -> Body:
+    def body_with_pulls(nominal_body: Body) -> Body:
         scaled_body = nominal_body.scale_mass(factor(NuisanceKind.MASS, nominal_body.name, tolerances.mass))
         tuned_body = scaled_body.scale_frequencies(
             factor(NuisanceKind.FREQUENCY, nominal_body.name, tolerances.frequency)
         )
         return tuned_body.scale_damping(factor(NuisanceKind.DAMPING, nominal_body.name, tolerances.damping))
 
-    def nuisance_sensor(nominal_sensor: Sensor) -> Sensor:
+    def sensor_with_pulls(nominal_sensor: Sensor) -> Sensor:
         sensor_tolerances = tolerances.of_sensor(nominal_sensor.name)
         delay_change_s = sensor_tolerances.delay_s * pull_by_parameter.get(
             Nuisance(NuisanceKind.DELAY, nominal_sensor.name), 0.0
@@ -267,8 +267,8 @@ def with_nuisance(
     force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
-        bodies=tuple(nuisance_body(body) for body in rig.bodies),
-        sensors=tuple(nuisance_sensor(sensor) for sensor in rig.sensors),
+        bodies=tuple(body_with_pulls(body) for body in rig.bodies),
+        sensors=tuple(sensor_with_pulls(sensor) for sensor in rig.sensors),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
 

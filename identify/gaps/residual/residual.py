@@ -261,9 +261,9 @@ def residual_of(
             return previous[j]
         if same_motion:
             return contact_residual(signals[j], observations[j], law, unknowns[j], previous[j].motion)
-        added_n = -nuisance_change @ columns.contact_n[:, j]
-        added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled_contacts)
-        motion = contact_motion(signals[j], observations[j], unknowns[j], added_n, added_eta_m[j])
+        added_force_n = -nuisance_change @ columns.contact_n[:, j]
+        added_force_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled_contacts)
+        motion = contact_motion(signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
         return contact_residual(signals[j], observations[j], law, unknowns[j], motion)
 
     return Residual(

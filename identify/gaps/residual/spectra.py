@@ -17,7 +17,7 @@ from identify.contacts.separation import drift_of
 from identify.gaps.residual.extent import (
     BAND_REACH,
     LEAST_COUNTED_S,
-    Beginning,
+    RecordBeginning,
     beginning_of,
     check_length,
     end_of_motion_s,
@@ -31,7 +31,7 @@ from identify.gaps.residual.extent import (
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
-from identify.gaps.residual.transform import Transform, transform_of
+from identify.gaps.residual.transform import RecordTransform, transform_of
 from identify.linear.joined import group_rig_of
 from identify.signals.drift import Drift
 from identify.signals.kinematics import CORNER_HZ, integrated, kinematics
@@ -154,7 +154,11 @@ def _first_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float
 
 
 def _drifts(
-    recording: Recording, joined_rig: Rig, sensors: tuple[Sensor, ...], tolerances: Tolerances, beginning: Beginning
+    recording: Recording,
+    joined_rig: Rig,
+    sensors: tuple[Sensor, ...],
+    tolerances: Tolerances,
+    beginning: RecordBeginning,
 ) -> tuple[Drift | None, ...]:
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
@@ -168,7 +172,7 @@ def _drifts(
 
 
 def _spectra(
-    recording: Recording, transform: Transform, joined_rig: Rig, sensors: tuple[Sensor, ...]
+    recording: Recording, transform: RecordTransform, joined_rig: Rig, sensors: tuple[Sensor, ...]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
     """Spectrum of each sensor on the lines, and the measured relative displacements beyond them."""
     omega_above_band = transform.omega_above_band
@@ -213,7 +217,7 @@ def _unsettled_noise_factors(
 def _smoothed_power(
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     acceleration_ratio: Float[np.ndarray, "sensors lines"],
-    transform: Transform,
+    transform: RecordTransform,
 ) -> Float[np.ndarray, "sensors lines"]:
     """Mean square of the accelerations per line, smoothed after division by their fall per force."""
     smoothing_lines = max(1, round(SMOOTHED_HZ * transform.padded_length / transform.sample_rate_hz))
@@ -225,7 +229,7 @@ def _smoothed_power(
 
 def _window_corrections(
     recording: Recording,
-    transform: Transform,
+    transform: RecordTransform,
     sensors: tuple[Sensor, ...],
     omega: Float[np.ndarray, " lines"],
     zero_known: bool,
@@ -243,7 +247,7 @@ def _window_corrections(
 
 
 def _base_spectra(
-    recording: Recording, transform: Transform, beginning: Beginning, corner_hz: float
+    recording: Recording, transform: RecordTransform, beginning: RecordBeginning, corner_hz: float
 ) -> tuple[BaseSpectra | None, Complex[np.ndarray, "sensors lines"] | float]:
     """Spectra of a measured base, and its part in the velocity corrections of the sensors; None, 0 without one."""
     if not recording.rig.base_sensors:
@@ -269,8 +273,8 @@ def _base_spectra(
 
 def _counted_samples(
     sample_count: int,
-    transform: Transform,
-    beginning: Beginning,
+    transform: RecordTransform,
+    beginning: RecordBeginning,
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     counted_until_s: float | None,
 ) -> slice:

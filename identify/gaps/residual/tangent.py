@@ -23,7 +23,7 @@ MARGIN_SAMPLES = 32
 
 
 @dataclass(frozen=True)
-class Tangent:
+class LawTangent:
     """Tangent stiffness T of a law, N/m, at `rate_multiple` times the rate of the force."""
 
     stiffness_n_per_m: Float[np.ndarray, " finer"]

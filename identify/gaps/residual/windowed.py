@@ -56,7 +56,7 @@ def known_forces_of(
         else -record.base.in_rig(rig, record.omega).acceleration[None]
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following_rig = [], following_motion(record, rig)
+    ground_reactions, following_rig = [], rig_of_following_dampers(record, rig)
     if has_ground_forces(following_rig):
         ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
     return (
@@ -71,10 +71,10 @@ def response_to_force(
     record: Record,
     rig: Rig,
     acceleration_per_newton: Complex[np.ndarray, "sensors lines"],
-    force_n: Complex[np.ndarray, " lines"],
+    force_spectrum: Complex[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
-    ringing_within_window = acceleration_per_newton * force_n
+    ringing_within_window = acceleration_per_newton * force_spectrum
     is_ringing_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
     if not is_ringing_on.any():
         return ringing_within_window
@@ -82,22 +82,22 @@ def response_to_force(
     return np.where(
         is_ringing_on[:, None],
         _windowed_accelerations(
-            record, acceleration_per_newton * _unwindowed_force(record, force_n), derivative_orders
+            record, acceleration_per_newton * _unwindowed_force(record, force_spectrum), derivative_orders
         ),
         ringing_within_window,
     )
 
 
 def modal_response(
-    record: Record, rig: Rig, response: Response, modal_force: Complex[np.ndarray, "modes lines"]
+    record: Record, rig: Rig, response: Response, modal_force_spectra: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     if not _rings_on(record, rig, response.body.name):
-        return response.modal_accelerations(modal_force)
+        return response.modal_accelerations(modal_force_spectra)
     derivative_order = next(
         (sensor.measures.order for sensor in record.sensors if sensor.station.body == response.body.name), 2
     )
-    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force))
+    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
     return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
 
 
@@ -239,14 +239,14 @@ def ground_force_derivative(
     return force_changes
 
 
-def following_motion(record: Record, rig: Rig) -> Rig:
+def rig_of_following_dampers(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
     return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
-    """Dampers that the linear model holds; see `following_motion`."""
+    """Dampers that the linear model holds; see `rig_of_following_dampers`."""
     return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 

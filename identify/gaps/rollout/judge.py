@@ -269,7 +269,7 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     """Rollout with the veto `no_improvement` if it falls short of simulated machines that have the named effects.
 
     `simulated_log_ratios` are the means of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
-    The veto needs a log ratio above Student's prediction limit of theirs, and a limit that lies below -BETTER / 2.
+    The veto needs a log ratio above Student's prediction limit of theirs, and a limit below -BETTER_LOG_RATIO / 2.
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout

@@ -34,10 +34,10 @@ def linearized_about(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Lineariza
     return linearization, fitted_nuisance(linearization, set_fit.residual).residual
 
 
-def search_about(search: Search, set_fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
+def search_about(search: Search, set_fit: FittedHypothesis, remaining_candidates: Sequence[Candidate]) -> Search:
     """Search whose nominal rig is that of a fitted set."""
     set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
-    return Search(search.nominal_variances, *linearized_about(set_fit, set_rig), tuple(candidates))
+    return Search(search.nominal_variances, *linearized_about(set_fit, set_rig), tuple(remaining_candidates))
 
 
 def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:

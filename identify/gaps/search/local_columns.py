@@ -13,17 +13,17 @@ from identify.gaps.residual.scales import BAND_WIDTH_HZ, SEGMENT_S, band_means
 class LocalColumns:
     """Columns as `LocalModel` holds them, each reduced as soon as it is made: over time they take twice the memory.
 
-    They begin with those of the tolerances, and have room for `added_count` more. `spectra` and `row_cell` are those of
-    `LocalModel`, `inputs` the rows of inputs with a prior, `count` the number of columns so far.
+    They begin with those of the tolerances, and have room for `added_column_count` more. `spectra` and `row_cell` are
+    those of `LocalModel`, `inputs` the rows of inputs with a prior, `count` the number of columns so far.
     """
 
     def __init__(
-        self, linearization: Linearization, residual: Residual, variances: NominalVariances, added_count: int
+        self, linearization: Linearization, residual: Residual, variances: NominalVariances, added_column_count: int
     ) -> None:
         self.linearization, self.residual = linearization, residual
         sensor_count, (row_count, time_count) = len(linearization.record.sensors), residual.linear_residual.shape
         self.norms, self.row_cell = _scales_and_cells(linearization, variances, time_count)
-        column_capacity = residual.pulls.size + added_count
+        column_capacity = residual.pulls.size + added_column_count
         self.spectra = np.zeros((column_capacity, self.row_cell.size), np.float32)
         self.inputs = np.zeros((column_capacity, (row_count - sensor_count) * time_count), np.float32)
         for nuisance_index, linear_decrease in enumerate(linearization.columns.residual):

@@ -94,7 +94,7 @@ class LocalModel:
 
     column_spectra holds X and residual_spectrum r: windowed, in nominal standard deviations, real and imaginary
     parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band and sensor.
-    base_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
+    present_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
 
     column_spectra: Float[np.ndarray, "columns rows"]
@@ -245,7 +245,7 @@ def local_model(
 def _candidate_term(
     candidate: Candidate, start_values: Float[np.ndarray, " parameters"], first_column: int
 ) -> CandidateTerm:
-    """Term of a candidate at `start`, whose columns begin with `first_column`."""
+    """Term of a candidate at `start_values`, whose columns begin with `first_column`."""
     strength_indices = list(candidate.parameters.strengths)
     lower_theta, upper_theta = (
         (bound[strength_indices] - start_values[strength_indices]) / candidate.step_sizes[strength_indices]

@@ -33,7 +33,7 @@ STEP_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True)
-class Information:
+class RecordInformation:
     """-2 ln p of one record as a quadratic of tolerances and parameters (in units of their steps)."""
 
     tolerance_names: tuple[Hashable, ...]
@@ -48,13 +48,13 @@ class LinearizedRecord:
 
     linearization: Linearization
     residual: Residual
-    tolerance_information: Information
+    tolerance_information: RecordInformation
     tolerance_columns: tuple[Float[np.ndarray, "_ tolerances"], ...]
     cost: float
 
     def with_parameters(
         self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
-    ) -> Information:
+    ) -> RecordInformation:
         """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
         signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
         decreases_by_step = [
@@ -120,10 +120,10 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
     gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
     columns_by_contact = []
     for contact_index in range(len(residual.contacts)):
-        columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
-        contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
+        residual_columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
+        contact_matrix, contact_gradient = without_drift(residual, contact_index, residual_columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
-        columns_by_contact.append(columns)
+        columns_by_contact.append(residual_columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
     information = _information_at(
         tolerance_names, normal_matrix / sample_ratio, gradient / sample_ratio, residual.pulls, cost
@@ -137,10 +137,10 @@ def _information_at(
     gradient: Float[np.ndarray, " unknowns"],
     expansion_point: Float[np.ndarray, " unknowns"],
     cost_at_point: float,
-) -> Information:
+) -> RecordInformation:
     """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
     pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
-    return Information(
+    return RecordInformation(
         tolerance_names,
         normal_matrix,
         right_side,
@@ -173,7 +173,7 @@ class PooledEstimate:
 
 
 def pooled(
-    record_information: Sequence[Information],
+    information_by_record: Sequence[RecordInformation],
     steps: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
@@ -184,17 +184,17 @@ def pooled(
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
     tolerance_names = list(
-        dict.fromkeys(name for information in record_information for name in information.tolerance_names)
+        dict.fromkeys(name for information in information_by_record for name in information.tolerance_names)
     )
     tolerance_count = len(tolerance_names)
     parameter_count = len(steps)
-    parameter_copies = len(record_information) if differs_by_record else 1
+    parameter_copies = len(information_by_record) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
     prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
-    for record_index, information in enumerate(record_information):
+    for record_index, information in enumerate(information_by_record):
         first_parameter = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
         unknown_indices = [
             *(tolerance_names.index(name) for name in information.tolerance_names),
@@ -209,7 +209,7 @@ def pooled(
     pooled_unknowns = prior_means + bounded_minimum(
         normal_matrix, right_side - normal_matrix @ prior_means, lower_bounds - prior_means, upper_bounds - prior_means
     )
-    cost = sum(information.constant_cost for information in record_information) + float(
+    cost = sum(information.constant_cost for information in information_by_record) + float(
         pooled_unknowns @ normal_matrix @ pooled_unknowns
         - 2 * right_side @ pooled_unknowns
         + prior_means @ (prior_precisions * prior_means)
@@ -239,7 +239,7 @@ def fitted_together(
     build_rig = partial(with_effects, rig, candidates)
 
     def pooled_about(expansion_values: Values) -> _PooledFit:
-        summed_cost, information_by_record = 0.0, list[Information]()
+        summed_cost, information_by_record = 0.0, list[RecordInformation]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
             record_fit = linearized_record(record, nominal_variances, build_rig(expansion_values))
             summed_cost += record_fit.cost

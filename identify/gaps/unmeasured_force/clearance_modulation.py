@@ -84,12 +84,12 @@ def _contact_modulation(
     resolution_hz = 1 / (pressed_times_s[-1] - pressed_times_s[0])
     lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.rate_hz)
     trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    harmonic_fits = [
+    fits_by_frequency = [
         _fitted_harmonic(pressed_times_s, clearance_change_m, frequency_trial_hz)
         for frequency_trial_hz in trial_hz
         if frequency_trial_hz > 0
     ]
-    variance_share, amplitude_m, frequency_hz = max(harmonic_fits)
+    variance_share, amplitude_m, frequency_hz = max(fits_by_frequency)
     return ClearanceModulation(contact_name, amplitude_m, frequency_hz, variance_share)
 
 

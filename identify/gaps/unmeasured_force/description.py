@@ -149,7 +149,7 @@ def _force_size(located_force: LocatedForce) -> _ForceSize:
     whitened, record = located_force.whitened_record, located_force.whitened_record.record
     spectral_density = (
         2
-        * located_force.with_force.force_spectrum
+        * located_force.fit_with_force.force_spectrum
         * 2
         / (whitened.reals_per_line * record.transform_length * record.sample_rate_hz)
     )

@@ -79,12 +79,16 @@ def _fit_at_place(
             else locate_force(whitened_validation, expected_place=candidate)
         )
     spectrum_shape = np.zeros(whitened_validation.band_starts.size)
-    band_count = min(spectrum_shape.size, on_fit.with_force.force_spectrum.size)
-    spectrum_shape[:band_count] = on_fit.with_force.force_spectrum[:band_count]
-    without_force, response = on_validation.without_force, response_of(whitened_validation, candidate)
-    with_force = evidence_with_force(whitened_validation, response, without_force, spectrum_shape=spectrum_shape)
-    criterion_decrease = without_force.criterion - with_force.criterion
-    return LocatedForce(candidate, criterion_decrease, 0.0, without_force, with_force, whitened_validation, response)
+    band_count = min(spectrum_shape.size, on_fit.fit_with_force.force_spectrum.size)
+    spectrum_shape[:band_count] = on_fit.fit_with_force.force_spectrum[:band_count]
+    fit_without_force, response = on_validation.fit_without_force, response_of(whitened_validation, candidate)
+    fit_with_force = evidence_with_force(
+        whitened_validation, response, fit_without_force, spectrum_shape=spectrum_shape
+    )
+    criterion_decrease = fit_without_force.criterion - fit_with_force.criterion
+    return LocatedForce(
+        candidate, criterion_decrease, 0.0, fit_without_force, fit_with_force, whitened_validation, response
+    )
 
 
 def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:

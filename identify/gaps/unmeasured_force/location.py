@@ -54,8 +54,8 @@ class LocatedForce:
     force_place: ForcePlace
     criterion_decrease: float
     position_error_m: float
-    without_force: ForceEvidence
-    with_force: ForceEvidence
+    fit_without_force: ForceEvidence
+    fit_with_force: ForceEvidence
     whitened_record: WhitenedRecord
     residual_per_force: Complex[np.ndarray, "lines rows"]
     modulus_growth: tuple[float, ...] = ()
@@ -83,7 +83,7 @@ def locate_force(
 
     With an `expected_place` one only its kind, no further than search_radius_m from it, is tried.
     """
-    without_force = evidence_without_force(whitened)
+    fit_without_force = evidence_without_force(whitened)
     possible_places = [
         place
         for place in force_places(whitened.record.rig, whitened.record.sensors)
@@ -91,9 +91,9 @@ def locate_force(
     ]
     if expected_place is not None and expected_place.kind != "distributed":
         possible_places.append(expected_place)
-    cleared_residual = subtract_nuisance(whitened, without_force.theta)
+    cleared_residual = subtract_nuisance(whitened, fit_without_force.theta)
     evidence_by_place = {
-        place: evidence_with_force(whitened, response_of(whitened, place), without_force, cleared_residual)
+        place: evidence_with_force(whitened, response_of(whitened, place), fit_without_force, cleared_residual)
         for place in possible_places
     }
     best_of_kinds: list[LocatedForce] = []
@@ -103,14 +103,15 @@ def locate_force(
             key=lambda place: evidence_by_place[place].criterion,
         )[:REFITTED_PER_KIND]
         refitted_evidence = [
-            (evidence_with_force(whitened, response_of(whitened, place), without_force), place) for place in best_places
+            (evidence_with_force(whitened, response_of(whitened, place), fit_without_force), place)
+            for place in best_places
         ]
         if refitted_evidence:
-            with_force, best_place = min(refitted_evidence, key=lambda located_force: located_force[0].criterion)
-            best_of_kinds.append(_located_force(whitened, best_place, without_force, with_force))
+            fit_with_force, best_place = min(refitted_evidence, key=lambda located_force: located_force[0].criterion)
+            best_of_kinds.append(_located_force(whitened, best_place, fit_without_force, fit_with_force))
     if expected_place is None or expected_place.kind == "distributed":
         best_of_kinds += [
-            drift for drift in [_locate_drift(whitened, without_force, expected_place)] if drift is not None
+            drift for drift in [_locate_drift(whitened, fit_without_force, expected_place)] if drift is not None
         ]
     return _refine_position(max(best_of_kinds, key=lambda located_force: located_force.criterion_decrease))
 
@@ -176,11 +177,17 @@ def _within_radius(force_place: ForcePlace, expected_place: ForcePlace, search_r
 
 
 def _located_force(
-    whitened: WhitenedRecord, force_place: ForcePlace, without_force: ForceEvidence, with_force: ForceEvidence
+    whitened: WhitenedRecord, force_place: ForcePlace, fit_without_force: ForceEvidence, fit_with_force: ForceEvidence
 ) -> LocatedForce:
-    criterion_decrease = without_force.criterion - with_force.criterion
+    criterion_decrease = fit_without_force.criterion - fit_with_force.criterion
     return LocatedForce(
-        force_place, criterion_decrease, 0.0, without_force, with_force, whitened, response_of(whitened, force_place)
+        force_place,
+        criterion_decrease,
+        0.0,
+        fit_without_force,
+        fit_with_force,
+        whitened,
+        response_of(whitened, force_place),
     )
 
 
@@ -195,7 +202,7 @@ def _refine_position(located_force: LocatedForce) -> LocatedForce:
     def criterion_at(shift_m: float) -> float:
         if shift_m not in evidence_by_shift:
             evidence_by_shift[shift_m] = evidence_with_force(
-                whitened, response_of(whitened, _shifted_place(force_place, shift_m)), located_force.with_force
+                whitened, response_of(whitened, _shifted_place(force_place, shift_m)), located_force.fit_with_force
             )
         return evidence_by_shift[shift_m].criterion
 
@@ -224,7 +231,7 @@ def _refine_position(located_force: LocatedForce) -> LocatedForce:
     position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else PLACE_SPACING_M
     best_place = _shifted_place(force_place, best_shift_m)
     return replace(
-        _located_force(whitened, best_place, located_force.without_force, evidence_by_shift[best_shift_m]),
+        _located_force(whitened, best_place, located_force.fit_without_force, evidence_by_shift[best_shift_m]),
         position_error_m=min(position_error_m, PLACE_SPACING_M),
     )
 
@@ -242,7 +249,7 @@ def _parabola_vertex(positions_m: list[float], criterion_values: list[float]) ->
 
 
 def _locate_drift(
-    whitened: WhitenedRecord, without_force: ForceEvidence, expected_place: ForcePlace | None
+    whitened: WhitenedRecord, fit_without_force: ForceEvidence, expected_place: ForcePlace | None
 ) -> LocatedForce | None:
     """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
     body_names = (
@@ -279,16 +286,16 @@ def _locate_drift(
             [whitened.nuisance_columns, drift_columns],
             np.append(whitened.trace_terms, 0.0 * np.array(column_scales)),
         )
-        with_force = evidence_without_force(with_drift_columns)
-        criterion_decrease = without_force.criterion - with_force.criterion
+        fit_with_force = evidence_without_force(with_drift_columns)
+        criterion_decrease = fit_without_force.criterion - fit_with_force.criterion
         modulus_growth = tuple(
-            float(growth_value) for growth_value in with_force.theta[-len(drifting_bodies) :] * column_scales
+            float(growth_value) for growth_value in fit_with_force.theta[-len(drifting_bodies) :] * column_scales
         )
         if best_drift is None or criterion_decrease > max(
             best_drift.criterion_decrease, 1.05 * best_drift.criterion_decrease
         ):
             no_response = np.zeros(whitened.whitened_residual.shape, dtype=complex)
-            covariance = np.linalg.inv(nuisance_equations(with_drift_columns, with_force.noise_variance)[0])
+            covariance = np.linalg.inv(nuisance_equations(with_drift_columns, fit_with_force.noise_variance)[0])
             growth_errors = tuple(
                 float(growth_error)
                 for growth_error in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
@@ -298,8 +305,8 @@ def _locate_drift(
                 drift_place,
                 criterion_decrease,
                 0.0,
-                without_force,
-                with_force,
+                fit_without_force,
+                fit_with_force,
                 with_drift_columns,
                 no_response,
                 modulus_growth,

@@ -109,7 +109,7 @@ def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np
 def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "sensors alllines"]:
     """Accelerations by a body's modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
-    tau, record_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
+    tau, relative_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
     """
     record, model = whitened.record, whitened.model
     padded_samples = record.transform_length // record.decimation

@@ -31,7 +31,7 @@ from rig.errors import RigError
 from rig.model.description import Rig, Station
 
 BAND_WIDTH_HZ = 2.0
-"""Width of the bands in which s and S are constant, as `scales.BAND_HZ`."""
+"""Width of the bands in which s and S are constant, as `scales.BAND_WIDTH_HZ`."""
 GATE_FADE_S = 0.5
 """Length of the fade of the gate. Set by hand."""
 LOWEST_LINE_HZ = 0.75

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from identify.gaps.decision.bounds import Difference, contact_bound
+from identify.gaps.decision.bounds import NominalDifference, contact_bound
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
 from identify.gaps.decision.judge import may_hide_force, with_lasting_error
 from identify.gaps.decision.notes import Attempt
@@ -111,7 +111,7 @@ def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> 
 
 
 NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, ()) for x in np.linspace(-9, 9, 12)))
-DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
+DIFFERENCE = NominalDifference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 
 def decide(ranked, vetoed):
