@@ -23,7 +23,7 @@ from rig.recording import Recording
 
 FADE_S = 0.5
 """Length of the fade at either end of a record. Set by hand."""
-OMITTED_END_S, OMITTED_SHARE = 4.5, 0.45
+OMITTED_EDGE_S, OMITTED_SHARE = 4.5, 0.45
 """Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it. Set
 by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
@@ -100,13 +100,15 @@ class RecordBeginning:
         """Seconds omitted at the start and at the end."""
         is_ringing_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
         omitted_end_s = (
-            min(OMITTED_END_S, OMITTED_SHARE * self.duration_s) if is_ringing_on else OMITTED_FADES * self.fade_length_s
+            min(OMITTED_EDGE_S, OMITTED_SHARE * self.duration_s)
+            if is_ringing_on
+            else OMITTED_FADES * self.fade_length_s
         )
         if self.starts_quiet:
             return 0.0, omitted_end_s
         if self.counts_from_blow:
             return RELEASE_S * self.floats_in_contacts, omitted_end_s
-        return omitted_end_s if self.all_free else OMITTED_END_S, omitted_end_s
+        return omitted_end_s if self.all_free else OMITTED_EDGE_S, omitted_end_s
 
 
 def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> RecordBeginning:
