@@ -171,14 +171,10 @@ class _DecisionBasis:
 
 
 def difference_of(
-    prepared: PreparedRecordings,
-    searched_misfit: Misfit,
-    nominal_residual: Residual,
-    matters: Matters,
-    split_bound: float,
+    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, split_bound: float
 ) -> NominalDifference:
-    """Difference of the nominal rig and all records; `nominal_residual` is that of the validation record,
-    `searched_misfit` the nominal rig's on the one that was searched.
+    """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
+    nominal rig's on the one that was searched.
 
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
@@ -188,9 +184,7 @@ def difference_of(
         if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
         fitted_residual = (
-            nominal_residual
-            if observation is validation
-            else fit_nuisance(observation.record, observation.record.rig)[1]
+            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
         )
         return misfit(observation.record, observation.nominal_variances, fitted_residual)
 

@@ -88,18 +88,18 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
 
 
 def _explained_sentences(gap: Diagnosis) -> list[str]:
-    cause = gap.causes[0]
-    explain = "explains" if len(cause.named) == 1 else "explain"
+    named = gap.causes[0]
+    explain = "explains" if len(named.named) == 1 else "explain"
     if not gap.evidence.held_back_shows:
         return [
-            f"{capitalised(joined(cause.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
+            f"{capitalised(joined(named.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
             "all records together: the one that was not fitted shows too little of it."
         ]
     if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
         pull_words = number(gap.before.largest_pull, 2)
         return [
-            f"{capitalised(joined(cause.named))} {explain} the difference, which a tolerance would have to take up "
-            f"without {_pronoun(cause)}: it would be off by {pull_words} standard deviations."
+            f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
+            f"without {_pronoun(named)}: it would be off by {pull_words} standard deviations."
         ]
     chance_words = (
         ""
@@ -107,8 +107,8 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
         else f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
     )
     return [
-        f"{capitalised(joined(cause.named))} {explain} the difference: with {_pronoun(cause)} the model leaves "
-        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(cause)} "
+        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
+        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
         f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}{_taken_up_words(gap)}."
     ]
 
@@ -170,14 +170,8 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
 
 def _parameters_beyond(gap: Diagnosis) -> list[str]:
     """Sentence on contact parameters that are certainly off by more than matters."""
-    exceeding_bounds = [
-        bound for bound in gap.evidence.quantities if bound.unit != "1" and not (bound.holds or bound.not_seen)
-    ]
-    return (
-        [f"Off by more than matters: {joined([bound_words(bound) for bound in exceeding_bounds])}."]
-        if exceeding_bounds
-        else []
-    )
+    beyond = [bound for bound in gap.evidence.quantities if bound.unit != "1" and not (bound.holds or bound.not_seen)]
+    return [f"Off by more than matters: {joined([bound_words(bound) for bound in beyond])}."] if beyond else []
 
 
 _VERDICTS = {

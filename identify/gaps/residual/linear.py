@@ -24,13 +24,13 @@ from identify.gaps.residual.shaken_base import BaseSpectra, unmeasured_base_acce
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
+    following_motion,
     ground_force_derivative,
     has_ground_forces,
     known_forces_of,
     linear_dampers,
     modal_response,
     response_to_force,
-    rig_of_following_dampers,
     static_response,
 )
 from identify.linear.free_motion import FreeMode
@@ -193,7 +193,7 @@ class LinearModel:
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
         sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
-        rig = rig_of_following_dampers(self.record, self.rig)
+        rig = following_motion(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
@@ -224,7 +224,7 @@ def linear_model(
     displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
     model = _linear_model(record, rig, responses, model_error, motion)
-    if model.free_modes and has_ground_forces(rig_of_following_dampers(record, rig)):
+    if model.free_modes and has_ground_forces(following_motion(record, rig)):
         for _ in range(INITIAL_STATE_ROUNDS):
             model = _linear_model(record, rig, responses, model_error, model.motion)
     return model

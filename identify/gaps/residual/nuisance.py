@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.windowed import has_ground_forces, rig_of_following_dampers
+from identify.gaps.residual.windowed import following_motion, has_ground_forces
 from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
@@ -136,7 +136,7 @@ def _projected_change(
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     change = _with_damper_feedback(record, model, change)
-    if change.displacements is None or not has_ground_forces(rig_of_following_dampers(record, model.rig)):
+    if change.displacements is None or not has_ground_forces(following_motion(record, model.rig)):
         return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals

@@ -56,7 +56,7 @@ def known_forces_of(
         else -record.base.in_rig(rig, record.omega).acceleration[None]
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following_rig = [], rig_of_following_dampers(record, rig)
+    ground_reactions, following_rig = [], following_motion(record, rig)
     if has_ground_forces(following_rig):
         ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
     return (
@@ -239,14 +239,14 @@ def ground_force_derivative(
     return force_changes
 
 
-def rig_of_following_dampers(record: Record, rig: Rig) -> Rig:
+def following_motion(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
     return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
-    """Dampers that the linear model holds; see `rig_of_following_dampers`."""
+    """Dampers that the linear model holds; see `following_motion`."""
     return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 

@@ -121,13 +121,10 @@ class Candidate:
         """Typical effect with other values of its parameters."""
         return msgspec.structs.replace(self.typical_effect, **self.parameters.named(parameter_values))
 
-    def applied(self, rig: Rig, parameter_values: Float[np.ndarray, " parameters"]) -> Rig:
+    def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
-        is_neutral = all(
-            parameter.neutral in (None, value)
-            for value, parameter in zip(parameter_values, self.parameters, strict=True)
-        )
-        return rig if is_neutral else self.effect(parameter_values).applied_to(rig)
+        is_neutral = all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True))
+        return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
 def contains(containing_candidate: Candidate, contained_candidate: Candidate) -> bool:
