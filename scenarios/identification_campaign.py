@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.special import erf
 
-from identify.contacts.acceptance import Contacts, find_contacts
+from identify.contacts.acceptance import AcceptedContacts, find_contacts
 from identify.pages.wording import COVERED
 from rig.commands.command_line import console_table, run
 from rig.commands.tasks import Dask, run_tasks
@@ -149,7 +149,7 @@ def _with_sensors_of(recording: Recording, rig: Rig) -> Recording:
     return Recording(rig, {**recording.signals, "acceleration": kept}, recording.provenance)
 
 
-def estimate_errors(contacts: Contacts, true_laws: Sequence[tuple[str, float, float, float]]) -> EstimateErrors:
+def estimate_errors(contacts: AcceptedContacts, true_laws: Sequence[tuple[str, float, float, float]]) -> EstimateErrors:
     """Estimates beside true laws: name, clearance (m), stiffness (N/m) and damping (N s/m) of each contact."""
     names, true_values, estimates, standard_errors, refusals = [], [], [], [], []
     for contact, clearance_m, stiffness_n_per_m, damping_n_s_per_m in true_laws:

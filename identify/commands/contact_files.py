@@ -12,7 +12,7 @@ from rich.table import Table
 import identify
 from identify.checks import Finding
 from identify.contacts.drawn_results import curves_of
-from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
+from identify.contacts.pooled import LARGE_FILE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Estimate, Segment, Segments, identified_rig
 from identify.pages.tables import save_tables
 from identify.pages.wording import interval, number
@@ -56,7 +56,7 @@ def identify_file(
     Raises RigError if the recording does not allow it.
     """
     segment_s = settings.segment_s
-    if segment_s is None and file.exists() and file.stat().st_size > LARGE_BYTES:
+    if segment_s is None and file.exists() and file.stat().st_size > LARGE_FILE_BYTES:
         segment_s = longest_segment_s(file)
     if segment_s is None:
         contact_result = identify.contact(

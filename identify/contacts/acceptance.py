@@ -60,7 +60,7 @@ AnyEstimate = TypeVar("AnyEstimate", JointEstimate, AnnularEstimate)
 
 
 @dataclass(frozen=True)
-class Contacts:
+class AcceptedContacts:
     """Contacts of a recording: separated forces, outcome of each contact, and findings against them."""
 
     separation: Separation
@@ -70,13 +70,15 @@ class Contacts:
 
 def checked_contacts(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
-) -> Contacts:
+) -> AcceptedContacts:
     """`find_contacts` after a check of the recording, with the findings of both.
 
     Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
     channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
     """
-    findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
+    findings = tuple(
+        finding for finding in check_recording(recording, use, tolerances) if finding.cause != "not at rest"
+    )
     with naming_first_finding(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(contacts.separation.motion):
@@ -86,7 +88,7 @@ def checked_contacts(
 
 def find_contacts(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances, forms: Sequence[FormName] = ()
-) -> Contacts:
+) -> AcceptedContacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
     zone, or the one of `forms` that the record supports.
 
@@ -96,13 +98,13 @@ def find_contacts(
     return accept(separation, determine(separation, forms))
 
 
-def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
+def accept(separation: Separation, outcomes: Outcomes) -> AcceptedContacts:
     """Outcomes in the order of the rig, with standard errors widened by their pulls, and the findings on the fits.
 
     Without a recorded force, refusals say that one may be missing, and ContactRefusedError is raised if the contact
     laws do not explain the contact forces: other forces acted.
     """
-    names = [c.name for c in separation.rig.contacts]
+    names = [contact.name for contact in separation.rig.contacts]
     parameters = separation.forces.nuisances.parameters
     estimates = {
         name: widened_estimate(outcomes.estimates[name], parameters, separation.mass_pull)
@@ -113,20 +115,20 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
     if is_unforced(separation.motion):
         _check_free_decay(estimates)
         refusals = {name: replace(refusal, unforced=True) for name, refusal in refusals.items()}
-    return Contacts(separation, Outcomes(estimates, refusals), tuple(fit_findings(estimates, parameters)))
+    return AcceptedContacts(separation, Outcomes(estimates, refusals), tuple(fit_findings(estimates, parameters)))
 
 
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
         if estimate.unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
-            percent = 100 * estimate.unexplained_share
-            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=percent)
+            unexplained_percent = 100 * estimate.unexplained_share
+            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=unexplained_percent)
 
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
     """Findings without those of force channels at zero, which a free decay explains."""
-    return tuple(f for f in findings if f.cause != "dead" or not set(f.channels) <= set(forces))
+    return tuple(finding for finding in findings if finding.cause != "dead" or not set(finding.channels) <= set(forces))
 
 
 def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> AnyEstimate:
@@ -138,14 +140,14 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     the fit. Where a spring holds the bodies, a sensor's high-pass counts too: it represents slow motion that
     accelerometers miss and that the spring feels.
     """
-    kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
+    widening_kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
     body_and_force_pulls = {
         parameter: abs(pull)
         for pull, parameter in zip(estimate.pulls, parameters, strict=True)
-        if parameter.kind in kinds and parameter.mode_number is None
+        if parameter.kind in widening_kinds and parameter.mode_number is None
     }
     largest_pull = max(body_and_force_pulls.values(), default=0.0)
-    is_single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
+    is_single_body = sum(nuisance.kind == NuisanceKind.FREQUENCY for nuisance in body_and_force_pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
     covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
@@ -159,28 +161,28 @@ def fit_findings(
     (N s/m) is the value of that index."""
     for parameter_index, parameter in enumerate(parameters):
         pulls = (estimate.pulls[parameter_index] for estimate in estimates.values())
-        pull = max(pulls, key=abs, default=0.0)
-        if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
-            yield _pull_finding(parameter, pull)
+        largest_pull = max(pulls, key=abs, default=0.0)
+        if parameter.kind in CAUSES and abs(largest_pull) > PULL_LIMIT:
+            yield _pull_finding(parameter, largest_pull)
     for name, estimate in estimates.items():
-        damping, error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
-        if damping < -NEGATIVE_DAMPING_ERRORS * error:
-            damping_text = interval(damping, error, "N s/m")
+        damping_n_s_per_m, damping_error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
+        if damping_n_s_per_m < -NEGATIVE_DAMPING_ERRORS * damping_error:
+            damping_text = interval(damping_n_s_per_m, damping_error, "N s/m")
             yield _fit_finding(name, f"{name} comes out with a negative damping of {damping_text}")
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
-            unexplained = f"{100 * estimate.unexplained_share:.2g} %"
-            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
+            unexplained_text = f"{100 * estimate.unexplained_share:.2g} %"
+            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained_text} of {name}'s force")
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    owner = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
         channels=(parameter.owner,) if parameter.kind in SENSOR_KINDS else (),
-        of=owner,
-        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
+        of=owner_name,
+        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner_name} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
@@ -190,21 +192,21 @@ def equation_findings(
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
     for nifo in spectra:
-        for j, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
+        for contact_index, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, is_visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
+            name, is_visible = names[contact_index], nifo.equation.visibility[contact_index] >= NEARLY_INVISIBLE_SHARE
             if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
             estimate = estimates[name]
-            stiffness_n_per_m, standard_error = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
-            combined_error = float(np.hypot(mean_error_n_per_m, standard_error))
+            stiffness_n_per_m, stiffness_error_n_per_m = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
+            combined_error = float(np.hypot(mean_error_n_per_m, stiffness_error_n_per_m))
             limit_n_per_m = max(CONTRADICTION_SHARE * stiffness_n_per_m, CONTRADICTION_ERRORS * combined_error)
             if abs(mean_n_per_m - stiffness_n_per_m) > limit_n_per_m:
                 yield _fit_finding(
                     name,
                     f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
-                    f"together {interval(stiffness_n_per_m, standard_error, 'N/m')} (± 95 %)",
+                    f"together {interval(stiffness_n_per_m, stiffness_error_n_per_m, 'N/m')} (± 95 %)",
                 )
 
 

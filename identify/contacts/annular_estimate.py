@@ -87,44 +87,57 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     is not bridged from closure to closure.
     """
     fit = annular_fit(record, sliding_speed_m_per_s)
-    state, curve = fit.state, fit.record.drift_spline
+    state, drift_spline = fit.state, fit.record.drift_spline
     _check_slow_motion(fit)
     derivatives, equations = fit.linearized()
-    pull_count, to_law = state.pulls.size, fit.to_law
+    pull_count, free_to_law = state.pulls.size, fit.to_law
     eta, rate = fit.motion(state.knots, state.pulls)
-    ring_by_knots = np.zeros((curve.knots, len(RING)))
-    ring_by_dense = np.zeros((pull_count + to_law.shape[1], len(RING)))
-    ring_by_dense[pull_count:] = to_law.T
-    ring_by_dense[pull_count - 1, LOG_SPEED] = 1.0
-    values, by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
+    ring_by_knots = np.zeros((drift_spline.knots, len(RING)))
+    ring_by_free = np.zeros((pull_count + free_to_law.shape[1], len(RING)))
+    ring_by_free[pull_count:] = free_to_law.T
+    ring_by_free[pull_count - 1, LOG_SPEED] = 1.0
+    values, is_center_by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
     values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
-    if by_rest:
-        values[CENTER], by_values = _center_by_rest(values)
-        ring_by_dense[pull_count:, CENTER] = (by_values @ to_law).T
-    knots_per_gradient, dense_per_gradient = equations.solved(ring_by_knots, ring_by_dense)
+    if is_center_by_rest:
+        values[CENTER], center_by_values = _center_by_rest(values)
+        ring_by_free[pull_count:, CENTER] = (center_by_values @ free_to_law).T
+    knots_per_gradient, pulls_and_free_per_gradient = equations.solved(ring_by_knots, ring_by_free)
     pulls_and_laws_per_gradient = np.concatenate(
-        [dense_per_gradient[:pull_count], to_law @ dense_per_gradient[pull_count:]]
+        [pulls_and_free_per_gradient[:pull_count], free_to_law @ pulls_and_free_per_gradient[pull_count:]]
     )
     influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
-    planes, residuals = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
-    starts = informative_parts(np.hypot(*planes[:, :, STIFFNESS]))
-    by_parts = np.sum([part_scores(*rows, starts) for rows in zip(planes, residuals, strict=True)], axis=0)
-    rows = (
-        small_sample_factor(to_law.shape[1]) * by_parts,
-        record.samples_per_error * dense_per_gradient[:pull_count],
-        curve.curvature @ knots_per_gradient,
+    influence_by_plane, residual_by_plane = (
+        influence.reshape(DIRECTIONS, -1, len(RING)),
+        state.residual_n.reshape(DIRECTIONS, -1),
     )
-    covariances = {source: x.T @ x for source, x in zip(("scatter", "tolerances", "drift"), rows, strict=True)}
-    covariances["law"] = _misfit_covariance(fit, derivatives, starts)
+    part_starts = informative_parts(np.hypot(*influence_by_plane[:, :, STIFFNESS]))
+    scores_by_part = np.sum(
+        [
+            part_scores(*rows_by_source, part_starts)
+            for rows_by_source in zip(influence_by_plane, residual_by_plane, strict=True)
+        ],
+        axis=0,
+    )
+    rows_by_source = (
+        small_sample_factor(free_to_law.shape[1]) * scores_by_part,
+        record.samples_per_error * pulls_and_free_per_gradient[:pull_count],
+        drift_spline.curvature @ knots_per_gradient,
+    )
+    covariances = {
+        source: row.T @ row for source, row in zip(("scatter", "tolerances", "drift"), rows_by_source, strict=True)
+    }
+    covariances["law"] = _misfit_covariance(fit, derivatives, part_starts)
     covariance = np.asarray(sum(covariances.values()))
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
     rest_error_n = float(np.sqrt(np.diag(covariance)[REST].max()))
-    closed_at_rest = by_rest and float(np.hypot(*values[REST])) > REST_ERRORS * rest_error_n
+    is_closed_at_rest = is_center_by_rest and float(np.hypot(*values[REST])) > REST_ERRORS * rest_error_n
     return AnnularEstimate(
         values=values,
         covariances=covariances,
         sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
-        center_known=bool((closed_at_rest or record.zero_known) and center_error_m < CENTER_SHARE * values[CLEARANCE]),
+        center_known=bool(
+            (is_closed_at_rest or record.zero_known) and center_error_m < CENTER_SHARE * values[CLEARANCE]
+        ),
         pulls=state.pulls[:-1],
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
@@ -132,10 +145,10 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         unexplained_share=unexplained_share(
             [
                 (residual[record.used], plane.force_n[record.used], plane.noise_n)
-                for residual, plane in zip(residuals, record.planes, strict=True)
+                for residual, plane in zip(residual_by_plane, record.planes, strict=True)
             ]
         ),
-        half_differences=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
+        half_differences=half_differences(scores_by_part[:, [CLEARANCE, STIFFNESS]]),
     )
 
 
@@ -145,44 +158,46 @@ def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[n
     force_n, stiffness = max(float(np.hypot(*rest_force_n)), 1e-12), values[STIFFNESS]
     rest_direction = rest_force_n / force_n
     radius_m = values[CLEARANCE] + force_n / stiffness
-    by_values = np.zeros((DIRECTIONS, len(RING)))
-    by_values[:, CLEARANCE] = -rest_direction
-    by_values[:, STIFFNESS] = rest_direction * force_n / stiffness**2
+    center_by_values = np.zeros((DIRECTIONS, len(RING)))
+    center_by_values[:, CLEARANCE] = -rest_direction
+    center_by_values[:, STIFFNESS] = rest_direction * force_n / stiffness**2
     tangent_projection = np.eye(DIRECTIONS) - np.outer(rest_direction, rest_direction)
-    by_values[:, REST] = -(
+    center_by_values[:, REST] = -(
         np.outer(rest_direction, rest_direction) / stiffness + radius_m / force_n * tangent_projection
     )
-    return -radius_m * rest_direction, by_values
+    return -radius_m * rest_direction, center_by_values
 
 
-def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.ndarray, " parts"]) -> RingCovariance:
+def _misfit_covariance(
+    fit: AnnularFit, derivatives: Jacobian, part_starts: Int[np.ndarray, " parts"]
+) -> RingCovariance:
     """Covariance of the parameters from the misfit of the law, as `law_fit.misfit_covariance`; the force at rest, which
     the open contact tells, is held."""
     record, state = fit.record, fit.state
-    free = [k for k in fit.free if k < REST.start]
-    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free]
+    free_indices = [parameter_index for parameter_index in fit.free if parameter_index < REST.start]
+    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free_indices]
     residual = state.residual_n.reshape(DIRECTIONS, -1)
-    squares = fit.weights.reshape(DIRECTIONS, -1) ** 2
+    squared_weights = fit.weights.reshape(DIRECTIONS, -1) ** 2
     eta, rate = fit.motion(state.knots, state.pulls)
     motion = ring_motion(state.values, record.at_forces(eta), record.at_forces(rate))
-    closed, grows = record.used & (motion.depth_m > 0), motion.radial_rate_m_per_s > 0
-    deep = motion.depth_m > np.median(motion.depth_m[closed])
-    scale = np.max(np.abs(by_law), axis=(0, 1))
+    is_closed, is_growing = record.used & (motion.depth_m > 0), motion.radial_rate_m_per_s > 0
+    is_deep = motion.depth_m > np.median(motion.depth_m[is_closed])
+    law_scale = np.max(np.abs(by_law), axis=(0, 1))
     covariance = np.zeros((len(RING), len(RING)))
 
-    def scores(samples: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
-        weighted = np.where(samples, squares, 0.0)[:, :, None] * by_law / scale
-        normal = np.einsum("pij,pik->jk", weighted, by_law / scale)
-        influence = weighted @ np.linalg.pinv(normal, hermitian=True)
-        return np.sum([part_scores(*rows, starts) for rows in zip(influence, residual, strict=True)], axis=0)
+    def half_scores(is_in_half: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
+        weighted_by_law = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * by_law / law_scale
+        normal_matrix = np.einsum("pij,pik->jk", weighted_by_law, by_law / law_scale)
+        influence = weighted_by_law @ np.linalg.pinv(normal_matrix, hermitian=True)
+        return np.sum([part_scores(*rows, part_starts) for rows in zip(influence, residual, strict=True)], axis=0)
 
-    for halves in ((closed & deep, closed & ~deep), (closed & grows, closed & ~grows)):
-        if min(half.sum() for half in halves) < LEAST_HALF_SAMPLES:
+    for half_masks in ((is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)):
+        if min(half_mask.sum() for half_mask in half_masks) < LEAST_HALF_SAMPLES:
             continue
-        parameter_difference, excess = misfit_excess(scores(halves[0]) - scores(halves[1]))
-        error = np.zeros(len(RING))
-        error[free] = parameter_difference / scale / 2
-        covariance += excess * np.outer(error, error)
+        parameter_difference, excess = misfit_excess(half_scores(half_masks[0]) - half_scores(half_masks[1]))
+        law_error = np.zeros(len(RING))
+        law_error[free_indices] = parameter_difference / law_scale / 2
+        covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
@@ -193,6 +208,6 @@ def _check_slow_motion(fit: AnnularFit) -> None:
     drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
     if drifts:
         force = record.force_n + fit.state.values[-DIRECTIONS:, None]
-        closed, density = closed_samples(record, force), max(drift.noise_density for drift in drifts)
-        depth_m = float(np.median(np.hypot(*force[:, closed]))) / fit.state.values[STIFFNESS]
-        check_bridged(closed, record.decimation / record.sample_rate_hz, density, depth_m)
+        is_closed, noise_density = closed_samples(record, force), max(drift.noise_density for drift in drifts)
+        depth_m = float(np.median(np.hypot(*force[:, is_closed]))) / fit.state.values[STIFFNESS]
+        check_bridged(is_closed, record.decimation / record.sample_rate_hz, noise_density, depth_m)

@@ -82,9 +82,9 @@ class AnnularFit:
 
     def values_at(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
         """Values with the sliding speed of the last pull."""
-        changed = values.copy()
-        changed[LOG_SPEED] = self.log_speed + pulls[-1]
-        return changed
+        changed_values = values.copy()
+        changed_values[LOG_SPEED] = self.log_speed + pulls[-1]
+        return changed_values
 
     def state_at(
         self, values: RingValues, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
@@ -92,40 +92,53 @@ class AnnularFit:
         """State at some parameters, with its cost for the weights."""
         record, values = self.record, self.values_at(values, pulls)
         eta, rate = self.motion(knots, pulls)
-        fitted = evaluated_law(
+        law_force_n = evaluated_law(
             partial(ring_force_n, values), np.concatenate([eta, rate]), record.sample_rate_hz, record.decimation
         )
         residual = []
-        for p, plane in enumerate(record.planes):
-            plane_pulls = pulls[record.columns[p]]
+        for plane_index, plane in enumerate(record.planes):
+            plane_pulls = pulls[record.columns[plane_index]]
             unfitted_n = (
-                plane.force_n + values[REST][p] - plane_pulls @ plane.nuisance_n - fitted[p, : plane.force_n.size]
+                plane.force_n
+                + values[REST][plane_index]
+                - plane_pulls @ plane.nuisance_n
+                - law_force_n[plane_index, : plane.force_n.size]
             )
-            ground = ground_n_per_m(plane) @ knots[p::DIRECTIONS]
-            residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground)
+            ground_force_n = ground_n_per_m(plane) @ knots[plane_index::DIRECTIONS]
+            residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground_force_n)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
-        prior = record.drift_spline.curvature @ knots - record.drift_spline.target
-        squares = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior**2)
-        return replace(state, cost=float(squares + record.samples_per_error * np.sum(pulls**2)))
+        prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.target
+        cost = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior_residual**2)
+        return replace(state, cost=float(cost + record.samples_per_error * np.sum(pulls**2)))
 
     def motion(
         self, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> tuple[Float[np.ndarray, "2 samples"], Float[np.ndarray, "2 samples"]]:
         """Relative displacements with slow motion and nuisance signals, m, and their rates, m/s."""
         record = self.record
-        pairs = [
-            corrected_motion(plane, knots[p::DIRECTIONS], pulls[record.columns[p]])
-            for p, plane in enumerate(record.planes)
+        motion_by_plane = [
+            corrected_motion(plane, knots[plane_index::DIRECTIONS], pulls[record.columns[plane_index]])
+            for plane_index, plane in enumerate(record.planes)
         ]
-        return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+        return np.stack([motion[0] for motion in motion_by_plane]), np.stack([motion[1] for motion in motion_by_plane])
 
     @property
     def to_law(self) -> Float[np.ndarray, "9 free"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to all."""
-        values, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
-        clearance, stiffness = values[[CLEARANCE, STIFFNESS]].tolist()
-        sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SIZE, 1.0, clearance, clearance, force_n, force_n]
-        return np.diag(sizes)[:, list(self.free)]
+        magnitudes, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
+        clearance, stiffness = magnitudes[[CLEARANCE, STIFFNESS]].tolist()
+        parameter_sizes = [
+            clearance,
+            stiffness,
+            1e-3 * stiffness,
+            FRICTION_SIZE,
+            1.0,
+            clearance,
+            clearance,
+            force_n,
+            force_n,
+        ]
+        return np.diag(parameter_sizes)[:, list(self.free)]
 
     @property
     def slopes(self) -> RingDerivatives:
@@ -142,16 +155,25 @@ class AnnularFit:
         by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
         by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
         curves = [plane.drift_spline for plane in record.planes]
-        for p, plane in enumerate(record.planes):
-            force_gain = 1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple
-            by_law[p] /= force_gain
-            blocks = []
-            for q, curve in enumerate(curves):
-                gain = self._motion_gain(q) / force_gain
-                value, speed = (rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate))
-                block = gain * (diags(by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
-                blocks.append(interleaved(block + ground_n_per_m(plane) if p == q else block, q))
-            by_knots.append(blocks[0] + blocks[1])
+        for plane_index, plane in enumerate(record.planes):
+            force_gain = 1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
+            by_law[plane_index] /= force_gain
+            knot_blocks = []
+            for curve_index, curve in enumerate(curves):
+                gain_ratio = self._motion_gain(curve_index) / force_gain
+                knot_values, knot_rates = (
+                    rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate)
+                )
+                knot_block = gain_ratio * (
+                    diags(by_eta[plane_index, curve_index]) @ knot_values
+                    + diags(by_rate[plane_index, curve_index]) @ knot_rates
+                )
+                knot_blocks.append(
+                    interleaved(
+                        knot_block + ground_n_per_m(plane) if plane_index == curve_index else knot_block, curve_index
+                    )
+                )
+            by_knots.append(knot_blocks[0] + knot_blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
 
@@ -164,23 +186,31 @@ class AnnularFit:
     ) -> Float[np.ndarray, "twice nuisances"]:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
         record, state = self.record, self.state
-        count = record.force_n.shape[1]
-        rows = np.zeros((state.pulls.size, DIRECTIONS, count), np.float32)
-        for p, plane in enumerate(record.planes):
-            plane_columns = record.columns[p]
-            ground = ground_n_per_m(plane) @ state.knots[p::DIRECTIONS]
-            force_residual = state.residual_n.reshape(DIRECTIONS, -1)[p] + ground
-            for i, signal, noise in zip(plane_columns, plane.nuisance_n, plane.force_noise_multiple, strict=True):
-                rows[i, p] += signal - noise * force_residual
-            drift = record.at_forces((plane.drift_spline.value @ state.knots[p::DIRECTIONS])[None])[0]
-            for i, signal_m, noise in zip(
+        sample_count = record.force_n.shape[1]
+        nuisance_rows = np.zeros((state.pulls.size, DIRECTIONS, sample_count), np.float32)
+        for plane_index, plane in enumerate(record.planes):
+            plane_columns = record.columns[plane_index]
+            ground_force_n = ground_n_per_m(plane) @ state.knots[plane_index::DIRECTIONS]
+            force_residual_n = state.residual_n.reshape(DIRECTIONS, -1)[plane_index] + ground_force_n
+            for nuisance_index, signal, noise_multiple in zip(
+                plane_columns, plane.nuisance_n, plane.force_noise_multiple, strict=True
+            ):
+                nuisance_rows[nuisance_index, plane_index] += signal - noise_multiple * force_residual_n
+            drift_m = record.at_forces((plane.drift_spline.value @ state.knots[plane_index::DIRECTIONS])[None])[0]
+            for nuisance_index, signal_m, noise_multiple in zip(
                 plane_columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
             ):
-                force_change_n = slopes.by_eta[:, p] * signal_m + slopes.by_rate[:, p] * plane.velocity_of(signal_m)
-                rows[i] -= _low_passed(record, force_change_n) + noise * by_eta[:, p] * drift
-        for p, plane in enumerate(record.planes):
-            rows[:, p] /= np.float32(1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple)
-        return rows.reshape(state.pulls.size, -1).T
+                force_change_n = slopes.by_eta[:, plane_index] * signal_m + slopes.by_rate[
+                    :, plane_index
+                ] * plane.velocity_of(signal_m)
+                nuisance_rows[nuisance_index] -= (
+                    _low_passed(record, force_change_n) + noise_multiple * by_eta[:, plane_index] * drift_m
+                )
+        for plane_index, plane in enumerate(record.planes):
+            nuisance_rows[:, plane_index] /= np.float32(
+                1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
+            )
+        return nuisance_rows.reshape(state.pulls.size, -1).T
 
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
         """Jacobian and normal equations at the state."""
@@ -196,24 +226,24 @@ class AnnularFit:
         def step_from(current: AnnularState) -> Step[AnnularState]:
             fit = replace(self, state=current)
             _, equations = fit.linearized()
-            knot_step, dense_step = equations.solved(equations.knot_gradient, equations.dense_gradient)
-            cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.dense_gradient * dense_step)
-            to_law, pull_count = fit.to_law, current.pulls.size
+            knot_step, free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
+            cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.free_gradient * free_step)
+            free_to_law, pull_count = fit.to_law, current.pulls.size
 
             def state_after(share: float) -> AnnularState | None:
-                values = current.values + share * to_law @ dense_step[pull_count:, 0]
+                values = current.values + share * free_to_law @ free_step[pull_count:, 0]
                 if not (values[CLEARANCE] > 0 and values[STIFFNESS] > 0):
                     return None
                 return self.state_at(
-                    values, current.knots + share * knot_step[:, 0], current.pulls + share * dense_step[:pull_count, 0]
+                    values, current.knots + share * knot_step[:, 0], current.pulls + share * free_step[:pull_count, 0]
                 )
 
             return Step(state_after, float(cost_decrease))
 
-        start = self.state_at(self.state.values, self.state.knots, self.state.pulls)
-        settled = SETTLED_SHARE * self.record.samples_per_error
+        start_state = self.state_at(self.state.values, self.state.knots, self.state.pulls)
+        settled_decrease = SETTLED_SHARE * self.record.samples_per_error
         state, _ = gauss_newton(
-            start, step_from, lambda current: max(settled, COST_TOLERANCE * current.cost), MOST_STEPS
+            start_state, step_from, lambda current: max(settled_decrease, COST_TOLERANCE * current.cost), MOST_STEPS
         )
         return replace(self, state=state)
 
@@ -232,14 +262,16 @@ class AnnularFit:
         law explains, and the displacement's noise times the stiffness."""
         state, record = self.state, self.record
         residual, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.open_samples
-        magnitude, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
+        magnitude_n, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
         weights = []
-        for p, plane in enumerate(record.planes):
+        for plane_index, plane in enumerate(record.planes):
             unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
-            open_n = np.std(residual[p, is_open] if np.any(residual[p, is_open]) else residual[p])
-            unmodelled_n = plane.unmodelled_share * np.hypot(magnitude, np.std(record.force_n))
-            stiffness = np.hypot(*by_eta[p])
-            deviation_n = np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2)
+            open_n = np.std(
+                residual[plane_index, is_open] if np.any(residual[plane_index, is_open]) else residual[plane_index]
+            )
+            unmodelled_n = plane.unmodelled_share * np.hypot(magnitude_n, np.std(record.force_n))
+            stiffness_n_per_m = np.hypot(*by_eta[plane_index])
+            deviation_n = np.sqrt(open_n**2 + (stiffness_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2)
             weights.append(record.used / deviation_n)
         return replace(self, weights=np.concatenate(weights))
 
@@ -258,17 +290,23 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
 
     Raises ContactRefusedError as the guess does, or if the normal equations are singular.
     """
-    bare = record.without_nuisances
-    values, knots = annular_guess(bare, sliding_speed_m_per_s)
-    centers = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
-    free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *centers, *range(len(RING))[REST])
-    size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
-    start = AnnularState(values, knots, np.zeros(1), np.zeros(size))
-    rough = AnnularFit(bare, free, values[LOG_SPEED], start, np.tile(record.used / rough_n, DIRECTIONS)).minimum
-    pulls = np.r_[record.initial_pulls, rough.state.pulls]
-    return replace(rough, record=record, state=replace(rough.state, pulls=pulls)).settled
+    record_without_nuisances = record.without_nuisances
+    values, knots = annular_guess(record_without_nuisances, sliding_speed_m_per_s)
+    center_indices = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
+    free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
+    force_size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
+    start_state = AnnularState(values, knots, np.zeros(1), np.zeros(force_size))
+    rough_fit = AnnularFit(
+        record_without_nuisances,
+        free_indices,
+        values[LOG_SPEED],
+        start_state,
+        np.tile(record.used / rough_n, DIRECTIONS),
+    ).minimum
+    pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
+    return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 
 
-def _low_passed(record: AnnularRecord, rows: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
+def _low_passed(record: AnnularRecord, signals: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
     """Signals low-passed and decimated like the separated forces."""
-    return decimated(rows, record.decimation)[..., : record.force_n.shape[1]]
+    return decimated(signals, record.decimation)[..., : record.force_n.shape[1]]

@@ -58,31 +58,31 @@ def ring_motion(
     values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
 ) -> RingMotion:
     """Polar quantities at some relative displacements and velocities."""
-    (y, z), (vy, vz) = eta_m, rate_m_per_s
-    y, z = y - values[CENTER][0], z - values[CENTER][1]
-    radius = np.maximum(np.sqrt(y * y + z * z), 1e-12)
-    ey, ez = y / radius, z / radius
-    radial_rate, tangential_rate = ey * vy + ez * vz, ey * vz - ez * vy
-    depth = radius - values[CLEARANCE]
-    damper = radial_rate * np.clip(depth / DAMPING_DEPTH_M, 0.0, 1.0)
-    normal = values[STIFFNESS] * depth + values[DAMPING] * damper
-    pushes = (depth > 0) & (normal > 0)
-    normal = normal * pushes
+    (eta_y, eta_z), (rate_y, rate_z) = eta_m, rate_m_per_s
+    eta_y, eta_z = eta_y - values[CENTER][0], eta_z - values[CENTER][1]
+    radius_m = np.maximum(np.sqrt(eta_y * eta_y + eta_z * eta_z), 1e-12)
+    radial_y, radial_z = eta_y / radius_m, eta_z / radius_m
+    radial_rate, tangential_rate = radial_y * rate_y + radial_z * rate_z, radial_y * rate_z - radial_z * rate_y
+    depth_m = radius_m - values[CLEARANCE]
+    damper = radial_rate * np.clip(depth_m / DAMPING_DEPTH_M, 0.0, 1.0)
+    normal_n = values[STIFFNESS] * depth_m + values[DAMPING] * damper
+    is_pushing = (depth_m > 0) & (normal_n > 0)
+    normal_n = normal_n * is_pushing
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
-    rub = values[FRICTION] * sliding
-    radial, tangent = np.stack([ey, ez]), np.stack([-ez, ey])
+    friction_ratio = values[FRICTION] * sliding
+    radial, tangent = np.stack([radial_y, radial_z]), np.stack([-radial_z, radial_y])
     return RingMotion(
         radial,
         tangent,
-        radius,
-        depth,
+        radius_m,
+        depth_m,
         tangential_rate,
         radial_rate,
-        pushes,
+        is_pushing,
         damper,
-        normal,
+        normal_n,
         sliding,
-        radial + rub * tangent,
+        radial + friction_ratio * tangent,
     )
 
 
@@ -108,21 +108,33 @@ def ring_derivatives(
     values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
 ) -> RingDerivatives:
     """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
-    m = ring_motion(values, eta_m, rate_m_per_s)
+    motion = ring_motion(values, eta_m, rate_m_per_s)
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
-    share = damping * np.clip(m.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * m.pushes
-    grip = friction * m.normal_n * (1 - m.sliding**2) * np.exp(-log_speed)  # of the tangential force by v_t
-    normal_by_eta = stiffness * m.pushes * m.radial + share * m.tangential_rate_m_per_s / m.radius_m * m.tangent
-    turned = (m.normal_n - grip * m.radial_rate_m_per_s) * m.tangent - friction * m.normal_n * m.sliding * m.radial
-    by_eta = m.unit[:, None] * normal_by_eta[None] + turned[:, None] / m.radius_m * m.tangent[None]
-    by_rate = m.unit[:, None] * (share * m.radial)[None] + (grip * m.tangent)[:, None] * m.tangent[None]
+    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * motion.pushes
+    friction_slope = (
+        friction * motion.normal_n * (1 - motion.sliding**2) * np.exp(-log_speed)
+    )  # of the tangential force by v_t
+    normal_by_eta = (
+        stiffness * motion.pushes * motion.radial
+        + damping_slope * motion.tangential_rate_m_per_s / motion.radius_m * motion.tangent
+    )
+    turning_force_n = (
+        motion.normal_n - friction_slope * motion.radial_rate_m_per_s
+    ) * motion.tangent - friction * motion.normal_n * motion.sliding * motion.radial
+    by_eta = (
+        motion.unit[:, None] * normal_by_eta[None] + turning_force_n[:, None] / motion.radius_m * motion.tangent[None]
+    )
+    by_rate = (
+        motion.unit[:, None] * (damping_slope * motion.radial)[None]
+        + (friction_slope * motion.tangent)[:, None] * motion.tangent[None]
+    )
     by_law = np.stack(
         [
-            -stiffness * m.pushes * m.unit,
-            m.depth_m * m.pushes * m.unit,
-            m.damper * m.pushes * m.unit,
-            m.normal_n * m.sliding * m.tangent,
-            -grip * m.tangential_rate_m_per_s * m.tangent,
+            -stiffness * motion.pushes * motion.unit,
+            motion.depth_m * motion.pushes * motion.unit,
+            motion.damper * motion.pushes * motion.unit,
+            motion.normal_n * motion.sliding * motion.tangent,
+            -friction_slope * motion.tangential_rate_m_per_s * motion.tangent,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

@@ -65,9 +65,11 @@ class AnnularRecord:
     def drift_spline(self) -> Spline:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
         curves = [plane.drift_spline for plane in self.planes]
-        no_samples = csr_matrix((0, sum(curve.knots for curve in curves)))
-        curvature = vstack([interleaved(curve.curvature, p) for p, curve in enumerate(curves)]).tocsr()
-        return Spline(no_samples, no_samples, curvature, np.concatenate([curve.target for curve in curves]))
+        empty_columns = csr_matrix((0, sum(curve.knots for curve in curves)))
+        curvature = vstack(
+            [interleaved(curve.curvature, curve_index) for curve_index, curve in enumerate(curves)]
+        ).tocsr()
+        return Spline(empty_columns, empty_columns, curvature, np.concatenate([curve.target for curve in curves]))
 
     @property
     def zero_known(self) -> bool:
@@ -85,7 +87,7 @@ class AnnularRecord:
         planes = [
             replace(
                 plane,
-                force_n=plane.force_n - self.initial_pulls[own] @ plane.nuisance_n,
+                force_n=plane.force_n - self.initial_pulls[plane_columns] @ plane.nuisance_n,
                 nuisance_n=plane.nuisance_n[:0],
                 force_noise_multiple=plane.force_noise_multiple[:0],
                 shifts_eta=plane.shifts_eta[:0],
@@ -93,10 +95,10 @@ class AnnularRecord:
                 nuisance_m=plane.nuisance_m[:0],
                 is_initial_state=plane.is_initial_state[:0],
             )
-            for plane, own in zip(self.planes, self.columns, strict=True)
+            for plane, plane_columns in zip(self.planes, self.columns, strict=True)
         ]
-        none = np.zeros(0, dtype=int)
-        return replace(self, planes=(planes[0], planes[1]), parameters=(), columns=(none, none))
+        no_columns = np.zeros(0, dtype=int)
+        return replace(self, planes=(planes[0], planes[1]), parameters=(), columns=(no_columns, no_columns))
 
     @cached_property
     def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
@@ -119,12 +121,17 @@ def annular_record(
 ) -> AnnularRecord:
     """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
     initial states are those of their direction."""
-    merged: dict[Nuisance, int] = {}
-    columns = []
-    for direction, names, of_plane in zip("yz", force_names, parameters, strict=True):
-        renamed = [_in_space(p, direction, names) for p in of_plane]
-        columns.append(np.array([merged.setdefault(p, len(merged)) for p in renamed], dtype=int))
-    return AnnularRecord(planes, tuple(merged), (columns[0], columns[1]), quiet_samples)
+    index_by_parameter: dict[Nuisance, int] = {}
+    columns_by_plane = []
+    for direction, names, plane_parameters in zip("yz", force_names, parameters, strict=True):
+        renamed_parameters = [_in_space(parameter, direction, names) for parameter in plane_parameters]
+        columns_by_plane.append(
+            np.array(
+                [index_by_parameter.setdefault(parameter, len(index_by_parameter)) for parameter in renamed_parameters],
+                dtype=int,
+            )
+        )
+    return AnnularRecord(planes, tuple(index_by_parameter), (columns_by_plane[0], columns_by_plane[1]), quiet_samples)
 
 
 def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
@@ -145,24 +152,26 @@ def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
     """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
     Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
     force = record.force_n[:, record.used]
-    centre = np.array([_mode(row) for row in force])
-    near_n = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
+    mode_n = np.array([_mode(force_row) for force_row in force])
+    near_deviation = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
     for _ in range(3):
-        is_near = np.abs(force - centre[:, None]) < near_n[:, None]
+        is_near = np.abs(force - mode_n[:, None]) < near_deviation[:, None]
         if is_near.all(axis=0).sum() < MODE_SAMPLES:
             break
-        centre = np.array([_mode(force[p, is_near[1 - p]]) for p in range(DIRECTIONS)])
-    return centre
+        mode_n = np.array([_mode(force[plane_index, is_near[1 - plane_index]]) for plane_index in range(DIRECTIONS)])
+    return mode_n
 
 
-def _mode(values: Float[np.ndarray, " samples"]) -> float:
+def _mode(force_values: Float[np.ndarray, " samples"]) -> float:
     """Half-sample mode: the shortest interval with half the samples, again and again."""
-    ordered = np.sort(values)
-    while ordered.size > MODE_SAMPLES:
-        count = int(np.ceil(MODE_SHARE * ordered.size))
-        first = int(np.argmin(ordered[count - 1 :] - ordered[: ordered.size - count + 1]))
-        ordered = ordered[first : first + count]
-    return float(np.median(ordered))
+    sorted_values = np.sort(force_values)
+    while sorted_values.size > MODE_SAMPLES:
+        half_count = int(np.ceil(MODE_SHARE * sorted_values.size))
+        shortest_start = int(
+            np.argmin(sorted_values[half_count - 1 :] - sorted_values[: sorted_values.size - half_count + 1])
+        )
+        sorted_values = sorted_values[shortest_start : shortest_start + half_count]
+    return float(np.median(sorted_values))
 
 
 def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
@@ -193,36 +202,38 @@ def annular_guess(
     force = record.force_n + rest_n[:, None]
     if not all(np.ptp(plane.eta_m) for plane in record.planes):
         raise refused(RefusalCode.STANDS_STILL)
-    closed = closed_samples(record, force)
-    if np.mean(closed) < LEAST_CLOSED_SHARE:
+    is_closed = closed_samples(record, force)
+    if np.mean(is_closed) < LEAST_CLOSED_SHARE:
         raise refused(RefusalCode.HARDLY_CLOSES)
     eta, rate = (
-        record.at_forces(np.stack([getattr(plane, name) for plane in record.planes]))[:, closed]
+        record.at_forces(np.stack([getattr(plane, name) for plane in record.planes]))[:, is_closed]
         for name in ("eta_m", "velocity_m_per_s")
     )
-    force = force[:, closed]
-    normal = force / np.hypot(*force)
-    tangent = np.stack([-normal[1], normal[0]])
-    sliding = np.tanh(np.sum(rate * tangent, axis=0) / sliding_speed_m_per_s) * tangent
-    center = np.repeat(np.eye(DIRECTIONS), closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
-    law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center])
-    drift = vstack(
+    force = force[:, is_closed]
+    normal_direction = force / np.hypot(*force)
+    tangent_direction = np.stack([-normal_direction[1], normal_direction[0]])
+    sliding_direction = np.tanh(np.sum(rate * tangent_direction, axis=0) / sliding_speed_m_per_s) * tangent_direction
+    center_columns = (
+        np.repeat(np.eye(DIRECTIONS), is_closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
+    )
+    law_columns = np.column_stack([normal_direction.ravel(), -sliding_direction.ravel(), force.ravel(), center_columns])
+    drift_columns = vstack(
         [
-            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)
-            for p, plane in enumerate(record.planes)
+            interleaved(plane.at_force_samples(plane.drift_spline.value)[is_closed], plane_index)
+            for plane_index, plane in enumerate(record.planes)
         ]
     )
-    knots, solution = robust_regression(eta.ravel(), -drift, law_columns, record.drift_spline)
-    clearance, rubbed, softness, *middle = solution.tolist()
-    if not (softness > 0 and clearance > 0):
+    knots, coefficients = robust_regression(eta.ravel(), -drift_columns, law_columns, record.drift_spline)
+    clearance, friction_clearance, compliance, *center_m = coefficients.tolist()
+    if not (compliance > 0 and clearance > 0):
         raise refused(RefusalCode.NO_STIFFNESS)
     values = np.zeros(len(RING))
     values[[CLEARANCE, STIFFNESS, FRICTION, LOG_SPEED]] = (
         clearance,
-        1 / softness,
-        max(rubbed / clearance, 0.0),
+        1 / compliance,
+        max(friction_clearance / clearance, 0.0),
         np.log(sliding_speed_m_per_s),
     )
-    values[5 : 5 + len(middle)] = middle
+    values[5 : 5 + len(center_m)] = center_m
     values[REST] = rest_n
     return values, knots

@@ -41,21 +41,21 @@ def assumptions(result: Identification) -> Iterator[str]:
     yield (
         "The bodies are those of rig.json, linear: "
         + "; ".join(
-            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}"
-            for b in condensed(rig).bodies
+            f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
+            for body in condensed(rig).bodies
         )
         + "."
     )
     yield tolerances_sentence(tolerances)
     places = "; ".join(places_of(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
-    if unused_channels := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+    if unused_channels := [sensor.name for sensor in rig.sensors if sensor.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
-    low, high = report.trusted_hz
+    low_hz, high_hz = report.trusted_hz
     yield (
-        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
-        f"{motion.sample_rate_hz / 2 / result.decimation:.4g} Hz"
-        + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
+        f"Frequencies: the motion is trusted from {low_hz:g} to {high_hz:.4g} Hz, the contact forces are separated "
+        f"up to {motion.sample_rate_hz / 2 / result.decimation:.4g} Hz"
+        + (", and the slow motion below is solved for within the noise of the accelerometers." if low_hz else ".")
     )
     if motion.slow_by_gauges:
         yield (
@@ -64,12 +64,12 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
     for group in result.contact_groups:
         if len(group.contact_indices) > 1:
-            stops = sum(rig.contacts[j].law.has_stops for j in group.contact_indices)
+            stop_count = sum(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices)
             assignment_rules = [
-                *(["the slope within the gap is the spring's"] if stops < len(group.contact_indices) else []),
+                *(["the slope within the gap is the spring's"] if stop_count < len(group.contact_indices) else []),
                 *(
                     ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
-                        : stops - 1
+                        : stop_count - 1
                     ]
                 ),
             ]
@@ -83,10 +83,11 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        clause = (
+        mass_words = (
             "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
         )
-        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{clause}."
+        base_name = motion.base.sensor.name
+        yield f"The base shakes, which {base_name} measures: all motion is taken relative to it{mass_words}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -109,13 +110,13 @@ def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
         yield f"{name}: {refusal.advice}."
-    quantities_by_source: dict[str, list[str]] = {}
+    quantity_names_by_source: dict[str, list[str]] = {}
     for name, estimate in result.outcomes.estimates.items():
         for quantity, shares in variance_shares(estimate).items():
             for source, share in shares.items():
                 if share >= DOMINANT_SHARE:
-                    quantities_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
-    for source, quantities in quantities_by_source.items():
+                    quantity_names_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in quantity_names_by_source.items():
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
@@ -134,9 +135,16 @@ def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
     """Shares of the variance of clearance and stiffness by source, which sum to one."""
     shares_by_quantity = {}
     for quantity, gradient in (("clearance", estimate.clearance_gradient), ("stiffness", STIFFNESS_GRADIENT)):
-        variances = {source: float(gradient @ part @ gradient) for source, part in estimate.covariances.items()}
-        variance = sum(variances.values())
-        shares = {source: part / variance for source, part in variances.items()} if variance > 0 else {"scatter": 1.0}
+        variance_by_source = {
+            source: float(gradient @ source_covariance @ gradient)
+            for source, source_covariance in estimate.covariances.items()
+        }
+        total_variance = sum(variance_by_source.values())
+        shares = (
+            {source: source_covariance / total_variance for source, source_covariance in variance_by_source.items()}
+            if total_variance > 0
+            else {"scatter": 1.0}
+        )
         shares_by_quantity[quantity] = shares
     return shares_by_quantity
 
@@ -148,11 +156,11 @@ def _sides_known(result: Identification) -> bool:
 
 def places_of(body: str, stations: tuple[Station, ...]) -> str:
     """Positions of a body's stations in words."""
-    return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
+    return f"{body} at " + ", ".join(f"{station.position_m:g}" for station in stations if station.body == body) + " m"
 
 
 def _frequencies(frequencies_hz: np.ndarray) -> str:
-    return ", ".join(f"{f:.4g}" for f in frequencies_hz if f > 0) + " Hz"
+    return ", ".join(f"{frequency_hz:.4g}" for frequency_hz in frequencies_hz if frequency_hz > 0) + " Hz"
 
 
 def _enumeration(words: list[str]) -> str:

@@ -53,9 +53,9 @@ class ContactRecord:
     is_initial_state: Bool[np.ndarray, " nuisances"]
     noise_m: float = 0.0
 
-    def at_force_samples(self, rows: Rows) -> Rows:
+    def at_force_samples(self, signal: Rows) -> Rows:
         """Signal, or rows of a matrix, at the samples of the force."""
-        return rows[:: self.decimation][: self.force_n.size]
+        return signal[:: self.decimation][: self.force_n.size]
 
     def velocity_of(self, displacement_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Time derivative by central differences, m/s."""
@@ -98,14 +98,14 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     the zero of the relative displacement is unknown.
     """
     is_closed = clearly_closed(record)
-    lower, upper = (
+    is_lower_touched, is_upper_touched = (
         bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
         for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
-    if not (lower or upper):
+    if not (is_lower_touched or is_upper_touched):
         raise refused(RefusalCode.HARDLY_CLOSES)
-    if not ((lower and upper) or record.sides_known):
+    if not ((is_lower_touched and is_upper_touched) or record.sides_known):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    return lower, upper
+    return is_lower_touched, is_upper_touched

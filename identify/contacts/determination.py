@@ -24,11 +24,11 @@ UNTOUCHED_STOP_RATIO = 2.0
 """A stop whose nominal clearance is so many times the reach of the motion is not touched, whatever its error."""
 ABSENT_STOP_RATIO = 10.0
 """A stop whose nominal clearance is so many times the largest relative displacement does not exist."""
-GAPLESS_CODES = (RefusalCode.NO_STIFFNESS, RefusalCode.NO_LAW, RefusalCode.UNCERTAIN, RefusalCode.NOT_SEPARABLE)
+SPRING_ADVICE_CODES = (RefusalCode.NO_STIFFNESS, RefusalCode.NO_LAW, RefusalCode.UNCERTAIN, RefusalCode.NOT_SEPARABLE)
 """Refusals that a spring which is described as a stop without clearance leads to."""
 SPRING_UNEXPLAINED_SHARE = 0.05
 """Share of the force that a spring may leave where the stops beside it are taken not to be reached."""
-NOMINAL_SPREAD, EXCHANGE_DISTANCE, LEAST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
+NOMINAL_SPREAD, EXCHANGE_DISTANCE, LEAST_COMPARED_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
 """Standard deviations of clearance and stiffness in rig.json, as shares; the distance in them that rules out that two
 contacts are exchanged."""
 COUPLING_ROUNDS = 3
@@ -44,10 +44,14 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        slow_m = [_slow_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)]
-        forces_n = coupling_n_per_m @ np.array(slow_m)
-        pairs = zip(records, forces_n, strict=True)
-        uncoupled_records = [replace(record, force_n=record.force_n - force_n) for record, force_n in pairs]
+        slow_eta_m = [
+            _slow_displacement_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)
+        ]
+        forces_n = coupling_n_per_m @ np.array(slow_eta_m)
+        records_and_forces = zip(records, forces_n, strict=True)
+        uncoupled_records = [
+            replace(record, force_n=record.force_n - force_n) for record, force_n in records_and_forces
+        ]
         return determine_all(uncoupled_records, forms)
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
@@ -62,57 +66,66 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     return refit(settled_outcomes, forms) if forms else settled_outcomes
 
 
-def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
+def _slow_displacement_m(
+    rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes
+) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
-    slow_m = np.zeros(len(record.force_n))
-    for j, sign in zip(group.contact_indices, group.signs, strict=True):
-        estimate = outcomes.estimates.get(rig.contacts[j].name)
+    slow_eta_m = np.zeros(len(record.force_n))
+    for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
+        estimate = outcomes.estimates.get(rig.contacts[contact_index].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
-            slow_m = record.at_force_samples(drift_m)
-    return slow_m
+            slow_eta_m = record.at_force_samples(drift_m)
+    return slow_eta_m
 
 
 def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal = [rig.contacts[j].name for j in group.contact_indices], _nominal_laws(rig, group)
-    springs = [not rig.contacts[j].law.has_stops for j in group.contact_indices]
+    names, nominal_laws = (
+        [rig.contacts[contact_index].name for contact_index in group.contact_indices],
+        _nominal_laws(rig, group),
+    )
+    are_springs = [not rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices]
     try:
-        if not any(springs):
-            outcomes = _stop_outcomes(names, nominal, record, forms)
+        if not any(are_springs):
+            outcomes = _stop_outcomes(names, nominal_laws, record, forms)
         elif len(names) == 1:
-            outcomes = _spring_outcome(names[0], nominal, record)
+            outcomes = _spring_outcome(names[0], nominal_laws, record)
         else:
-            outcomes = _outcomes_beside_spring(names, nominal, record, np.array(springs))
+            outcomes = _outcomes_beside_spring(names, nominal_laws, record, np.array(are_springs))
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     outcomes = replace(outcomes, refusals=_without_gaps(rig, outcomes.refusals))
-    signs = dict(zip(names, group.signs, strict=True))
+    sign_by_name = dict(zip(names, group.signs, strict=True))
     estimates = {
-        name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
+        name: estimate if sign_by_name[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
     return replace(outcomes, estimates=estimates)
 
 
 def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
     """Refusals, with the advice to describe a spring where stops without clearances show no law with a gap."""
-    gapless = {
-        c.name for c in rig.contacts if c.law.has_stops and not (c.law.lower_clearance_m or c.law.upper_clearance_m)
+    zero_clearance_names = {
+        contact.name
+        for contact in rig.contacts
+        if contact.law.has_stops and not (contact.law.lower_clearance_m or contact.law.upper_clearance_m)
     }
     return {
-        name: refused(RefusalCode.NO_GAP).refusal if name in gapless and refusal.code in GAPLESS_CODES else refusal
+        name: refused(RefusalCode.NO_GAP).refusal
+        if name in zero_clearance_names and refusal.code in SPRING_ADVICE_CODES
+        else refusal
         for name, refusal in refusals.items()
     }
 
 
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    laws = [parameters_of_law(rig.contacts[j].law) for j in group.contact_indices]
+    laws = [parameters_of_law(rig.contacts[contact_index].law) for contact_index in group.contact_indices]
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
 
 
 def _stop_outcomes(
-    names: Sequence[str], nominal: NominalLaws, record: ContactRecord, forms: Sequence[FormName]
+    names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, forms: Sequence[FormName]
 ) -> Outcomes:
     """Outcomes of one contact, or of several that share a relative displacement, in the direction of the first.
 
@@ -120,18 +133,18 @@ def _stop_outcomes(
     """
     is_touched = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
-        (estimate,) = fit_joint(record, nominal, _present_stops(nominal[0], record, is_touched)[None], forms)
+        (estimate,) = fit_joint(record, nominal_laws, _present_stops(nominal_laws[0], record, is_touched)[None], forms)
         check_certain(estimate, record.drift is not None)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
-    nearest_m = nominal[:, :2].min(axis=0)  # which is always touched
-    eta_reach_m = np.maximum(reach_m(record), np.where(nearest_m < ABSENT_STOP_M, nearest_m, 0.0))
-    return _outcomes_in_reach(names, nominal, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
+    nearest_clearances_m = nominal_laws[:, :2].min(axis=0)  # which is always touched
+    eta_reach_m = np.maximum(reach_m(record), np.where(nearest_clearances_m < ABSENT_STOP_M, nearest_clearances_m, 0.0))
+    return _outcomes_in_reach(names, nominal_laws, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
 
 
 def _outcomes_beside_spring(
-    names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
+    names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes:
     """Outcomes of a spring and of stops that share a relative displacement, in the direction of the first contact. The
     spring alone where no stop is determined and it leaves no more than `SPRING_UNEXPLAINED_SHARE` of the force: then
@@ -147,14 +160,14 @@ def _outcomes_beside_spring(
         raise refused(RefusalCode.STANDS_STILL)
     outcomes = NO_OUTCOMES
     try:
-        spring, eta_m = spring_guess(without_nuisances(record, initial_pulls(record)))
-        laws = np.where(are_springs[:, None], spring, nominal)
+        spring_law, eta_m = spring_guess(without_nuisances(record, initial_pulls(record)))
+        laws = np.where(are_springs[:, None], spring_law, nominal_laws)
         outcomes = _stops_beside_spring(names, laws, record, eta_m, are_springs)
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     if outcomes.estimates.keys() & set(compress(names, ~are_springs)):
         return outcomes
-    return _spring_without_stops(names, nominal, record, are_springs) or outcomes
+    return _spring_without_stops(names, nominal_laws, record, are_springs) or outcomes
 
 
 def _stops_beside_spring(
@@ -165,8 +178,8 @@ def _stops_beside_spring(
     are_springs: Bool[np.ndarray, " contacts"],
 ) -> Outcomes:
     """Outcomes of stops with a spring of that law beside them; eta_m is the relative displacement with its drift."""
-    (spring,) = laws[are_springs]
-    stop_record = without_spring(without_nuisances(record, initial_pulls(record)), spring)
+    (spring_law,) = laws[are_springs]
+    stop_record = without_spring(without_nuisances(record, initial_pulls(record)), spring_law)
     is_touched = np.array(touched_stops(stop_record))
     if len(names) > 2:
         return _outcomes_in_reach(names, laws, record, is_touched, np.array([-eta_m.min(), eta_m.max()]), are_springs)
@@ -191,40 +204,44 @@ def _certain_outcomes(
 
 
 def _spring_without_stops(
-    names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
+    names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes | None:
     """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
     spring_index = int(np.argmax(are_springs))
     try:
-        outcomes = _spring_outcome(names[spring_index], nominal[are_springs], record)
+        outcomes = _spring_outcome(names[spring_index], nominal_laws[are_springs], record)
     except ContactRefusedError:
         return None
-    spring = outcomes.estimates[names[spring_index]]
-    if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
+    spring_estimate = outcomes.estimates[names[spring_index]]
+    if spring_estimate.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
-    eta_m = record.eta_m + spring.drift_m
-    eta_reach_m, hardly_closes = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
-    stops = zip(compress(names, ~are_springs), nominal[~are_springs], strict=True)
+    eta_m = record.eta_m + spring_estimate.drift_m
+    eta_reach_m, hardly_closes_refusal = (
+        np.array([-eta_m.min(), eta_m.max()]),
+        refused(RefusalCode.HARDLY_CLOSES).refusal,
+    )
+    names_and_laws = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
     refusals = {
-        name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes for name, law in stops
+        name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes_refusal
+        for name, law in names_and_laws
     }
     return outcomes | Outcomes({}, refusals)
 
 
-def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
+def _spring_outcome(name: str, nominal_laws: NominalLaws, record: ContactRecord) -> Outcomes:
     """Outcome of a spring alone between two places.
 
     Raises ContactRefusedError if it stands still, or if its stiffness is uncertain.
     """
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
-    (estimate,) = fit_joint(record, nominal, np.zeros((1, 2), dtype=bool))
+    (estimate,) = fit_joint(record, nominal_laws, np.zeros((1, 2), dtype=bool))
     check_certain(estimate, record.drift is not None)
     return Outcomes({name: estimate}, {})
 
 
 def _present_stops(
-    nominal: Float[np.ndarray, "4"], record: ContactRecord, is_touched: Bool[np.ndarray, "2"]
+    nominal_law: Float[np.ndarray, "4"], record: ContactRecord, is_touched: Bool[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "2"]:
     """Sides with a stop. A nominal clearance far beyond the motion says that there is none, and that the force there is
     ringing.
@@ -232,15 +249,15 @@ def _present_stops(
     Raises ContactRefusedError if one side certainly has none (null in rig.json) and the zero of the relative
     displacement is unknown: half the total play would be no clearance.
     """
-    if not record.sides_known and np.any(nominal[:2] >= ABSENT_STOP_M):
+    if not record.sides_known and np.any(nominal_law[:2] >= ABSENT_STOP_M):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    is_present = is_touched & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
+    is_present = is_touched & (nominal_law[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
     return is_present if is_present.any() and (is_present.all() or record.sides_known) else is_touched
 
 
 def _outcomes_in_reach(
     names: Sequence[str],
-    nominal: NominalLaws,
+    nominal_laws: NominalLaws,
     record: ContactRecord,
     is_touched: Bool[np.ndarray, "2"],
     eta_reach_m: Float[np.ndarray, "2"],
@@ -248,20 +265,22 @@ def _outcomes_in_reach(
 ) -> Outcomes:
     """Outcomes of several contacts by one fit, or one refusal for all. A contact with a nominal clearance beyond the
     reach of the motion is left out as not reached if the record does not determine it."""
-    may_touch = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * eta_reach_m) & is_touched & ~are_springs[:, None]
+    may_touch = (nominal_laws[:, :2] <= UNTOUCHED_STOP_RATIO * eta_reach_m) & is_touched & ~are_springs[:, None]
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
-        is_in_reach = np.any((nominal[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
+        is_in_reach = np.any((nominal_laws[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
         reached_names, farther_names = list(compress(names, is_in_reach)), compress(names, ~is_in_reach)
-        farther_stops = zip(farther_names, nominal[~is_in_reach], strict=True)
-        unreached = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in farther_stops})
+        farther_names_and_laws = zip(farther_names, nominal_laws[~is_in_reach], strict=True)
+        unreached_outcomes = Outcomes(
+            {}, {name: _not_reached(law, eta_reach_m) for name, law in farther_names_and_laws}
+        )
         try:
-            estimates = _certain_estimates(nominal[is_in_reach], may_touch[is_in_reach], record)
+            estimates = _certain_estimates(nominal_laws[is_in_reach], may_touch[is_in_reach], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
-            outcomes = unreached | Outcomes.refused(reached_names, first_refusal)
+            outcomes = unreached_outcomes | Outcomes.refused(reached_names, first_refusal)
         else:
-            return unreached | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
+            return unreached_outcomes | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
     return outcomes
 
 
@@ -271,12 +290,12 @@ def _refusal_of_several(refusal: Refusal) -> Refusal:
 
 
 def _certain_estimates(
-    nominal: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
+    nominal_laws: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
 ) -> tuple[JointEstimate, ...]:
     """Estimates by one fit; raises ContactRefusedError unless it determines all contacts."""
     if not (np.all(touched) or record.sides_known or not np.all(touched.any(axis=1))):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    estimates = fit_joint(record, nominal, touched)
+    estimates = fit_joint(record, nominal_laws, touched)
     try:
         for estimate in estimates:
             check_certain(estimate, record.drift is not None)
@@ -284,36 +303,42 @@ def _certain_estimates(
         if len(estimates) == 1:
             raise
         raise refused(RefusalCode.NOT_SEPARABLE) from None
-    return _assigned_estimates(estimates, nominal)
+    return _assigned_estimates(estimates, nominal_laws)
 
 
-def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLaws) -> tuple[JointEstimate, ...]:
+def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal_laws: NominalLaws) -> tuple[JointEstimate, ...]:
     """Estimates in the order of the contacts: the assignment nearest to their nominal clearances and stiffnesses.
 
     Raises ContactRefusedError if another assignment is nearly as likely.
     """
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
-        pairs = np.array(
+        estimated_and_nominal = np.array(
             [
                 (estimate.clearance_m, estimate.clearance_gradient @ law),
                 (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law),
             ]
         )
-        deviations = np.log(np.maximum(pairs, LEAST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
-        return float(deviations @ deviations)
+        log_deviations = (
+            np.log(np.maximum(estimated_and_nominal, LEAST_COMPARED_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
+        )
+        return float(log_deviations @ log_deviations)
 
     assignments = [
-        (sum(square_distance(estimate, law) for estimate, law in zip(assignment, nominal, strict=True)), assignment)
+        (
+            sum(square_distance(estimate, law) for estimate, law in zip(assignment, nominal_laws, strict=True)),
+            assignment,
+        )
         for assignment in permutations(estimates)
-        if [e.touched for e in assignment] == [e.touched for e in estimates]
+        if [assigned_estimate.touched for assigned_estimate in assignment]
+        == [assigned_estimate.touched for assigned_estimate in estimates]
     ]
-    (least_square, nearest_estimates), *alternatives = sorted(assignments, key=lambda pair: pair[0])
-    if alternatives and alternatives[0][0] - least_square < EXCHANGE_DISTANCE**2:
+    (least_square_distance, nearest_estimates), *farther_assignments = sorted(assignments, key=lambda pair: pair[0])
+    if farther_assignments and farther_assignments[0][0] - least_square_distance < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
     return nearest_estimates
 
 
-def _not_reached(law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
-    stop_mm, reach_mm = 1e3 * float(min(law[:2])), 1e3 * float(eta_reach_m.max())
+def _not_reached(nominal_law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
+    stop_mm, reach_mm = 1e3 * float(min(nominal_law[:2])), 1e3 * float(eta_reach_m.max())
     return refused(RefusalCode.NOT_REACHED, stop_mm=stop_mm, reach_mm=reach_mm).refusal

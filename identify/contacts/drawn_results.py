@@ -21,8 +21,8 @@ def figures_of(identification: AnyIdentification, laws: Laws, laws_name: str) ->
     """All figures by their names, with the reference laws in them."""
     if isinstance(identification, SpaceIdentification):
         return space_figures(identification, laws, laws_name)
-    marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
-    return contact_figures(identification, marks, laws_name)
+    reference_values = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
+    return contact_figures(identification, reference_values, laws_name)
 
 
 def curves_of(identification: AnyIdentification) -> dict[str, Table]:
@@ -44,7 +44,7 @@ def curves(result: Identification) -> dict[str, Table]:
     """Curves by family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring
     force of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay).
     """
-    names = [c.name for c in result.rig.contacts]
+    names = [contact.name for contact in result.rig.contacts]
     tables = {"motion": _motion_table(result)}
     if result.methods.main_surfaces:
         tables["surface"] = _surface_table(result, names)
@@ -53,15 +53,15 @@ def curves(result: Identification) -> dict[str, Table]:
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    factor = result.decimation
+    decimation = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::factor]
-    rows = min(eta.shape[1], force.shape[1])
-    table: Table = {"time_s": result.motion.time_s(rows, factor)}
-    for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
+    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
+    row_count = min(eta.shape[1], force.shape[1])
+    table: Table = {"time_s": result.motion.time_s(row_count, decimation)}
+    for group, displacement_m, contact_force_n in zip(result.contact_groups, eta, force, strict=True):
         name = group.contact.name
-        table[f"{name} relative displacement m"] = displacement[:rows]
-        table[f"{name} contact force N"] = contact_n[:rows]
+        table[f"{name} relative displacement m"] = displacement_m[:row_count]
+        table[f"{name} contact force N"] = contact_force_n[:row_count]
     return table
 
 
@@ -70,12 +70,12 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
     surface = result.surface
     eta = result.eta_m[:, :: surface.decimation]
     velocity = surface.equation.velocity[:: surface.decimation]
-    rows = min(eta.shape[1], surface.measured_force.size, velocity.size)
-    table: Table = {"time_s": result.motion.time_s(rows, surface.decimation)}
-    table |= {f"{name} relative displacement m": row[:rows] for name, row in zip(names, eta, strict=True)}
-    table["modal velocity sqrt(kg) m/s"] = velocity[:rows]
-    table["restoring force N/sqrt(kg)"] = surface.measured_force[:rows]
-    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:rows]
+    row_count = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    table: Table = {"time_s": result.motion.time_s(row_count, surface.decimation)}
+    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, eta, strict=True)}
+    table["modal velocity sqrt(kg) m/s"] = velocity[:row_count]
+    table["restoring force N/sqrt(kg)"] = surface.measured_force[:row_count]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:row_count]
     return table
 
 
@@ -83,9 +83,15 @@ def _nifo_table(result: Identification, names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
     table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
     for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
-        rows = {"FRF s^2": nifo.frf}
-        rows |= {f"{names[j]} stiffness N/m": row for j, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)}
-        for name, row in rows.items():
+        complex_columns = {"FRF s^2": nifo.frf}
+        complex_columns |= {
+            f"{names[contact_index]} stiffness N/m": complex_column
+            for contact_index, complex_column in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)
+        }
+        for name, complex_column in complex_columns.items():
             if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
-                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag
+                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = (
+                    complex_column.real,
+                    complex_column.imag,
+                )
     return table

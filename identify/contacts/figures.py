@@ -45,88 +45,110 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
     """Figure of each contact's estimates by the segments of a long record, and pooled, with 95 % intervals."""
 
     def draw(figure: Any) -> None:
-        rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
-        for column, pooled_contact in zip(rows.T, report.contacts, strict=True):
-            pairs = [(s, c) for s in segments for c in s.report.contacts if c.name == pooled_contact.name]
-            middle_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in pairs]
-            for axes, quantity, scale in zip(column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True):
-                estimates = [getattr(contact, quantity) for _, contact in pairs]
-                pooled = getattr(pooled_contact, quantity)
-                interval = scale * (pooled.value + COVERED * pooled.standard_error * np.array([-1, 1]))
-                errors = [COVERED * scale * estimate.standard_error for estimate in estimates]
-                values = [scale * estimate.value for estimate in estimates]
-                axes.errorbar(middle_s, values, errors, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %")
-                axes.plot(middle_s, values, "k.", ms=3, label="segments")
-                axes.axhline(scale * pooled.value, color=BLUE, lw=1.2, zorder=3, label="all together")
+        axes_rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
+        for axes_column, pooled_contact in zip(axes_rows.T, report.contacts, strict=True):
+            segments_and_contacts = [
+                (segment, contact)
+                for segment in segments
+                for contact in segment.report.contacts
+                if contact.name == pooled_contact.name
+            ]
+            middle_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in segments_and_contacts]
+            for axes, quantity, unit_scale in zip(
+                axes_column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True
+            ):
+                estimates = [getattr(contact, quantity) for _, contact in segments_and_contacts]
+                pooled_estimate = getattr(pooled_contact, quantity)
+                interval = unit_scale * (
+                    pooled_estimate.value + COVERED * pooled_estimate.standard_error * np.array([-1, 1])
+                )
+                half_widths = [COVERED * unit_scale * estimate.standard_error for estimate in estimates]
+                scaled_values = [unit_scale * estimate.value for estimate in estimates]
+                axes.errorbar(
+                    middle_s, scaled_values, half_widths, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %"
+                )
+                axes.plot(middle_s, scaled_values, "k.", ms=3, label="segments")
+                axes.axhline(unit_scale * pooled_estimate.value, color=BLUE, lw=1.2, zorder=3, label="all together")
                 axes.axhspan(*interval, color=BLUE, alpha=0.2, lw=0, label="95 % of all together")
-            column[0].set_title(pooled_contact.name)
-            column[1].set_xlabel("time, s")
-        rows[0, 0].set_ylabel("clearance, mm")
-        rows[1, 0].set_ylabel("contact stiffness, N/m")
-        _legend_outside(figure, rows[0, 0], "upper")
+            axes_column[0].set_title(pooled_contact.name)
+            axes_column[1].set_xlabel("time, s")
+        axes_rows[0, 0].set_ylabel("clearance, mm")
+        axes_rows[1, 0].set_ylabel("contact stiffness, N/m")
+        _legend_outside(figure, axes_rows[0, 0], "upper")
 
     return picture(draw)
 
 
-def _outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
+def _draw_outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
-    equation, rate = result.surface.equation, result.motion.sample_rate_hz
-    measured = equation.displacement[:OUTPUT_SAMPLES]
+    equation, sample_rate_hz = result.surface.equation, result.motion.sample_rate_hz
+    measured_displacement = equation.displacement[:OUTPUT_SAMPLES]
     low_hz = max(result.weak_nifo.frequency_hz[0], result.motion.trusted_hz[0])
     exciting_force_n = equivalent_force_n(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
-    spectrum = np.fft.rfft(equation.shape_at_force * exciting_force_n, 2 * measured.size)
-    line_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
-    frf = np.where(line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0)
-    without_contact = np.fft.irfft(spectrum * frf)[: measured.size]
-    time = result.motion.time_s(measured.size)
+    force_spectrum = np.fft.rfft(equation.shape_at_force * exciting_force_n, 2 * measured_displacement.size)
+    line_hz = np.fft.rfftfreq(2 * measured_displacement.size, 1 / sample_rate_hz)
+    receptance_frf = np.where(
+        line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0
+    )
+    without_contact = np.fft.irfft(force_spectrum * receptance_frf)[: measured_displacement.size]
+    time_s = result.motion.time_s(measured_displacement.size)
     excerpt_s = min(3.0, 15 / max(equation.frequency_hz, 5.0))
-    excerpt = slice(int(0.4 * measured.size), int(0.4 * measured.size) + int(excerpt_s * rate))
-    upper, lower = figure.subplots(2, 1)
+    excerpt_samples = slice(
+        int(0.4 * measured_displacement.size), int(0.4 * measured_displacement.size) + int(excerpt_s * sample_rate_hz)
+    )
+    time_axes, spectrum_axes = figure.subplots(2, 1)
     for signal, colour, label in (
         (without_contact, GREY, "without contact"),
-        (measured, BLUE, "as measured, with contact"),
+        (measured_displacement, BLUE, "as measured, with contact"),
     ):
-        upper.plot(time[excerpt], 1e3 * signal[excerpt], color=colour, lw=1.1, label=label)
-        frequency, density = welch(signal, rate, nperseg=min(signal.size, int(4 * rate)))
-        band = (frequency >= low_hz) & (frequency <= 2 * result.weak_nifo.frequency_hz[-1])
-        lower.semilogy(frequency[band], density[band], color=colour, lw=1.1)
-    upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
-    upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    least_density = float(density[band].min())  # as measured: without contact little moves above the force's band
-    lower.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz", ylim=(0.1 * least_density, None))
+        time_axes.plot(time_s[excerpt_samples], 1e3 * signal[excerpt_samples], color=colour, lw=1.1, label=label)
+        frequency_hz, power_density = welch(signal, sample_rate_hz, nperseg=min(signal.size, int(4 * sample_rate_hz)))
+        is_in_band = (frequency_hz >= low_hz) & (frequency_hz <= 2 * result.weak_nifo.frequency_hz[-1])
+        spectrum_axes.semilogy(frequency_hz[is_in_band], power_density[is_in_band], color=colour, lw=1.1)
+    time_axes.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
+    time_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    least_density = float(
+        power_density[is_in_band].min()
+    )  # as measured: without contact little moves above the force's band
+    spectrum_axes.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz", ylim=(0.1 * least_density, None))
     figure.suptitle("Output with and without the contacts")
 
 
-def _surface(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_surface(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 5 and 13: restoring force over two coordinates, averaged in cells."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
     first_group, *other_groups = result.contact_groups
-    first_eta = result.eta_m[first_group.contact_indices[0]][every_nth]
+    first_eta_m = result.eta_m[first_group.contact_indices[0]][every_nth]
     if other_groups:
-        second = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
-        label = f"η of {other_groups[0].contact.name}, mm"
+        second_coordinate = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
+        second_label = f"η of {other_groups[0].contact.name}, mm"
     else:
-        second, label = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0], "velocity, m/s"
-    count = min(first_eta.size, second.size, surface.measured_force.size)
+        second_coordinate, second_label = (
+            surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0],
+            "velocity, m/s",
+        )
+    sample_count = min(first_eta_m.size, second_coordinate.size, surface.measured_force.size)
     axes = figure.subplots()
     cells = axes.hexbin(
-        1e3 * first_eta[:count],
-        second[:count],
-        C=surface.measured_force[:count],
+        1e3 * first_eta_m[:sample_count],
+        second_coordinate[:sample_count],
+        C=surface.measured_force[:sample_count],
         gridsize=70,
         cmap="RdBu_r",
         mincnt=3,
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
-    axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=label)
-    for k, group in enumerate(result.contact_groups[:2]):
-        _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
+    axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=second_label)
+    for group_index, group in enumerate(result.contact_groups[:2]):
+        _mark_stops(
+            axes, result, group, references, reference_name, horizontal=group_index > 0, labelled=group_index == 0
+        )
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
 
-def _section(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_section(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
     pair of places."""
     surface = result.surface
@@ -134,18 +156,18 @@ def _section(figure: Any, result: Identification, references: References, refere
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     unexplained_force = surface.measured_force - surface.fitted_force
     for axes, group in zip(axes_row, result.contact_groups, strict=True):
-        first, members = group.contact_indices[0], list(group.contact_indices)
-        scale = surface.equation.shape_at_contacts[first] or 1.0
-        eta = result.eta_m[first][every_nth]
-        count = min(eta.size, unexplained_force.size)
-        thinned = slice(None, None, max(1, count // 6000))
-        fitted_n = surface.contact_forces[members].sum(axis=0)[:count] / scale
-        force = unexplained_force[:count] / scale + fitted_n
-        eta_order = np.argsort(eta[:count])
+        first_contact, contact_indices = group.contact_indices[0], list(group.contact_indices)
+        shape_at_contact = surface.equation.shape_at_contacts[first_contact] or 1.0
+        eta = result.eta_m[first_contact][every_nth]
+        sample_count = min(eta.size, unexplained_force.size)
+        drawn_samples = slice(None, None, max(1, sample_count // 6000))
+        fitted_n = surface.contact_forces[contact_indices].sum(axis=0)[:sample_count] / shape_at_contact
+        force = unexplained_force[:sample_count] / shape_at_contact + fitted_n
+        eta_order = np.argsort(eta[:sample_count])
         axes.plot(1e3 * eta[eta_order], fitted_n[eta_order], color=RED, lw=2.5, label="dead zone as fitted")
         axes.plot(
-            1e3 * eta[:count][thinned],
-            force[thinned],
+            1e3 * eta[:sample_count][drawn_samples],
+            force[drawn_samples],
             ".",
             ms=1.5,
             color=BLUE,
@@ -159,7 +181,7 @@ def _section(figure: Any, result: Identification, references: References, refere
     figure.suptitle(f"Section of the restoring force, modal equation {surface.equation.name}")
 
 
-def _separated(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_separated_forces(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     every_nth = slice(None, None, result.decimation)
@@ -170,9 +192,9 @@ def _separated(figure: Any, result: Identification, references: References, refe
         eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
         laws = [
             sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
-            for sign, j in zip(group.signs, group.contact_indices, strict=True)
+            for sign, contact_index in zip(group.signs, group.contact_indices, strict=True)
             for name, estimate in result.outcomes.estimates.items()
-            if name == result.rig.contacts[j].name
+            if name == result.rig.contacts[contact_index].name
         ]
         if laws:
             axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
@@ -182,16 +204,20 @@ def _separated(figure: Any, result: Identification, references: References, refe
     _legend_outside(figure, axes_row[0], "upper", markerscale=2)
 
 
-def _histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
-    rate = result.motion.sample_rate_hz
+    sample_rate_hz = result.motion.sample_rate_hz
     axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, group in enumerate(result.contact_groups):
+    for group_index, group in enumerate(result.contact_groups):
         eta = result.eta_m[group.contact_indices[0]]
-        start = int(0.4 * eta.size)
-        excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
-        axes[j][0].plot(result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η")
-        axes[j][1].hist(
+        excerpt_start = int(0.4 * eta.size)
+        excerpt_samples = slice(
+            excerpt_start, excerpt_start + int(min(4.0, 0.3 * eta.size / sample_rate_hz) * sample_rate_hz)
+        )
+        axes[group_index][0].plot(
+            result.motion.time_s(eta.size)[excerpt_samples], 1e3 * eta[excerpt_samples], color=BLUE, lw=0.8, label="η"
+        )
+        axes[group_index][1].hist(
             1e3 * eta[result.motion.excited_from :],
             bins=120,
             orientation="horizontal",
@@ -199,67 +225,72 @@ def _histogram(figure: Any, result: Identification, references: References, refe
             alpha=0.6,
             density=True,
         )
-        for panel in axes[j]:
+        for panel in axes[group_index]:
             _mark_stops(panel, result, group, references, reference_name, horizontal=True)
-        axes[j][0].set_ylabel(f"η of {group.contact.name}, mm")
+        axes[group_index][0].set_ylabel(f"η of {group.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
 
 
-def _stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
-    count = len(result.weak_nifo.contacts)
-    if not count:
+    contact_count = len(result.weak_nifo.contacts)
+    if not contact_count:
         figure.text(
             0.5, 0.5, f"modal equation {result.weak_nifo.equation.name} tells no contact's stiffness", ha="center"
         )
         return
-    axes = figure.subplots(2, count, squeeze=False, sharex=True)
-    for i, j in enumerate(result.weak_nifo.contacts):
-        contact = result.rig.contacts[j]
-        mean_n_per_m = result.weak_nifo.mean_n_per_m[i]
+    axes = figure.subplots(2, contact_count, squeeze=False, sharex=True)
+    for column_index, contact_index in enumerate(result.weak_nifo.contacts):
+        contact = result.rig.contacts[contact_index]
+        mean_n_per_m = result.weak_nifo.mean_n_per_m[column_index]
         reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
             (result.paper_nifo, GREY, "the paper's form"),
             (result.weak_nifo, BLUE, "weak form"),
         ):
-            values = nifo.stiffness_n_per_m[i].real
-            axes[0][i].plot(nifo.frequency_hz, values, color=colour, lw=1.0, label=label)
-            deviation = 100 * np.abs(nifo.stiffness_n_per_m[i] / reference_n_per_m - 1)
-            axes[1][i].semilogy(nifo.frequency_hz, np.maximum(deviation, 1e-6), color=colour, lw=1.0)
-        axes[0][i].axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
+            stiffness_n_per_m = nifo.stiffness_n_per_m[column_index].real
+            axes[0][column_index].plot(nifo.frequency_hz, stiffness_n_per_m, color=colour, lw=1.0, label=label)
+            deviation_percent = 100 * np.abs(nifo.stiffness_n_per_m[column_index] / reference_n_per_m - 1)
+            axes[1][column_index].semilogy(nifo.frequency_hz, np.maximum(deviation_percent, 1e-6), color=colour, lw=1.0)
+        axes[0][column_index].axhline(
+            mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m"
+        )
         if contact.name in references:
-            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
-        limits = np.quantile(result.weak_nifo.stiffness_n_per_m[i].real, [0.02, 0.98])
-        margin = max(np.ptp(limits), 0.02 * abs(mean_n_per_m))
-        axes[0][i].set(ylim=(limits[0] - margin, limits[1] + margin), title=contact.name)
-        axes[1][i].set(xlabel="frequency, Hz")
-        axes[0][i].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
+            axes[0][column_index].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
+        stiffness_range_n_per_m = np.quantile(result.weak_nifo.stiffness_n_per_m[column_index].real, [0.02, 0.98])
+        margin_n_per_m = max(np.ptp(stiffness_range_n_per_m), 0.02 * abs(mean_n_per_m))
+        axes[0][column_index].set(
+            ylim=(stiffness_range_n_per_m[0] - margin_n_per_m, stiffness_range_n_per_m[1] + margin_n_per_m),
+            title=contact.name,
+        )
+        axes[1][column_index].set(xlabel="frequency, Hz")
+        axes[0][column_index].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     axes[0][0].set_ylabel("Re k, N/m")
     axes[1][0].set_ylabel("|k / reference - 1|, %")
     figure.suptitle(f"Contact stiffness, modal equation {result.weak_nifo.equation.name}")
 
 
-def _frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
+def _draw_frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
-    upper, middle, lower = figure.subplots(3, 1, sharex=True)
-    weak, paper = result.weak_nifo, result.paper_nifo
-    shape_square_per_kg = weak.equation.shape_at_force**2
+    magnitude_axes, middle, phase_axes = figure.subplots(3, 1, sharex=True)
+    weak_nifo, paper_nifo = result.weak_nifo, result.paper_nifo
+    shape_square_per_kg = weak_nifo.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
-        (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
-        (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
-        (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
+        (paper_nifo.frf, paper_nifo.frequency_hz, GREY, "-", "NIFO, the paper's form"),
+        (weak_nifo.frf, weak_nifo.frequency_hz, BLUE, "-", "NIFO, weak form"),
+        (weak_nifo.true_frf(), weak_nifo.frequency_hz, "k", ":", "mode of rig.json"),
     ):
         receptance_m_per_n = shape_square_per_kg * np.abs(frf)
-        upper.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
+        magnitude_axes.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
         middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
-        lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
-    upper.set_ylabel("receptance,\nm/N")
+        phase_axes.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
+    magnitude_axes.set_ylabel("receptance,\nm/N")
     middle.set_ylabel("accelerance,\nm/s²/N")
-    upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    lower.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
-    figure.suptitle(f"Linear FRF of modal equation {weak.equation.name}")
+    magnitude_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    phase_axes.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
+    figure.suptitle(f"Linear FRF of modal equation {weak_nifo.equation.name}")
 
 
 def _legend_outside(figure: Any, axes: Any, edge: str, **style: Any) -> None:
@@ -279,25 +310,25 @@ def _mark_stops(
     labelled: bool = True,
 ) -> None:
     """Draws the identified stops of a pair of places, and its reference values."""
-    line, labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
+    draw_line, stop_labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
     reference_labels = iter([f"stops, {reference_name}"] * labelled)
-    for j, sign in zip(group.contact_indices, group.signs, strict=True):
-        stop, name = result.stops[j], result.rig.contacts[j].name
+    for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
+        stop, name = result.stops[contact_index], result.rig.contacts[contact_index].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
-                line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))
+                draw_line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(stop_labels, None))
         for side in result.rig.contact(name).law.sides if name in references else ():
-            line(1e3 * side * references[name][0], color="k", ls=":", lw=1.2, label=next(reference_labels, None))
+            draw_line(1e3 * side * references[name][0], color="k", ls=":", lw=1.2, label=next(reference_labels, None))
 
 
 _FIGURES = {
-    "outputs": _outputs,
-    "surface": _surface,
-    "section": _section,
-    "separated": _separated,
-    "histogram": _histogram,
-    "stiffness": _stiffness,
-    "frf": _frf,
+    "outputs": _draw_outputs,
+    "surface": _draw_surface,
+    "section": _draw_section,
+    "separated": _draw_separated_forces,
+    "histogram": _draw_histogram,
+    "stiffness": _draw_stiffness,
+    "frf": _draw_frf,
 }
 _NIFO_FIGURES = ("outputs", "stiffness", "frf")
 """Figures that need NIFO, and so a force."""

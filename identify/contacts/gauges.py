@@ -47,17 +47,22 @@ class Gauges:
         """Rows of the separation, in a unit in which each gauge has the mean power of the stations' accelerations: all
         errors then have a common floor. Lines that are not usable are zero in the signal and in its response."""
         spectra = lines.spectra(self.strain)
-        for i, sensor in enumerate(self.sensors):
+        for sensor_index, sensor in enumerate(self.sensors):
             sensor_response = sensor.response(lines.omega)
-            spectra[i] = np.divide(spectra[i], sensor_response, out=np.zeros_like(sensor_response), where=is_usable[i])
-        power = np.mean(np.abs(spectra) ** 2, axis=1)
-        row_scale = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
-        samples = self.strain.shape[1]
-        zero_error = lines.spectra(np.ones(samples)) * (row_scale * self.zero_error_strain)[:, None]
+            spectra[sensor_index] = np.divide(
+                spectra[sensor_index],
+                sensor_response,
+                out=np.zeros_like(sensor_response),
+                where=is_usable[sensor_index],
+            )
+        signal_power = np.mean(np.abs(spectra) ** 2, axis=1)
+        row_scale = np.sqrt(np.divide(mean_power, signal_power, out=np.ones_like(signal_power), where=signal_power > 0))
+        sample_count = self.strain.shape[1]
+        zero_error = lines.spectra(np.ones(sample_count)) * (row_scale * self.zero_error_strain)[:, None]
         return GaugeRows(
             measured=row_scale[:, None] * spectra,
             response=np.where(is_usable, -row_scale[:, None] / lines.omega**2, 0.0).astype(complex),
-            noise_power=np.broadcast_to((samples * (row_scale * self.noise_strain) ** 2)[:, None], spectra.shape),
+            noise_power=np.broadcast_to((sample_count * (row_scale * self.noise_strain) ** 2)[:, None], spectra.shape),
             zero_error=np.where(is_usable, zero_error, 0.0),
         )
 
@@ -66,14 +71,22 @@ class Gauges:
     ) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
         """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts
         on its body, by the indices of force and gauge."""
-        shares = {}
+        share_by_force_and_gauge = {}
         for body_response in responses:
-            highest = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
-            inputs = input_shapes(rig, body_response, rig.forces)[:, highest]
-            outputs, accelerance = body_response.shapes(self.sensors)[:, highest], body_response.accelerance[highest]
-            for i, j in product(*(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (inputs, outputs))):
-                shares[i, j] = response[j] * real_product((inputs[i] * outputs[j])[None], accelerance)[0]
-        return shares
+            highest_modes = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
+            force_shapes = input_shapes(rig, body_response, rig.forces)[:, highest_modes]
+            gauge_shapes, accelerance = (
+                body_response.shapes(self.sensors)[:, highest_modes],
+                body_response.accelerance[highest_modes],
+            )
+            for force_index, gauge_index in product(
+                *(np.flatnonzero(shape_rows.any(axis=1)).tolist() for shape_rows in (force_shapes, gauge_shapes))
+            ):
+                share_by_force_and_gauge[force_index, gauge_index] = (
+                    response[gauge_index]
+                    * real_product((force_shapes[force_index] * gauge_shapes[gauge_index])[None], accelerance)[0]
+                )
+        return share_by_force_and_gauge
 
 
 @dataclass(frozen=True)
@@ -97,19 +110,23 @@ class GaugeErrors:
     zero_error: Complex[np.ndarray, "gauges lines"]
     truncation: dict[tuple[int, int], Complex[np.ndarray, " lines"]]
 
-    def changes(self, inputs: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
+    def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
         """Changes by one standard deviation of every error, given the exciting and the contact forces."""
         zero_changes = [
-            Change(Nuisance(NuisanceKind.ZERO, name), [self.station_count + j], self.zero_error[[j]])
-            for j, name in enumerate(self.gauge_names)
+            Change(
+                Nuisance(NuisanceKind.ZERO, name), [self.station_count + gauge_index], self.zero_error[[gauge_index]]
+            )
+            for gauge_index, name in enumerate(self.gauge_names)
         ]
         truncation_changes = [
             Change(
-                Nuisance(NuisanceKind.TRUNCATION, f"{self.gauge_names[j]} by {self.force_names[i]}"),
-                [self.station_count + j],
-                (share * inputs[i])[None],
+                Nuisance(
+                    NuisanceKind.TRUNCATION, f"{self.gauge_names[truncated_gauge]} by {self.force_names[force_index]}"
+                ),
+                [self.station_count + truncated_gauge],
+                (signal_per_newton * input_spectra[force_index])[None],
             )
-            for (i, j), share in self.truncation.items()
+            for (force_index, truncated_gauge), signal_per_newton in self.truncation.items()
         ]
         return (*zero_changes, *truncation_changes)
 
@@ -122,31 +139,40 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, sample_count = recording.rig, motion.samples
-    gauges = [s for s in rig.sensors if not s.measures.translates and np.ptp(recording.values_of(s)) > 0]
+    gauges = [
+        sensor for sensor in rig.sensors if not sensor.measures.translates and np.ptp(recording.values_of(sensor)) > 0
+    ]
     if use != "auto" or rig.base_sensors:
         gauges = []
     excited_from = motion.excited_from
-    if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):
+    if (
+        gauges
+        and not (excited_from or recording.start_s)
+        and all(sensor.measures.order == 2 for sensor in motion.sensors)
+    ):
         excited_from = excitation_start(
-            recording.forces_n, (recording.values_of(s) for s in gauges), rig.sample_rate_hz
+            recording.forces_n, (recording.values_of(gauge) for gauge in gauges), rig.sample_rate_hz
         )
     quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
     if not (gauges and (quiet_samples or is_segment)):
         return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
-    signals = np.stack([recording.values_of(s)[:sample_count] for s in gauges])
+    gauge_signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         noise_densities = [
-            s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
-            for s, row in zip(gauges, signals, strict=True)
+            gauge.noise_density or spectrogram_noise_density(gauge_signal, rig.sample_rate_hz)[0]
+            for gauge, gauge_signal in zip(gauges, gauge_signals, strict=True)
         ]
-        noise = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
-        zero_offset, zero_error = signals.mean(axis=1), signals.std(axis=1)
-        strain = (signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+        noise_deviation = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
+        zero_offset, zero_error = gauge_signals.mean(axis=1), gauge_signals.std(axis=1)
+        strain = (gauge_signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
-        noise, zero_offset = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
-        strain, zero_error = signals - zero_offset[:, None], noise / np.sqrt(quiet_samples)
-    gains = np.abs([s.gain for s in gauges])
-    sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
-    channels = (*motion.channels, *(s.name for s in gauges))
-    scaled_gauges = Gauges(sensors, strain, noise / gains, zero_error / gains)
+        noise_deviation, zero_offset = (
+            gauge_signals[:, :quiet_samples].std(axis=1),
+            gauge_signals[:, :quiet_samples].mean(axis=1),
+        )
+        strain, zero_error = gauge_signals - zero_offset[:, None], noise_deviation / np.sqrt(quiet_samples)
+    gains = np.abs([gauge.gain for gauge in gauges])
+    sensors = tuple(with_fields(gauge, fibre_m=rig.fibre_m(gauge)) for gauge in gauges)
+    channels = (*motion.channels, *(gauge.name for gauge in gauges))
+    scaled_gauges = Gauges(sensors, strain, noise_deviation / gains, zero_error / gains)
     return scaled_gauges, replace(motion, excited_from=excited_from, channels=channels)

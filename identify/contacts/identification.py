@@ -113,19 +113,19 @@ def identify_contact(
     """
     averaging = averaging or Averaging()
     check_request(recording, averaging, equation)
-    rig, contacts = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
-    separation, outcomes = contacts.separation, contacts.outcomes
-    condensed_rig, motion, groups = separation.rig, separation.motion, separation.contact_groups
+    rig, checked = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
+    separation, outcomes = checked.separation, checked.outcomes
+    condensed_rig, motion, contact_groups = separation.rig, separation.motion, separation.contact_groups
     separated_n, decimation = separation.forces.force_n, separation.forces.decimation
-    findings, signals = contacts.findings, signals_by_law(separation, outcomes)
-    del contacts, separation  # whose nuisance signals take much memory
+    findings, signals = checked.findings, signals_by_law(separation, outcomes)
+    del checked, separation  # whose nuisance signals take much memory
     progress(0.5)
     methods = paper_methods(
         condensed_rig,
         motion,
         signals,
         stops_of(rig, outcomes),
-        single_contacts={group.contact_indices[0] for group in groups if len(group.contact_indices) == 1},
+        single_contacts={group.contact_indices[0] for group in contact_groups if len(group.contact_indices) == 1},
         averaging=averaging,
         equation=equation,
     )
@@ -137,7 +137,7 @@ def identify_contact(
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        contact_groups=groups,
+        contact_groups=contact_groups,
         separated_n=separated_n,
         decimation=decimation,
         outcomes=outcomes,
@@ -151,19 +151,22 @@ def contact_report(
 ) -> results.ContactReport:
     """Report of the outcomes and of the results of the paper's methods."""
     motion = methods.motion
-    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
+    eta_m = {contact.name: eta_row for contact, eta_row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
         contacts=tuple(contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
-        nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
+        nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.spectra),
         surface=results.Surfaces(
-            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces),
+            tuple(
+                results.SurfaceResult(surface.equation.name, _clearances(rig, surface.stops))
+                for surface in methods.surfaces
+            ),
             _clearances(rig, methods.histogram),
         ),
-        transformation=tuple(_transformation_result(t) for t in methods.transformations),
+        transformation=tuple(_transformation_result(transformation) for transformation in methods.transformations),
         trusted_hz=motion.trusted_hz,
         channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
         findings=findings,
@@ -177,12 +180,12 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     and of a spring."""
     if estimate.is_spring:
         return None
-    lower, upper = estimate.touched
+    lower_touched, upper_touched = estimate.touched
     (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
 
     def share_beyond(errors_outwards: float) -> float:
-        is_below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
-        return float(np.mean(is_below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
+        is_below = lower_touched & (eta_m < -lower_m - errors_outwards * lower_error_m)
+        return float(np.mean(is_below | (upper_touched & (eta_m > upper_m + errors_outwards * upper_error_m))))
 
     return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
@@ -191,7 +194,7 @@ def contact_estimate(
     name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
 ) -> results.ContactEstimate:
     """Entry of contact.json of a contact of one direction."""
-    lower, upper, stiffness, damping, clearance = (
+    lower_clearance, upper_clearance, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
     )
@@ -200,8 +203,8 @@ def contact_estimate(
         clearance_m=clearance,
         stiffness_n_per_m=stiffness,
         damping_n_s_per_m=damping,
-        lower_clearance_m=lower if estimate.sides_known and estimate.touched[0] else None,
-        upper_clearance_m=upper if estimate.sides_known and estimate.touched[1] else None,
+        lower_clearance_m=lower_clearance if estimate.sides_known and estimate.touched[0] else None,
+        upper_clearance_m=upper_clearance if estimate.sides_known and estimate.touched[1] else None,
         closed_share=closed_share(estimate, eta_m),
         law=estimate.form.name,
         exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.exponent_count else None,
@@ -212,34 +215,46 @@ def contact_estimate(
 def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
     """Elastic modes within the band of NIFO."""
     nifo_in_band = [nifo for nifo in spectra if 0 < nifo.equation.frequency_hz < nifo.frequency_hz[-1]]
-    undetermined = [c for c in rig.contacts if c.name in refusals]
+    undetermined_contacts = [contact for contact in rig.contacts if contact.name in refusals]
 
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
-        undetermined_names = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
+        undetermined_names = tuple(
+            contact.name
+            for contact in undetermined_contacts
+            if body in {station.body for station in contact_stations(contact)}
+        )
         return results.Mode(body, nifo.equation.index, *fit_mode(nifo), undetermined_names)
 
     return tuple(mode_of(nifo) for nifo in nifo_in_band)
 
 
 def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
-    stiffness = tuple(
-        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(deviation))
-        for j, mean, error, deviation in zip(
+    stiffness_by_contact = tuple(
+        results.Stiffness(
+            rig.contacts[contact_index].name,
+            results.Estimate(float(mean_n_per_m), float(error_n_per_m)),
+            float(deviation_n_per_m),
+        )
+        for contact_index, mean_n_per_m, error_n_per_m, deviation_n_per_m in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    shares = zip(rig.contacts, nifo.equation.visibility, strict=True)
-    invisible_names = tuple(contact.name for contact, share in shares if share < NEARLY_INVISIBLE_SHARE)
-    band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible_names)
+    contacts_and_visibilities = zip(rig.contacts, nifo.equation.visibility, strict=True)
+    invisible_names = tuple(
+        contact.name for contact, visibility in contacts_and_visibilities if visibility < NEARLY_INVISIBLE_SHARE
+    )
+    band_hz = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
+    return results.NifoResult(
+        nifo.equation.name, band_hz, nifo.resolution_hz, nifo.averages, stiffness_by_contact, invisible_names
+    )
 
 
-def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
+def _clearances(rig: Rig, stop_by_contact: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
     return tuple(
-        results.Clearance(c.name, results.Estimate(s.clearance_m, s.clearance_error_m))
-        for c, s in zip(rig.contacts, stops, strict=True)
-        if s is not None
+        results.Clearance(contact.name, results.Estimate(stop.clearance_m, stop.clearance_error_m))
+        for contact, stop in zip(rig.contacts, stop_by_contact, strict=True)
+        if stop is not None
     )
 
 

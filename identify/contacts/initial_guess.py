@@ -24,12 +24,12 @@ from identify.contacts.law_form import (
     linear_form,
     unit_forces,
 )
-from identify.contacts.linearization import Guess, ground_n_per_m
+from identify.contacts.linearization import LawGuess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.drift import Spline
 from identify.signals.refit import refit_until_settled
 
-Sides = tuple[bool, bool]
+StopSides = tuple[bool, bool]
 """(lower, upper): True where that stop is touched."""
 REGRESSION_STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
 """Error of the displacement where the contact is clearly closed, as a share of its standard deviation, and weight of
@@ -51,7 +51,7 @@ LEAST_DEVIATION_SHARE = 1e-3
 """Deviations below this share of the median deviation weigh as much as that share."""
 
 
-def regressed_guess(record: ContactRecord, sides: Sides | None = None) -> Guess:
+def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> LawGuess:
     """Law and drift b by the regression eta + b = +-clearance + force / k, linear in clearance, 1 / k and b, over the
     samples at which a stop on these sides, or else on the touched ones, is clearly closed.
 
@@ -60,14 +60,16 @@ def regressed_guess(record: ContactRecord, sides: Sides | None = None) -> Guess:
 
     Raises ContactRefusedError as `touched_stops` does, and if no force grows with the relative displacement.
     """
-    touched = touched_stops(record) if sides is None else sides
+    touched_sides = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched)
+        *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched_sides)
         if np.isfinite(clearance) and compliance > 0:
             far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-            lower, upper = (max(clearance, 0.0) if is_touched else far_stop_m for is_touched in touched)
+            lower_clearance_m, upper_clearance_m = (
+                max(clearance, 0.0) if is_touched else far_stop_m for is_touched in touched_sides
+            )
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
-            return np.array([lower, upper, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
+            return np.array([lower_clearance_m, upper_clearance_m, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
@@ -76,39 +78,41 @@ def closed_regression(
     with_drift: bool,
     force_share: float = CLOSED_FORCE_SHARE,
     knee_excess_n: Sequence[Float[np.ndarray, " fewer"]] = (),
-    sides: Sides = (True, True),
+    sides: StopSides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
     """Regression on closed samples: drift's knots, clearance, 1 / stiffness, and the decrease of it beyond each
     knee."""
-    curve, force_n, sign = record.drift_spline, record.force_n, np.sign(record.force_n)
+    drift_spline, force_n, sign = record.drift_spline, record.force_n, np.sign(record.force_n)
     is_closed = clearly_closed(record, force_share) & np.where(force_n < 0, *sides)
-    drift_m = record.at_force_samples(curve.value)[is_closed]
+    drift_m = record.at_force_samples(drift_spline.value)[is_closed]
     eta = record.at_force_samples(record.eta_m)[is_closed]
     law_columns = np.stack([sign, force_n, *(-sign * excess_n for excess_n in knee_excess_n)], axis=1)[is_closed]
     drift_columns = -drift_m if with_drift else csr_matrix(drift_m.shape)
-    return np.concatenate(robust_regression(eta, drift_columns, law_columns, curve))
+    return np.concatenate(robust_regression(eta, drift_columns, law_columns, drift_spline))
 
 
 def robust_regression(
     eta_m: Float[np.ndarray, " samples"],
     drift_columns: csr_matrix,
     law_columns: Float[np.ndarray, "samples laws"],
-    curve: Spline,
+    drift_spline: Spline,
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
-    columns = hstack([drift_columns, law_columns]).tocsr()
-    curvature_rows = hstack([curve.curvature, csr_matrix((curve.target.size, law_columns.shape[1]))])
+    regression_columns = hstack([drift_columns, law_columns]).tocsr()
+    curvature_rows = hstack([drift_spline.curvature, csr_matrix((drift_spline.target.size, law_columns.shape[1]))])
     weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
-    for share, curvature_weight in REGRESSION_STAGES:
-        scale_m = share * float(np.std(eta_m))
-        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        normal_matrix = rows.T @ rows
-        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * curve.target])
+    for residual_share, curvature_weight in REGRESSION_STAGES:
+        scale_m = residual_share * float(np.std(eta_m))
+        weighted_rows = vstack(
+            [diags(weights / scale_m) @ regression_columns, curvature_weight * curvature_rows]
+        ).tocsc()
+        normal_matrix = weighted_rows.T @ weighted_rows
+        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * drift_spline.target])
         knot_ridge = np.full(knot_count, 1e-12 * normal_matrix.diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        solution = spsolve((normal_matrix + ridge).tocsc(), rows.T @ right_side)
-        weights = 1 / (1 + ((eta_m - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
-    return solution[:knot_count], solution[knot_count:]
+        coefficients = spsolve((normal_matrix + ridge).tocsc(), weighted_rows.T @ right_side)
+        weights = 1 / (1 + ((eta_m - regression_columns @ coefficients) / (OUTLIER_SCALE * scale_m)) ** 2)
+    return coefficients[:knot_count], coefficients[knot_count:]
 
 
 def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
@@ -120,7 +124,7 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
     return np.array([-eta.min(), eta.max()])
 
 
-def guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> list[Guess]:
+def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[LawGuess]:
     """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
     beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
@@ -129,59 +133,59 @@ def guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) 
 
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
-    sides, form = np.any(touched, axis=0), linear_form(touched)
-    if not sides.any():
+    is_side_touched, form = np.any(touched, axis=0), linear_form(touched)
+    if not is_side_touched.any():
         return [
             _refined_guess(record, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots), form)[1]
         ]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
-        (spring,) = nominal[~are_stops]
-        stop_guesses = guesses(without_spring(record, spring), nominal[are_stops], touched[are_stops])
-        return _guesses_with_spring(record, nominal, form, stop_guesses)
-    law, knots = regressed_guess(record, (bool(sides[0]), bool(sides[1])))
-    candidates = [(law, knots)]
-    if len(nominal) > 1:
+        (spring_law,) = nominal_laws[~are_stops]
+        stop_guesses = guesses(without_spring(record, spring_law), nominal_laws[are_stops], touched[are_stops])
+        return _guesses_with_spring(record, nominal_laws, form, stop_guesses)
+    law_parameters, knots = regressed_guess(record, (bool(is_side_touched[0]), bool(is_side_touched[1])))
+    candidates = [(law_parameters, knots)]
+    if len(nominal_laws) > 1:
         far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_stop_m), nominal[:, 2:]])
-        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, nominal, touched)]
-    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if knots.size]
-    if len(nominal) == 1:
+        nominal_laws = np.column_stack([np.where(touched, nominal_laws[:, :2], far_stop_m), nominal_laws[:, 2:]])
+        candidates = [(nominal_laws.ravel(), knots), *_knee_guesses(record, nominal_laws, touched)]
+    candidates += [(law_parameters, np.zeros_like(knots)) for law_parameters, knots in candidates if knots.size]
+    if len(nominal_laws) == 1:
         return candidates
     return _best_guesses(record, candidates, form)
 
 
 def _guesses_with_spring(
-    record: ContactRecord, nominal: NominalLaws, form: LawForm, stop_guesses: Sequence[Guess]
-) -> list[Guess]:
-    """Guesses of stops with the spring of `nominal` beside them."""
-    candidates: list[Guess] = []
-    for law, knots in stop_guesses:
-        laws = nominal.copy()
-        laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = law.reshape(-1, len(LAW))
+    record: ContactRecord, nominal_laws: NominalLaws, form: LawForm, stop_guesses: Sequence[LawGuess]
+) -> list[LawGuess]:
+    """Guesses of stops with the spring of `nominal_laws` beside them."""
+    candidates: list[LawGuess] = []
+    for stop_parameters, knots in stop_guesses:
+        laws = nominal_laws.copy()
+        laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = stop_parameters.reshape(-1, len(LAW))
         candidates.append((laws.ravel(), knots))
     return _best_guesses(record, candidates, form)
 
 
-def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
+def _best_guesses(record: ContactRecord, candidates: Sequence[LawGuess], form: LawForm) -> list[LawGuess]:
     """Refined guesses of least misfit."""
     ranked_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
     return [guess for misfit, guess in ranked_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
-def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecord:
+def without_spring(record: ContactRecord, spring_law: LawParameters) -> ContactRecord:
     """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
     remains, as of a spring to the ground."""
-    *_, stiffness, damping = spring.tolist()
+    *_, stiffness_n_per_m, damping_n_s_per_m = spring_law.tolist()
     eta, velocity = (
-        row[:: record.decimation][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s)
+        signal[:: record.decimation][: record.force_n.size] for signal in (record.eta_m, record.velocity_m_per_s)
     )
     drift = record.drift and replace(
         record.drift,
-        spring_n_per_m=record.drift.spring_n_per_m + stiffness,
-        damper_n_s_per_m=record.drift.damper_n_s_per_m + damping,
+        spring_n_per_m=record.drift.spring_n_per_m + stiffness_n_per_m,
+        damper_n_s_per_m=record.drift.damper_n_s_per_m + damping_n_s_per_m,
     )
-    return replace(record, force_n=record.force_n - stiffness * eta - damping * velocity, drift=drift)
+    return replace(record, force_n=record.force_n - stiffness_n_per_m * eta - damping_n_s_per_m * velocity, drift=drift)
 
 
 def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray, " samples"]]:
@@ -192,21 +196,23 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
     form = LawForm(spring_indices=(1,))
-    force_n, eta_m = (float(np.quantile(np.abs(row), 0.995)) for row in (record.force_n, record.eta_m))
-    stiffnesses_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
-    springs = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in stiffnesses_n_per_m]
+    large_force_n, large_eta_m = (
+        float(np.quantile(np.abs(signal), 0.995)) for signal in (record.force_n, record.eta_m)
+    )
+    stiffnesses_n_per_m = large_force_n / max(large_eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
+    spring_laws = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in stiffnesses_n_per_m]
     least_misfit, best_guess = np.inf, None
-    for number in range(len(springs) + 1):
-        if number < len(springs):
-            spring = springs[number]
+    for attempt in range(len(spring_laws) + 1):
+        if attempt < len(spring_laws):
+            spring_law = spring_laws[attempt]
         elif best_guess is not None:
-            spring = best_guess[0][len(LAW) :]
+            spring_law = best_guess[0][len(LAW) :]
         try:
-            law, knots = regressed_guess(without_spring(record, spring))
+            stop_law, knots = regressed_guess(without_spring(record, spring_law))
         except ContactRefusedError:
             continue
         for drift_knots in (knots, np.zeros_like(knots)):
-            misfit, guess = _refined_guess(record, np.concatenate([law, spring]), drift_knots, form)
+            misfit, guess = _refined_guess(record, np.concatenate([stop_law, spring_law]), drift_knots, form)
             if misfit < least_misfit:
                 least_misfit, best_guess = misfit, guess
     if best_guess is None:
@@ -216,48 +222,54 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
 
 def _refined_guess(
     record: ContactRecord, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"], form: LawForm
-) -> tuple[float, Guess]:
+) -> tuple[float, LawGuess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
-    curve, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
-    eta = record.at_force_samples(record.eta_m + curve.value @ knots)
-    rate = record.at_force_samples(record.velocity_m_per_s + curve.rate @ knots)
-    columns = np.stack(unit_forces(form, laws.ravel(), eta, rate), axis=1)
+    drift_spline, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
+    eta = record.at_force_samples(record.eta_m + drift_spline.value @ knots)
+    velocity = record.at_force_samples(record.velocity_m_per_s + drift_spline.rate @ knots)
+    unit_force_columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
     force_n = record.force_n - ground_n_per_m(record) @ knots
-    coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
+    coefficients, _, rank, _ = np.linalg.lstsq(unit_force_columns, force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
-    is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
-    return float(np.sum((force_n - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
+    is_determined = rank == unit_force_columns.shape[1] and np.all(laws[:, 2] > 0)
+    return float(np.sum((force_n - unit_force_columns @ coefficients) ** 2)) if is_determined else np.inf, (
+        laws.ravel(),
+        knots,
+    )
 
 
-def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
+def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[LawGuess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
     magnitude_n = np.abs(record.force_n)
-    sides, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
-    least_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
-    knee_forces_n = np.geomspace(least_n, largest_n, KNEE_FORCE_COUNT + 2)[1:-1]
-    for knees_n in combinations(knee_forces_n, int(sides.max()) - 1):
+    contact_count_by_side, largest_force_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
+    least_closed_force_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
+    knee_forces_n = np.geomspace(least_closed_force_n, largest_force_n, KNEE_FORCE_COUNT + 2)[1:-1]
+    for knees_n in combinations(knee_forces_n, int(contact_count_by_side.max()) - 1):
         knee_excess_n = [
-            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *sides) > m)
-            for m, knee_n in enumerate(knees_n, 1)
+            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *contact_count_by_side) > knee_index)
+            for knee_index, knee_n in enumerate(knees_n, 1)
         ]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            solution = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
+            coefficients = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
             knot_count = record.drift_spline.knots
-            knots, (clearance, compliance, *compliance_steps) = solution[:knot_count], solution[knot_count:].tolist()
+            knots, (clearance, compliance, *compliance_steps) = (
+                coefficients[:knot_count],
+                coefficients[knot_count:].tolist(),
+            )
             summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *compliance_steps]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
             clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
             stiffnesses_n_per_m = np.diff([0.0, *summed_n_per_m])
-            law = nominal.copy()
+            guessed_laws = nominal_laws.copy()
             for side in range(2):
-                contacts = np.flatnonzero(touched[:, side])
-                contacts = contacts[np.argsort(nominal[contacts, side], kind="stable")]
-                law[contacts, side] = clearances_m[: contacts.size]
-                law[contacts, 2] = stiffnesses_n_per_m[: contacts.size]
+                touching_contacts = np.flatnonzero(touched[:, side])
+                touching_contacts = touching_contacts[np.argsort(nominal_laws[touching_contacts, side], kind="stable")]
+                guessed_laws[touching_contacts, side] = clearances_m[: touching_contacts.size]
+                guessed_laws[touching_contacts, 2] = stiffnesses_n_per_m[: touching_contacts.size]
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
-            yield law.ravel(), knots / drift_ratio
+            yield guessed_laws.ravel(), knots / drift_ratio
 
 
 def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
@@ -273,14 +285,14 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     pulls = np.zeros(len(record.nuisance_n))
     if not np.any(record.is_initial_state):
         return pulls
-    columns = record.nuisance_n[record.is_initial_state].astype(float)
+    state_rows = record.nuisance_n[record.is_initial_state].astype(float)
 
     def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
-        deviation_n = np.abs(record.force_n - theta @ columns)
+        deviation_n = np.abs(record.force_n - theta @ state_rows)
         median_n = max(float(np.median(deviation_n)), 1e-300)
-        weighted = columns / np.maximum(deviation_n, LEAST_DEVIATION_SHARE * median_n)
-        prior = np.eye(len(columns)) / median_n
-        return np.linalg.solve(weighted @ columns.T + prior, weighted @ record.force_n)
+        weighted_rows = state_rows / np.maximum(deviation_n, LEAST_DEVIATION_SHARE * median_n)
+        prior_matrix = np.eye(len(state_rows)) / median_n
+        return np.linalg.solve(weighted_rows @ state_rows.T + prior_matrix, weighted_rows @ record.force_n)
 
     pulls[record.is_initial_state] = refit_until_settled(
         pulls[record.is_initial_state], reweighted, rounds=REWEIGHTING_ROUNDS

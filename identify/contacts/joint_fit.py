@@ -25,7 +25,7 @@ from identify.contacts.law_form import (
     TouchedStops,
     linear_form,
 )
-from identify.contacts.linearization import State, drift_signals
+from identify.contacts.linearization import FitState, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
@@ -127,24 +127,27 @@ class JointEstimate:
     def reversed(self) -> "JointEstimate":
         """Estimate with the relative displacement counted in the other direction."""
         swap_matrix = np.eye(len(LAW))[[1, 0, 2, 3]]
-        lower, upper = self.touched
+        lower_touched, upper_touched = self.touched
         return replace(
             self,
             values=swap_matrix @ self.values,
-            covariances={source: swap_matrix @ part @ swap_matrix for source, part in self.covariances.items()},
-            touched=(upper, lower),
+            covariances={
+                source: swap_matrix @ source_covariance @ swap_matrix
+                for source, source_covariance in self.covariances.items()
+            },
+            touched=(upper_touched, lower_touched),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
         )
 
 
 def _clearance_gradient(touched: tuple[bool, bool]) -> LawParameters:
-    lower, upper = np.array(touched) / max(sum(touched), 1)
-    return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
+    lower_weight, upper_weight = np.array(touched) / max(sum(touched), 1)
+    return LAW.vector({"lower_clearance_m": lower_weight, "upper_clearance_m": upper_weight})
 
 
 def fit_joint(
-    record: ContactRecord, nominal: NominalLaws, touched: TouchedStops, forms: Sequence[FormName] = ()
+    record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops, forms: Sequence[FormName] = ()
 ) -> tuple[JointEstimate, ...]:
     """Joint estimates of all contacts of a record by one fit.
 
@@ -171,35 +174,38 @@ def fit_joint(
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
     """
-    curve, form = record.drift_spline, linear_form(touched)
+    drift_spline, form = record.drift_spline, linear_form(touched)
     sides_known = record.sides_known or bool(form.spring_indices)
     free_to_laws, start_pulls = free_parameters(touched, sides_known), initial_pulls(record)
-    candidates = guesses(without_nuisances(record, start_pulls), nominal, touched)
-    fit = first_fit(record, free_to_laws, candidates, start_pulls, form)
-    check_drift(curve, fit.state.knots)
+    initial_guesses = guesses(without_nuisances(record, start_pulls), nominal_laws, touched)
+    fit = first_fit(record, free_to_laws, initial_guesses, start_pulls, form)
+    check_drift(drift_spline, fit.state.knots)
     _check_bridged(record, fit.state)
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
     fit = chosen_form(fit, forms)
     state = fit.state
-    scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
+    scaled_to_laws, (derivatives, normal_equations) = fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    knots_per_gradient, dense_per_gradient = equations.solved(
-        np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
+    knots_per_gradient, pulls_and_free_per_gradient = normal_equations.solved(
+        np.zeros((drift_spline.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
     pulls_and_laws_per_gradient = np.concatenate(
-        [dense_per_gradient[:pull_count], scaled_to_laws @ dense_per_gradient[pull_count:]]
+        [pulls_and_free_per_gradient[:pull_count], scaled_to_laws @ pulls_and_free_per_gradient[pull_count:]]
     )
     # by residuals
     influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
     part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
-    by_parts = part_scores(influence, state.residual_n, part_starts)
+    scores_by_part = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
-        "scatter": small_sample_factor(free_count) * by_parts,
-        "tolerances": record.samples_per_error * dense_per_gradient[:pull_count],
-        "drift": curve.curvature @ knots_per_gradient,
+        "scatter": small_sample_factor(free_count) * scores_by_part,
+        "tolerances": record.samples_per_error * pulls_and_free_per_gradient[:pull_count],
+        "drift": drift_spline.curvature @ knots_per_gradient,
     }
-    covariances = {source: scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for source, x in rows_by_source.items()}
+    covariances = {
+        source: scaled_to_laws @ (source_rows.T @ source_rows) @ scaled_to_laws.T
+        for source, source_rows in rows_by_source.items()
+    }
     law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
     covariances["law"] = law_misfit
     covariance = np.asarray(sum(covariances.values()))
@@ -207,28 +213,31 @@ def fit_joint(
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
-    def estimate_at(first: int, lower: bool, upper: bool) -> JointEstimate:
-        block = slice(first, first + len(LAW))
+    def estimate_at(first_parameter: int, lower_touched: bool, upper_touched: bool) -> JointEstimate:
+        contact_parameters = slice(first_parameter, first_parameter + len(LAW))
         return JointEstimate(
-            values=state.law_parameters[block],
-            covariances={source: part[block, block] for source, part in covariances.items()},
+            values=state.law_parameters[contact_parameters],
+            covariances={
+                source: source_covariance[contact_parameters, contact_parameters]
+                for source, source_covariance in covariances.items()
+            },
             sides_known=sides_known,
-            touched=(lower, upper),
+            touched=(lower_touched, upper_touched),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
             half_differences=half_differences(
-                by_parts
-                @ scaled_to_laws[block].T
-                @ np.stack([_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT], axis=1)
+                scores_by_part
+                @ scaled_to_laws[contact_parameters].T
+                @ np.stack([_clearance_gradient((lower_touched, upper_touched)), STIFFNESS_GRADIENT], axis=1)
             ),
-            form=SPRING if not (lower or upper) else replace(state.form, spring_indices=()),
+            form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
 
-    return tuple(estimate_at(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
+    return tuple(estimate_at(len(LAW) * contact_index, *sides) for contact_index, sides in enumerate(touched.tolist()))
 
 
 def small_sample_factor(free_count: int) -> float:
@@ -238,36 +247,45 @@ def small_sample_factor(free_count: int) -> float:
     return float(np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
 
 
-def unexplained_share(forces: Sequence[tuple[Signal, Signal, float]]) -> float:
+def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, float]]) -> float:
     """Root mean square of the residuals (first) beyond the sensors' noise (third), as a share of the forces' (second).
 
     The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
     deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
-    squares = np.zeros(2)
-    for residual_n, force_n, sensor_noise_n in forces:
+    residual_and_force_square = np.zeros(2)
+    for residual_n, force_n, sensor_noise_n in residual_force_noise_n:
         noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
         noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual_n.size))
-        squares += [max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (residual_n, force_n)]
-    return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 0.0
+        residual_and_force_square += [
+            max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (residual_n, force_n)
+        ]
+    return (
+        float(np.sqrt(residual_and_force_square[0] / residual_and_force_square[1]))
+        if residual_and_force_square[1] > 0
+        else 0.0
+    )
 
 
-def half_differences(influence: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
+def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
-    scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
-    first, second = influence[: len(influence) // 2].sum(axis=0), influence[len(influence) // 2 :].sum(axis=0)
-    clearance, stiffness = (first - second) / scatter
-    return float(clearance), float(stiffness)
+    scatter = np.maximum(np.sqrt(np.sum(influence_by_part**2, axis=0)), 1e-300)
+    first_half, second_half = (
+        influence_by_part[: len(influence_by_part) // 2].sum(axis=0),
+        influence_by_part[len(influence_by_part) // 2 :].sum(axis=0),
+    )
+    clearance_difference, stiffness_difference = (first_half - second_half) / scatter
+    return float(clearance_difference), float(stiffness_difference)
 
 
-def check_drift(curve: Spline, knots: Float[np.ndarray, " knots"]) -> None:
+def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> None:
     """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
     square is usually 1 to 2 squared standard deviations."""
-    if curve.knots and np.mean((curve.curvature @ knots - curve.target) ** 2) > DRIFT_PULL_LIMIT:
+    if drift_spline.knots and np.mean((drift_spline.curvature @ knots - drift_spline.target) ** 2) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 
-def _check_bridged(record: ContactRecord, state: State) -> None:
+def _check_bridged(record: ContactRecord, state: FitState) -> None:
     """Raises ContactRefusedError as `check_bridged`, unless a spring tells the slow motion."""
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
@@ -297,10 +315,15 @@ def _check_separable(
     laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
         touching_contacts = np.flatnonzero(touched[:, side])
-        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching_contacts):
+        if any(
+            np.mean(sign * eta_m > laws[contact_index, side]) < LEAST_CLOSED_SHARE
+            for contact_index in touching_contacts
+        ):
             raise refused(RefusalCode.NOT_SEPARABLE)
-        for i, j in combinations(touching_contacts, 2):
-            difference = np.zeros_like(law_parameters)
-            difference[[len(LAW) * i + side, len(LAW) * j + side]] = 1, -1
-            if abs(difference @ law_parameters) < COVERED * np.sqrt(difference @ covariance @ difference):
+        for first_contact, second_contact in combinations(touching_contacts, 2):
+            difference_gradient = np.zeros_like(law_parameters)
+            difference_gradient[[len(LAW) * first_contact + side, len(LAW) * second_contact + side]] = 1, -1
+            if abs(difference_gradient @ law_parameters) < COVERED * np.sqrt(
+                difference_gradient @ covariance @ difference_gradient
+            ):
                 raise refused(RefusalCode.NOT_SEPARABLE)

@@ -22,10 +22,10 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import FormName, LawForm, TouchedStops
 from identify.contacts.linearization import (
     BorderedEquations,
-    Guess,
+    FitState,
     Jacobian,
+    LawGuess,
     Pulls,
-    State,
     corrected_motion,
     jacobian,
     normal_equations,
@@ -48,7 +48,7 @@ class LawFit:
 
     record: ContactRecord
     free_to_laws: Float[np.ndarray, "laws free"]
-    state: State
+    state: FitState
     weights: Weights
 
     @property
@@ -60,12 +60,20 @@ class LawFit:
     def scaled_to_laws(self) -> Float[np.ndarray, "numbers sizes"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is
         free."""
-        lower, upper, stiffness, _ = self.state.form.contact_parameters(self.state.law_parameters).T
-        clearance_m = np.maximum(np.minimum(lower, upper), 1e-9)
-        scales = np.stack([clearance_m, clearance_m, stiffness, 1e-3 * stiffness], axis=1).ravel()
-        linear = self.free_to_laws * np.max(self.free_to_laws * scales[:, None], axis=0)
+        lower_clearance_m, upper_clearance_m, stiffness_n_per_m, _ = self.state.form.contact_parameters(
+            self.state.law_parameters
+        ).T
+        clearance_m = np.maximum(np.minimum(lower_clearance_m, upper_clearance_m), 1e-9)
+        parameter_scales = np.stack(
+            [clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1
+        ).ravel()
+        scaled_to_dead_zone = self.free_to_laws * np.max(self.free_to_laws * parameter_scales[:, None], axis=0)
         exponent_count = self.state.form.exponent_count
-        return np.asarray(block_diag(linear, EXPONENT_STEP * np.eye(exponent_count)) if exponent_count else linear)
+        return np.asarray(
+            block_diag(scaled_to_dead_zone, EXPONENT_STEP * np.eye(exponent_count))
+            if exponent_count
+            else scaled_to_dead_zone
+        )
 
     @property
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
@@ -81,28 +89,32 @@ class LawFit:
         )
         return replace(self, state=state)
 
-    def _step_from(self, state: State) -> Step[State]:
+    def _step_from(self, state: FitState) -> Step[FitState]:
         fit = replace(self, state=state)
         scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
-        knot_step, dense_step = equations.solved(equations.knot_gradient, equations.dense_gradient)
-        cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.dense_gradient * dense_step)
+        knot_step, pulls_and_free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
+        cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(
+            equations.free_gradient * pulls_and_free_step
+        )
 
-        def state_after(share: float) -> State | None:
-            law_parameters = state.law_parameters + share * scaled_to_laws @ dense_step[state.pulls.size :, 0]
+        def state_after(step_share: float) -> FitState | None:
+            law_parameters = (
+                state.law_parameters + step_share * scaled_to_laws @ pulls_and_free_step[state.pulls.size :, 0]
+            )
             if not state.form.is_within_bounds(law_parameters):
                 return None
-            pulls = state.pulls + share * dense_step[: state.pulls.size, 0]
+            pulls = state.pulls + step_share * pulls_and_free_step[: state.pulls.size, 0]
             return self._with_cost(
-                state_at(self.record, state.form, law_parameters, state.knots + share * knot_step[:, 0], pulls)
+                state_at(self.record, state.form, law_parameters, state.knots + step_share * knot_step[:, 0], pulls)
             )
 
         return Step(state_after, float(cost_decrease))
 
-    def _with_cost(self, state: State) -> State:
+    def _with_cost(self, state: FitState) -> FitState:
         """State with its cost: weighted squares of residuals and of the priors."""
-        curve = self.record.drift_spline
+        drift_spline = self.record.drift_spline
         residual_square = np.sum((self.weights * state.residual_n) ** 2)
-        curvature_square = np.sum((curve.curvature @ state.knots - curve.target) ** 2)
+        curvature_square = np.sum((drift_spline.curvature @ state.knots - drift_spline.target) ** 2)
         pull_square = self.record.samples_per_error * np.sum(state.pulls**2)
         return replace(state, cost=float(residual_square + curvature_square + pull_square))
 
@@ -126,8 +138,8 @@ class LawFit:
         """Fit of another form with the same weights, from this state and an exponent of one."""
         contact_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
         law_parameters = np.concatenate([contact_values, np.ones(form.exponent_count)])
-        start = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=start).least_cost
+        start_state = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
+        return replace(self, state=start_state).least_cost
 
     @property
     def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
@@ -136,24 +148,24 @@ class LawFit:
 
     def depth_m(self, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
         """Penetration of the first contact's stops, m."""
-        lower, upper, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
-        return np.asarray(eta_m - np.clip(eta_m, -lower, upper))
+        lower_clearance_m, upper_clearance_m, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
+        return np.asarray(eta_m - np.clip(eta_m, -lower_clearance_m, upper_clearance_m))
 
 
 def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
     """Matrix from the free parameters to the laws: stops that are not touched have none, nor has a spring. Where the
     zero of the relative displacement is unknown, it is the middle of the first contact's play."""
     is_free = np.column_stack([touched, np.ones_like(touched)]).ravel()
-    to_laws = np.eye(is_free.size)[:, is_free]
+    free_to_laws = np.eye(is_free.size)[:, is_free]
     if sides_known or not touched[0].any():
-        return to_laws
-    return np.column_stack([to_laws[:, 0] + to_laws[:, 1], to_laws[:, 2:]])
+        return free_to_laws
+    return np.column_stack([free_to_laws[:, 0] + free_to_laws[:, 1], free_to_laws[:, 2:]])
 
 
 def first_fit(
     record: ContactRecord,
     free_to_laws: Float[np.ndarray, "laws free"],
-    guesses: list[Guess],
+    guesses: list[LawGuess],
     pulls: Pulls,
     form: LawForm,
 ) -> LawFit:
@@ -163,11 +175,11 @@ def first_fit(
     """
     initial_noise_n = 0.02 * float(np.std(record.force_n))
     fits, refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
-    for law, knots in guesses:
-        start = state_at(record, form, law, knots, pulls)
-        weights = residual_weights(record, start, initial_noise_n)
+    for law_parameters, knots in guesses:
+        start_state = state_at(record, form, law_parameters, knots, pulls)
+        weights = residual_weights(record, start_state, initial_noise_n)
         try:
-            fits.append(LawFit(record, free_to_laws, start, weights).least_cost)
+            fits.append(LawFit(record, free_to_laws, start_state, weights).least_cost)
         except ContactRefusedError as error:
             refusal = error
     if not fits:
@@ -175,14 +187,14 @@ def first_fit(
     return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
-def _open_deviation_n(state: State) -> float:
+def _open_deviation_n(state: FitState) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
     stops_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
     open_residual_n = state.residual_n[stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
     return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
 
 
-def residual_weights(record: ContactRecord, state: State, open_deviation_n: float) -> Weights:
+def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
     unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_m)
@@ -223,28 +235,30 @@ def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
 
 def is_preferred_form(dead_zone_fit: LawFit, alternative: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
-    samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
-    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative, samples)
+    independent_samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
+    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative, independent_samples)
     return bool(
-        likelihood_gain > alternative.state.form.exponent_count * np.log(samples) + 2 * np.log(LEAST_ODDS)
+        likelihood_gain > alternative.state.form.exponent_count * np.log(independent_samples) + 2 * np.log(LEAST_ODDS)
         and consistency > CONSISTENCY_LIMIT
     )
 
 
-def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
+def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, independent_samples: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
     spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative)]
     line_count = spectra[0].size
-    edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
-    band_starts = np.unique(np.r_[0, edges[1:-1]])
+    band_edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
+    band_starts = np.unique(np.r_[0, band_edges[1:-1]])
     line_counts = np.diff(np.r_[band_starts, line_count])
     squares_before, squares_after = (np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in spectra)
     if not np.all((squares_before > 0) & (squares_after > 0)):
         return 0.0, 0.0
-    likelihood_gain = samples * float(line_counts @ np.log(squares_before / squares_after)) / line_count
+    likelihood_gain = independent_samples * float(line_counts @ np.log(squares_before / squares_after)) / line_count
     usual_amplitude = np.repeat(np.sqrt(squares_before / line_counts), line_counts)
-    squares = [np.fft.irfft(spectrum / usual_amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra]
-    part_gains = np.array([segment.sum() for segment in np.array_split(squares[0] - squares[1], PARTS)])
+    flattened_squares = [
+        np.fft.irfft(spectrum / usual_amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra
+    ]
+    part_gains = np.array([part.sum() for part in np.array_split(flattened_squares[0] - flattened_squares[1], PARTS)])
     gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 
@@ -263,12 +277,14 @@ def misfit_covariance(
     """
     law_parameters = fit.state.law_parameters
     covariance = np.zeros((law_parameters.size, law_parameters.size))
-    by_free = derivatives.by_law @ fit.scaled_to_laws
-    for halves in _closed_splits(fit):
-        first, second = (_half_scores(fit, by_free, is_in_half, part_starts) for is_in_half in halves)
-        if first is None or second is None:
+    force_by_free = derivatives.by_law @ fit.scaled_to_laws
+    for half_masks in _closed_splits(fit):
+        first_scores, second_scores = (
+            _half_scores(fit, force_by_free, is_in_half, part_starts) for is_in_half in half_masks
+        )
+        if first_scores is None or second_scores is None:
             continue
-        parameter_difference, excess = misfit_excess(first - second)
+        parameter_difference, excess = misfit_excess(first_scores - second_scores)
         law_error = fit.scaled_to_laws @ parameter_difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
@@ -278,32 +294,34 @@ def misfit_excess(score_differences: Float[np.ndarray, "parts free"]) -> tuple[F
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     part_count, parameter_count = score_differences.shape
     parameter_difference = score_differences.sum(axis=0)
-    scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
-    scatter = (score_differences - score_differences.mean(axis=0)) / scale
-    covariance = part_count / (part_count - 1) * scatter.T @ scatter
+    difference_scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
+    scaled_scatter = (score_differences - score_differences.mean(axis=0)) / difference_scale
+    covariance = part_count / (part_count - 1) * scaled_scatter.T @ scaled_scatter
     t_square = float(
-        (parameter_difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (parameter_difference / scale)
+        (parameter_difference / difference_scale)
+        @ np.linalg.pinv(covariance, hermitian=True)
+        @ (parameter_difference / difference_scale)
     )
-    freedom = part_count - parameter_count
-    quantile = float(f.ppf(MISFIT_CONFIDENCE, parameter_count, freedom))
-    t_square_limit = parameter_count * (part_count - 1) / freedom * quantile
+    degrees_of_freedom = part_count - parameter_count
+    f_quantile = float(f.ppf(MISFIT_CONFIDENCE, parameter_count, degrees_of_freedom))
+    t_square_limit = parameter_count * (part_count - 1) / degrees_of_freedom * f_quantile
     return parameter_difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
 def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
-    eta, rate = (record.at_force_samples(row) for row in fit.motion)
-    depth = fit.depth_m(eta)
+    eta, rate = (record.at_force_samples(signal) for signal in fit.motion)
+    depth_m = fit.depth_m(eta)
     is_closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
-    is_deep = np.abs(depth) > np.median(np.abs(depth[is_closed])) if is_closed.any() else is_closed
-    is_growing = depth * rate > 0
+    is_deep = np.abs(depth_m) > np.median(np.abs(depth_m[is_closed])) if is_closed.any() else is_closed
+    is_growing = depth_m * rate > 0
     return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]
 
 
 def _half_scores(
     fit: LawFit,
-    by_free: Float[np.ndarray, "fewer free"],
+    force_by_free: Float[np.ndarray, "fewer free"],
     is_in_half: Bool[np.ndarray, " fewer"],
     part_starts: Int[np.ndarray, " parts"],
 ) -> Float[np.ndarray, "parts free"] | None:
@@ -311,20 +329,20 @@ def _half_scores(
     if is_in_half.sum() < LEAST_HALF_SAMPLES:
         return None
     weights = np.where(is_in_half, fit.weights, 0.0)[:, None] ** 2
-    normal = by_free.T @ (weights * by_free)
-    if not np.linalg.cond(normal) < 1e10:
+    normal_matrix = force_by_free.T @ (weights * force_by_free)
+    if not np.linalg.cond(normal_matrix) < 1e10:
         return None
-    influence = weights * by_free @ np.linalg.inv(normal)
+    influence = weights * force_by_free @ np.linalg.inv(normal_matrix)
     return part_scores(influence, fit.state.residual_n, part_starts)
 
 
 def _rounded_depth_m(fit: LawFit) -> float:
     """Root mean square of the depth while the contact is closed, m, rounded to 1, 2 or 5 times a power of ten, so that
     all records of a machine have the same."""
-    depth = fit.depth_m(fit.motion[0])
-    if not depth.any():
+    depths_m = fit.depth_m(fit.motion[0])
+    if not depths_m.any():
         return 0.0
-    typical_m = float(np.sqrt(np.mean(depth[depth != 0] ** 2)))
+    typical_m = float(np.sqrt(np.mean(depths_m[depths_m != 0] ** 2)))
     power_of_ten = float(10 ** np.floor(np.log10(typical_m)))
-    rounded_m = [number * power_of_ten for number in (1.0, 2.0, 5.0, 10.0)]
+    rounded_m = [mantissa * power_of_ten for mantissa in (1.0, 2.0, 5.0, 10.0)]
     return min(rounded_m, key=lambda depth_m: abs(np.log(depth_m / typical_m)))

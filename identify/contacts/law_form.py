@@ -82,9 +82,9 @@ class LawForm:
 
     def is_within_bounds(self, law_parameters: LawParameters) -> bool:
         """True if every parameter lies in its range and each stiffness is positive."""
-        contacts, (lowest, highest) = self.contact_parameters(law_parameters), EXPONENT_RANGE
-        within_bounds = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
-        return bool(within_bounds and lowest <= self.exponent(law_parameters) <= highest)
+        values_by_contact, (least_exponent, most_exponent) = self.contact_parameters(law_parameters), EXPONENT_RANGE
+        within_bounds = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
+        return bool(within_bounds and least_exponent <= self.exponent(law_parameters) <= most_exponent)
 
     def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
@@ -96,38 +96,38 @@ class LawForm:
 
     def slopes(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
         """Derivatives of the force by displacement (N/m) and by velocity (N s/m)."""
-        by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
+        by_displacement, by_velocity = np.zeros_like(eta_m), np.zeros_like(eta_m)
         for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            by_stiffness += contribution.slope_n_per_m
-            by_damping += contribution.damping_n_s_per_m * contribution.is_closed
-        return by_stiffness, by_damping
+            by_displacement += contribution.slope_n_per_m
+            by_velocity += contribution.damping_n_s_per_m * contribution.is_closed
+        return by_displacement, by_velocity
 
     def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
-        rows, by_exponent = [], np.zeros_like(eta_m)
+        by_parameters, by_exponent = [], np.zeros_like(eta_m)
         for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            lower = contribution.slope_n_per_m * (contribution.depth_m < 0)
-            rows += [
-                lower,
-                lower - contribution.slope_n_per_m,
+            by_lower_clearance = contribution.slope_n_per_m * (contribution.depth_m < 0)
+            by_parameters += [
+                by_lower_clearance,
+                by_lower_clearance - contribution.slope_n_per_m,
                 contribution.spring_m * contribution.is_closed,
                 contribution.damper_m_per_s * contribution.is_closed,
             ]
             if self.exponent_count:
                 depth_ratio = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
                 by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(depth_ratio)
-        return [*rows, by_exponent] if self.exponent_count else rows
+        return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
 
     def contributions(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
     ) -> "Iterator[Contribution]":
         """Contributions of the contacts to the force."""
-        for number, row in enumerate(self.contact_parameters(law_parameters)):
-            lower, upper, stiffness, damping = row.tolist()
-            spring, damper = (
+        for contact_index, contact_values in enumerate(self.contact_parameters(law_parameters)):
+            lower_m, upper_m, stiffness, damping = contact_values.tolist()
+            unit_spring, unit_damper = (
                 DeadZone(
-                    lower_clearance_m=lower,
-                    upper_clearance_m=upper,
+                    lower_clearance_m=lower_m,
+                    upper_clearance_m=upper_m,
                     stiffness_n_per_m=unit_stiffness,
                     damping_n_s_per_m=unit_damping,
                     exponent=self.exponent(law_parameters),
@@ -135,13 +135,13 @@ class LawForm:
                 )
                 for unit_stiffness, unit_damping in ((1.0, 0.0), (0.0, 1.0))
             )
-            depth_m, spring_m = spring.penetration_m(eta_m), spring.force_n(eta_m)
-            damper_m_per_s, is_closed = damper.force_n(eta_m, rate_m_per_s), depth_m != 0
-            if number in self.spring_indices:
+            depth_m, spring_m = unit_spring.penetration_m(eta_m), unit_spring.force_n(eta_m)
+            damper_m_per_s, is_closed = unit_damper.force_n(eta_m, rate_m_per_s), depth_m != 0
+            if contact_index in self.spring_indices:
                 damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
             if self.name == "cannot pull":
                 is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
-            slope_n_per_m = stiffness * spring.by_eta_n_per_m(eta_m) * is_closed
+            slope_n_per_m = stiffness * unit_spring.by_eta_n_per_m(eta_m) * is_closed
             yield Contribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
 
 
@@ -175,4 +175,8 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper_m_per_s)]
+    return [
+        unit_force
+        for contribution in contributions
+        for unit_force in (contribution.spring_m, contribution.damper_m_per_s)
+    ]

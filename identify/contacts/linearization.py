@@ -25,12 +25,12 @@ KNOT_BANDWIDTH = 3
 
 Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
-Guess = tuple[LawParameters, Knots]
+LawGuess = tuple[LawParameters, Knots]
 """Start of a fit: the law, and the drift's knots."""
 
 
 @runtime_checkable
-class Weighed(Protocol):
+class WeighedRecord(Protocol):
     """Record of a fit: `samples_per_error` and the prior of the slow motion as those of a `ContactRecord`."""
 
     @property
@@ -41,7 +41,7 @@ class Weighed(Protocol):
 
 
 @runtime_checkable
-class Linearized(Protocol):
+class LinearizedState(Protocol):
     """Parameters of a fit with the residual there."""
 
     @property
@@ -55,7 +55,7 @@ class Linearized(Protocol):
 
 
 @dataclass(frozen=True)
-class State:
+class FitState:
     """Parameters of a fit with residual and cost there; tangent_n_per_m is the law's low-passed stiffness."""
 
     law_parameters: LawParameters
@@ -69,16 +69,18 @@ class State:
     @property
     def stiffness_n_per_m(self) -> float:
         """Stiffness of the stop that closes first, N/m; of a spring without stops, its own."""
-        contacts = self.form.contact_parameters(self.law_parameters)
-        stops = np.delete(contacts, self.form.spring_indices, axis=0)
-        lower, upper, stiffness, _ = (stops if len(stops) else contacts).T
-        return float(stiffness[np.argmin(np.minimum(lower, upper))])
+        values_by_contact = self.form.contact_parameters(self.law_parameters)
+        stop_values = np.delete(values_by_contact, self.form.spring_indices, axis=0)
+        lower_m, upper_m, stiffness, _ = (stop_values if len(stop_values) else values_by_contact).T
+        return float(stiffness[np.argmin(np.minimum(lower_m, upper_m))])
 
     @property
     def spring_n_per_m(self) -> float:
         """Stiffness of the springs beside stops, N/m; zero of a spring without stops."""
-        springs = self.form.contact_parameters(self.law_parameters)[list(self.form.spring_indices), 2]
-        return float(springs.sum()) if self.form.name != "spring" else 0.0
+        spring_stiffnesses_n_per_m = self.form.contact_parameters(self.law_parameters)[
+            list(self.form.spring_indices), 2
+        ]
+        return float(spring_stiffnesses_n_per_m.sum()) if self.form.name != "spring" else 0.0
 
 
 @dataclass(frozen=True)
@@ -93,22 +95,24 @@ class Jacobian:
     by_law: Float[np.ndarray, "fewer laws"]
 
     def columns(
-        self, knots: Float[np.ndarray, "knots columns"], dense: Float[np.ndarray, "dense columns"]
+        self, knots: Float[np.ndarray, "knots columns"], pulls_and_laws: Float[np.ndarray, "free columns"]
     ) -> Float[np.ndarray, "fewer columns"]:
-        """Jacobian times columns of knots and dense parameters: the nuisance parameters, then the law's."""
+        """Jacobian times columns of knots and of free parameters: the nuisance parameters, then the law's."""
         pull_count = self.by_pulls.shape[1]
         pull_columns = np.concatenate(
-            [self.by_pulls[chunk] @ dense[:pull_count] for chunk in sample_chunks(len(self.by_law))]
+            [self.by_pulls[chunk] @ pulls_and_laws[:pull_count] for chunk in sample_chunks(len(self.by_law))]
         )
-        return np.asarray(self.by_knots @ knots + pull_columns + self.by_law @ dense[pull_count:])
+        return np.asarray(self.by_knots @ knots + pull_columns + self.by_law @ pulls_and_laws[pull_count:])
 
 
-def sample_chunks(samples: int) -> Iterator[slice]:
+def sample_chunks(sample_count: int) -> Iterator[slice]:
     """Slices of `CHUNK_SAMPLES` samples."""
-    return (slice(first, first + CHUNK_SAMPLES) for first in range(0, samples, CHUNK_SAMPLES))
+    return (slice(first_sample, first_sample + CHUNK_SAMPLES) for first_sample in range(0, sample_count, CHUNK_SAMPLES))
 
 
-def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls) -> State:
+def state_at(
+    record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls
+) -> FitState:
     """State at some parameters; its cost, which needs weights, is left infinite."""
     eta, velocity = corrected_motion(record, knots, pulls)
     law_force_n = evaluated_law(
@@ -118,15 +122,15 @@ def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters
     force_residual_n = unexplained_n / (1 - pulls @ record.force_noise_multiple)
     residual_n = force_residual_n - ground_n_per_m(record) @ knots
     tangent_n_per_m = _low_passed(record, form.slopes(law_parameters, eta, velocity)[0])
-    return State(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
+    return FitState(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
 
 
 def corrected_motion(
     record: ContactRecord, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Relative displacement with drift and nuisance signals, m, and its rate, m/s."""
-    drift, rate = drift_signals(record, knots, pulls)
-    return record.eta_m + drift, record.velocity_m_per_s + rate
+    drift_m, drift_m_per_s = drift_signals(record, knots, pulls)
+    return record.eta_m + drift_m, record.velocity_m_per_s + drift_m_per_s
 
 
 def drift_signals(
@@ -136,53 +140,55 @@ def drift_signals(
     eta_pulls = pulls[record.shifts_eta]
     motion_gain, nuisance_m = 1 - eta_pulls @ record.eta_noise_multiple, _weighted_sum(eta_pulls, record.nuisance_m)
     nuisance_m_per_s = record.velocity_of(nuisance_m)
-    curve = record.drift_spline
-    return motion_gain * (curve.value @ knots) - nuisance_m, motion_gain * (curve.rate @ knots) - nuisance_m_per_s
+    drift_spline = record.drift_spline
+    return motion_gain * (drift_spline.value @ knots) - nuisance_m, motion_gain * (
+        drift_spline.rate @ knots
+    ) - nuisance_m_per_s
 
 
 def _weighted_sum(
     factors: Float[np.ndarray, " rows"], rows: Float[np.ndarray, "rows samples"]
 ) -> Float[np.ndarray, " samples"]:
     """Product factors @ rows, without converting all rows to double precision at once."""
-    total = np.zeros(rows.shape[1])
+    weighted_sum = np.zeros(rows.shape[1])
     for factor, row in zip(factors, rows, strict=True):
-        total += factor * row
-    return total
+        weighted_sum += factor * row
+    return weighted_sum
 
 
-def jacobian(record: ContactRecord, state: State) -> Jacobian:
+def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     """Jacobian of the fitted force at a state."""
     eta, velocity = corrected_motion(record, state.knots, state.pulls)
-    by_stiffness, by_damping = state.form.slopes(state.law_parameters, eta, velocity)
+    by_displacement, by_velocity = state.form.slopes(state.law_parameters, eta, velocity)
     by_law = state.form.derivatives(state.law_parameters, eta, velocity)
     by_drift = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
     ground_matrix, drift_force_n = ground_n_per_m(record), by_drift @ state.knots
     force_residual_n = state.residual_n + ground_matrix @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
-    for index, noise in enumerate(record.force_noise_multiple):
-        by_pulls[index] -= noise * force_residual_n
-    for row, nuisance_m, noise in zip(
+    for nuisance_index, noise_multiple in enumerate(record.force_noise_multiple):
+        by_pulls[nuisance_index] -= noise_multiple * force_residual_n
+    for moving_index, nuisance_m, noise_multiple in zip(
         np.flatnonzero(record.shifts_eta), record.nuisance_m, record.eta_noise_multiple, strict=True
     ):
-        force_change_n = by_stiffness * nuisance_m + by_damping * record.velocity_of(nuisance_m)
-        by_pulls[row] -= _low_passed(record, force_change_n) + noise * drift_force_n
+        force_change_n = by_displacement * nuisance_m + by_velocity * record.velocity_of(nuisance_m)
+        by_pulls[moving_index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
     force_gain = 1 - state.pulls @ record.force_noise_multiple
     by_pulls /= np.float32(force_gain)
     motion_gain = 1 - state.pulls[record.shifts_eta] @ record.eta_noise_multiple
     return Jacobian(
         by_knots=motion_gain / force_gain * by_drift + ground_matrix,
         by_pulls=by_pulls.T,
-        by_law=np.stack([_low_passed(record, row) for row in by_law], axis=1) / force_gain,
+        by_law=np.stack([_low_passed(record, moving_index) for moving_index in by_law], axis=1) / force_gain,
     )
 
 
 def ground_n_per_m(record: ContactRecord) -> csr_matrix:
     """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
-    curve = record.drift_spline
+    drift_spline = record.drift_spline
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
-        return csr_matrix((record.force_n.size, curve.knots))
-    value, rate = record.at_force_samples(curve.value), record.at_force_samples(curve.rate)
-    return record.spring_n_per_m * value + record.damper_n_s_per_m * rate
+        return csr_matrix((record.force_n.size, drift_spline.knots))
+    knot_values, knot_rates = record.at_force_samples(drift_spline.value), record.at_force_samples(drift_spline.rate)
+    return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates
 
 
 def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " fewer"]:
@@ -192,33 +198,33 @@ def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) ->
 
 @dataclass(frozen=True)
 class BorderedEquations:
-    """Normal equations [A B; B' C] [knots; dense] = right-hand side, solved by elimination of the knots.
+    """Normal equations [A B; B' C] [knots; free] = right-hand side, solved by elimination of the knots.
 
     `cholesky` is the factor of the banded A, `border` is B, `eliminated_border` A^-1 B, `schur_inverse`
     (C - B' A^-1 B)^-1, and the gradients are the right-hand side of a Gauss-Newton step.
     """
 
     cholesky: Float[np.ndarray, "band knots"]
-    border: Float[np.ndarray, "knots dense"]
-    eliminated_border: Float[np.ndarray, "knots dense"]
-    schur_inverse: Float[np.ndarray, "dense dense"]
+    border: Float[np.ndarray, "knots free"]
+    eliminated_border: Float[np.ndarray, "knots free"]
+    schur_inverse: Float[np.ndarray, "free free"]
     knot_gradient: Float[np.ndarray, "knots 1"]
-    dense_gradient: Float[np.ndarray, "dense 1"]
+    free_gradient: Float[np.ndarray, "free 1"]
 
     def solved(
-        self, knot_right_side: Float[np.ndarray, "knots columns"], dense_right_side: Float[np.ndarray, "dense columns"]
-    ) -> tuple[Float[np.ndarray, "knots columns"], Float[np.ndarray, "dense columns"]]:
-        """Solution for a right-hand side: knots, and dense parameters."""
-        knots_without_dense = (
+        self, knot_right_side: Float[np.ndarray, "knots columns"], free_right_side: Float[np.ndarray, "free columns"]
+    ) -> tuple[Float[np.ndarray, "knots columns"], Float[np.ndarray, "free columns"]]:
+        """Solution for a right-hand side: knots, and free parameters."""
+        knots_alone = (
             cho_solve_banded((self.cholesky, False), knot_right_side) if knot_right_side.size else knot_right_side
         )
-        dense_solution = self.schur_inverse @ (dense_right_side - self.border.T @ knots_without_dense)
-        return knots_without_dense - self.eliminated_border @ dense_solution, dense_solution
+        free_solution = self.schur_inverse @ (free_right_side - self.border.T @ knots_alone)
+        return knots_alone - self.eliminated_border @ free_solution, free_solution
 
 
 def normal_equations(
-    record: Weighed,
-    state: Linearized,
+    record: WeighedRecord,
+    state: LinearizedState,
     derivatives: Jacobian,
     scaled_to_laws: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
@@ -229,33 +235,39 @@ def normal_equations(
     Raises ContactRefusedError if they are singular.
     """
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    dense_block = np.diag(np.r_[np.full(pull_count, record.samples_per_error), np.zeros(free_count)])
-    dense_gradient = np.r_[-record.samples_per_error * state.pulls, np.zeros(free_count)]
-    curve, weighted_residual = record.drift_spline, weights * state.residual_n
-    border = np.zeros((curve.knots, pull_count + free_count))
+    free_block = np.diag(np.r_[np.full(pull_count, record.samples_per_error), np.zeros(free_count)])
+    free_gradient = np.r_[-record.samples_per_error * state.pulls, np.zeros(free_count)]
+    drift_spline, weighted_residual = record.drift_spline, weights * state.residual_n
+    border = np.zeros((drift_spline.knots, pull_count + free_count))
     by_knots = csr_matrix(diags(weights) @ derivatives.by_knots)
-    for chunk in sample_chunks(weighted_residual.size):
-        rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ scaled_to_laws], axis=1)
-        rows *= weights[chunk, None]
-        dense_block += rows.T @ rows
-        dense_gradient += rows.T @ weighted_residual[chunk]
-        if curve.knots:
-            border += by_knots[chunk].T @ rows
-    knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ (curve.target - curve.curvature @ state.knots)
+    for sample_chunk in sample_chunks(weighted_residual.size):
+        weighted_rows = np.concatenate(
+            [derivatives.by_pulls[sample_chunk], derivatives.by_law[sample_chunk] @ scaled_to_laws], axis=1
+        )
+        weighted_rows *= weights[sample_chunk, None]
+        free_block += weighted_rows.T @ weighted_rows
+        free_gradient += weighted_rows.T @ weighted_residual[sample_chunk]
+        if drift_spline.knots:
+            border += by_knots[sample_chunk].T @ weighted_rows
+    knot_gradient = by_knots.T @ weighted_residual + drift_spline.curvature.T @ (
+        drift_spline.target - drift_spline.curvature @ state.knots
+    )
     try:
-        cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)
-        eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knots else border
-        schur_inverse = np.linalg.inv(dense_block - border.T @ eliminated_border)
+        cholesky = _banded_cholesky(
+            by_knots.T @ by_knots + drift_spline.curvature.T @ drift_spline.curvature, bandwidth
+        )
+        eliminated_border = cho_solve_banded((cholesky, False), border) if drift_spline.knots else border
+        schur_inverse = np.linalg.inv(free_block - border.T @ eliminated_border)
     except LinAlgError as error:
         raise refused(RefusalCode.NO_LAW) from error
-    gradients = knot_gradient[:, None], dense_gradient[:, None]
+    gradients = knot_gradient[:, None], free_gradient[:, None]
     return BorderedEquations(cholesky, border, eliminated_border, schur_inverse, *gradients)
 
 
-def _banded_cholesky(matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:
+def _banded_cholesky(symmetric_matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:
     """Cholesky factor of a symmetric matrix with `bandwidth` diagonals on either side."""
-    knot_count = matrix.shape[0]
+    knot_count = symmetric_matrix.shape[0]
     upper_diagonals = np.zeros((bandwidth + 1, knot_count))
     for diagonal in range(min(bandwidth + 1, knot_count)):
-        upper_diagonals[bandwidth - diagonal, diagonal:] = matrix.diagonal(diagonal)
+        upper_diagonals[bandwidth - diagonal, diagonal:] = symmetric_matrix.diagonal(diagonal)
     return np.asarray(cholesky_banded(upper_diagonals)) if knot_count else upper_diagonals

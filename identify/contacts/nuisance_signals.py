@@ -32,28 +32,31 @@ class NuisanceSignals:
 
     def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
         """Signals with the contact forces by initial states, which change no displacement."""
-        kind, no_noise = NuisanceKind.INITIAL_STATE, np.zeros(force_n.shape[:2])
+        kind, zero_multiples = NuisanceKind.INITIAL_STATE, np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (*self.parameters, *(Nuisance(kind, RECORD_NAME, i + 1) for i in range(len(force_n)))),
+            (
+                *self.parameters,
+                *(Nuisance(kind, RECORD_NAME, state_number + 1) for state_number in range(len(force_n))),
+            ),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
-            np.concatenate([self.force_noise_multiple, no_noise]),
-            np.concatenate([self.eta_noise_multiple, no_noise]),
+            np.concatenate([self.force_noise_multiple, zero_multiples]),
+            np.concatenate([self.eta_noise_multiple, zero_multiples]),
         )
 
-    def without_start(self, samples: int) -> "NuisanceSignals":
+    def without_start(self, sample_count: int) -> "NuisanceSignals":
         """Signals without their first samples."""
-        return replace(self, force_n=self.force_n[..., samples:], eta_m=self.eta_m[..., samples:])
+        return replace(self, force_n=self.force_n[..., sample_count:], eta_m=self.eta_m[..., sample_count:])
 
 
 def nuisance_signals(
     parameters: tuple[Nuisance, ...],
     observed: ObservedSignals,
     noise_alone: ObservedSignals,
-    weights: ForceWeights,
+    contact_weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
-    samples: int,
+    sample_count: int,
     slow_model: SlowModel | None = None,
 ) -> NuisanceSignals:
     """Nuisance signals of the parameters of `changes_of(observed)` over some samples.
@@ -61,29 +64,47 @@ def nuisance_signals(
     `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
     what a parameter adds to the contact forces moves the stations slowly.
     """
-    row_count, station_count = weights.shape[1], signs.shape[1]
+    row_count, station_count = contact_weights.shape[1], signs.shape[1]
     signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
-    shape = (len(parameters), len(signs), samples)
-    force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
-    force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_forces = contact_spectra(weights, noise_alone.signals)
+    signal_shape = (len(parameters), len(signs), sample_count)
+    force_n, eta_m = np.empty(signal_shape, np.float32), np.zeros(signal_shape, np.float32)
+    force_multiple, eta_multiple = np.zeros(signal_shape[:2]), np.zeros(signal_shape[:2])
+    noise_forces = contact_spectra(contact_weights, noise_alone.signals)
     noise_etas = real_product(signs, noise_alone.displacements)
-    for i, (change, noise_change) in enumerate(zip(changes_of(observed), changes_of(noise_alone), strict=True)):
-        sensor_weights, sensor_signs = weights[:, change.sensors], signs[:, change.sensors]
-        force_spectra = contact_spectra(sensor_weights, change.signals)
-        force_n[i] = lines.signals(force_spectra, samples)
-        force_multiple[i] = _noise_multiple(noise_forces, contact_spectra(sensor_weights, noise_change.signals))
-        displacements = np.zeros_like(change.signals) if change.displacements is None else change.displacements
+    for nuisance_index, (nuisance_change, noise_change) in enumerate(
+        zip(changes_of(observed), changes_of(noise_alone), strict=True)
+    ):
+        sensor_weights, sensor_signs = contact_weights[:, nuisance_change.sensors], signs[:, nuisance_change.sensors]
+        force_spectra = contact_spectra(sensor_weights, nuisance_change.signals)
+        force_n[nuisance_index] = lines.signals(force_spectra, sample_count)
+        force_multiple[nuisance_index] = _noise_multiple(
+            noise_forces, contact_spectra(sensor_weights, noise_change.signals)
+        )
+        displacements = (
+            np.zeros_like(nuisance_change.signals)
+            if nuisance_change.displacements is None
+            else nuisance_change.displacements
+        )
         if slow_model is not None:
-            row_motion = np.zeros((row_count, displacements.shape[1]), dtype=complex)
-            row_motion[change.sensors] = displacements
-            station_motion = row_motion[:station_count]
-            motion_change = slow_model.displacement_change(change.parameter, force_spectra, station_motion)
-            eta_m[i] = lines.signals(real_product(signs[:, :station_count], motion_change), samples)
-        elif change.displacements is not None and np.any(sensor_signs):
-            eta_m[i] = lines.signals(real_product(sensor_signs, displacements), samples)
-        if change.displacements is not None and noise_change.displacements is not None and np.any(sensor_signs):
-            eta_multiple[i] = _noise_multiple(noise_etas, real_product(sensor_signs, noise_change.displacements))
+            row_displacements = np.zeros((row_count, displacements.shape[1]), dtype=complex)
+            row_displacements[nuisance_change.sensors] = displacements
+            station_displacements = row_displacements[:station_count]
+            displacement_change = slow_model.displacement_change(
+                nuisance_change.parameter, force_spectra, station_displacements
+            )
+            eta_m[nuisance_index] = lines.signals(
+                real_product(signs[:, :station_count], displacement_change), sample_count
+            )
+        elif nuisance_change.displacements is not None and np.any(sensor_signs):
+            eta_m[nuisance_index] = lines.signals(real_product(sensor_signs, displacements), sample_count)
+        if (
+            nuisance_change.displacements is not None
+            and noise_change.displacements is not None
+            and np.any(sensor_signs)
+        ):
+            eta_multiple[nuisance_index] = _noise_multiple(
+                noise_etas, real_product(sensor_signs, noise_change.displacements)
+            )
     return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)
 
 
@@ -91,9 +112,9 @@ def random_noise(
     power: Float[np.ndarray, "stations lines"], least_power: float, lines: SpectralLines
 ) -> Complex[np.ndarray, "stations lines"]:
     """Spectra of noise with this power and random phases; zero where the drift's knots can follow it."""
-    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
+    phase_rad = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
     is_drift_line = lines.omega < 2 * np.pi * 0.5 / KNOT_S
-    return np.asarray(np.sqrt(np.maximum(power, least_power)) * np.exp(1j * phase) * ~is_drift_line)
+    return np.asarray(np.sqrt(np.maximum(power, least_power)) * np.exp(1j * phase_rad) * ~is_drift_line)
 
 
 def contact_spectra(
@@ -104,9 +125,9 @@ def contact_spectra(
 
 
 def _noise_multiple(
-    noise: Complex[np.ndarray, "contacts lines"], nuisance: Complex[np.ndarray, "contacts lines"]
+    noise_force: Complex[np.ndarray, "contacts lines"], nuisance_force: Complex[np.ndarray, "contacts lines"]
 ) -> Float[np.ndarray, " contacts"]:
     """Multiple of the noise that is nearest to the nuisance, by least squares."""
-    power = np.sum(np.abs(noise) ** 2, axis=1)
-    product = np.sum((noise.conj() * nuisance).real, axis=1)
-    return np.divide(product, power, out=np.zeros_like(power), where=power > 0)
+    noise_power = np.sum(np.abs(noise_force) ** 2, axis=1)
+    noise_product = np.sum((noise_force.conj() * nuisance_force).real, axis=1)
+    return np.divide(noise_product, noise_power, out=np.zeros_like(noise_power), where=noise_power > 0)

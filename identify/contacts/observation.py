@@ -52,14 +52,19 @@ class SeparationInput:
     def lines(self) -> SpectralLines:
         """Lines of the record padded with the time in which the beams' ringing decays."""
         rate_hz = self.motion.sample_rate_hz
-        samples = -(-(self.motion.samples + round(RINGING_S * rate_hz)) // self.decimation)
-        return SpectralLines(self.decimation * next_fast_len(samples, real=True), self.decimation, rate_hz)
+        padded_samples = -(-(self.motion.samples + round(RINGING_S * rate_hz)) // self.decimation)
+        return SpectralLines(self.decimation * next_fast_len(padded_samples, real=True), self.decimation, rate_hz)
 
     @property
     def signs(self) -> Float[np.ndarray, "contacts stations"]:
         """Signs of the stations' displacements in the relative ones."""
         stations, contacts = self.motion.stations, self.rig.contacts
-        return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in contacts])
+        return np.array(
+            [
+                [float(station == contact.at) - float(station == contact.against) for station in stations]
+                for contact in contacts
+            ]
+        )
 
 
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
@@ -71,16 +76,18 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     differentiations = np.maximum(0, 2 - orders)
     nyquist_omega = np.pi * lines.rate_hz
     colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
-    by_acceleration = record.noise_m_per_s2[:, None] ** 2 * colour
-    by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])
+    variance_by_acceleration = record.noise_m_per_s2[:, None] ** 2 * colour
+    variance_by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])
     base_order = motion.base.displaced_by.measures.order if motion.base else None
     has_both = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
-    is_quieter = has_both[:, None] & ~lines.is_slow & (by_displacement < by_acceleration)
+    is_quieter = has_both[:, None] & ~lines.is_slow & (variance_by_displacement < variance_by_acceleration)
     shows_zero = motion.zero_known & is_held & (orders[:, 1] == 0)
-    in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
+    is_in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
     scale_per_s2 = np.where(is_quieter.any(axis=1), np.max(omega * is_quieter, axis=1) ** 2, 1.0)
-    acceleration_variance = np.where(in_metres & has_both[:, None], by_displacement, by_acceleration)
-    return StationRows(in_metres, scale_per_s2, omega, acceleration_variance)
+    acceleration_variance = np.where(
+        is_in_metres & has_both[:, None], variance_by_displacement, variance_by_acceleration
+    )
+    return StationRows(is_in_metres, scale_per_s2, omega, acceleration_variance)
 
 
 def observation_of(
@@ -95,17 +102,19 @@ def observation_of(
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
-    rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
+    rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.samples
     displacements, accelerations = _station_spectra(record, motion, lines)
     station_signals, station_response = rows.signals(displacements, accelerations), rows.response
-    shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
+    shows_slow_motion = [not (has_high_passed_springs(responses) or sensor.high_pass_hz) for sensor in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
     observed_base = None
     if base := motion.base:
-        acceleration, displacement = (lines.spectra(x) for x in (base.acceleration_m_per_s2, base.displacement_m))
+        base_acceleration, base_displacement = (
+            lines.spectra(base_signal) for base_signal in (base.acceleration_m_per_s2, base.displacement_m)
+        )
         observed_base = ObservedBase(
-            base.sensor, base.displaced_by, acceleration, displacement, input_accelerations[-1]
+            base.sensor, base.displaced_by, base_acceleration, base_displacement, input_accelerations[-1]
         )
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
@@ -116,16 +125,18 @@ def observation_of(
         signals=np.concatenate([station_signals, gauge_rows.measured]),
         force_accelerations=input_accelerations[: count_on_bodies(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
-        bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
+        bodies=tuple(
+            observed_body_motion(rig, response, motion, station_signals / station_response) for response in responses
+        ),
         base=observed_base,
         transverse=_observed_transverse(record, lines, rows),
         by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
-    gauge_names = tuple(s.name for s in gauges.sensors)
+    gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
-    errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
-    return observed, errors, np.concatenate([samples * rows.noise_variance, gauge_rows.noise_power])
+    gauge_errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
+    return observed, gauge_errors, np.concatenate([sample_count * rows.noise_variance, gauge_rows.noise_power])
 
 
 def _station_spectra(
@@ -145,26 +156,35 @@ def _observed_transverse(
     transverse, stations = record.motion.transverse, record.motion.stations
     if transverse is None:
         return None
-    pairs = [(i, row) for i, station in enumerate(stations) if (row := transverse.row(station)) is not None]
-    sensors, rows = [i for i, _ in pairs], [row for _, row in pairs]
-    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, transverse, lines))
-    return ObservedTransverse(sensors, station_rows.of(sensors).signals(displacements, accelerations), displacements)
+    station_and_transverse_rows = [
+        (station_index, row)
+        for station_index, station in enumerate(stations)
+        if (row := transverse.row(station)) is not None
+    ]
+    station_indices, transverse_rows = (
+        [sensor_index for sensor_index, _ in station_and_transverse_rows],
+        [row for _, row in station_and_transverse_rows],
+    )
+    displacements, accelerations = (spectra[transverse_rows] for spectra in _station_spectra(record, transverse, lines))
+    return ObservedTransverse(
+        station_indices, station_rows.of(station_indices).signals(displacements, accelerations), displacements
+    )
 
 
 def noise_observation(
-    rig: Rig, motion: Kinematics, observed: ObservedSignals, noise: Complex[np.ndarray, "rows lines"]
+    rig: Rig, motion: Kinematics, observed: ObservedSignals, noise_spectra: Complex[np.ndarray, "rows lines"]
 ) -> ObservedSignals:
     """Observation of the sensors' noise alone."""
     station_count = len(motion.stations)
-    accelerations = noise[:station_count] / observed.sensor_response[:station_count]
+    accelerations = noise_spectra[:station_count] / observed.sensor_response[:station_count]
     displacements = np.zeros_like(observed.displacements)
     displacements[:station_count] = -accelerations / observed.omega**2
     return replace(
         observed,
-        signals=noise,
+        signals=noise_spectra,
         force_accelerations=np.zeros_like(observed.force_accelerations),
         displacements=displacements,
-        bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+        bodies=tuple(observed_body_motion(rig, body.response, motion, accelerations) for body in observed.bodies),
         base=observed.base and observed.base.at_rest,
         transverse=observed.transverse and observed.transverse.at_rest,
     )
@@ -173,33 +193,35 @@ def noise_observation(
 def with_driven_modes(
     record: SeparationInput,
     observed: ObservedSignals,
-    inputs: Complex[np.ndarray, "inputs lines"],
+    input_spectra: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
-    errors: GaugeErrors,
+    gauge_errors: GaugeErrors,
 ) -> ObservedSignals:
     """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
     and the contact forces."""
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
-    forces, contact_forces = inputs[:force_count], inputs[force_count:]
+    force_spectra, contact_force_spectra = input_spectra[:force_count], input_spectra[force_count:]
     bodies = tuple(
-        driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
+        driven_body_motion(rig, body.response, motion, accelerations, force_spectra, contact_force_spectra)
         for body in observed.bodies
     )
-    driven_observed = replace(observed, bodies=bodies, further_changes=errors.changes(inputs))
-    return with_slow_modes(rig, driven_observed, inputs, corner_hz) if corner_hz else driven_observed
+    driven_observed = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
+    return with_slow_modes(rig, driven_observed, input_spectra, corner_hz) if corner_hz else driven_observed
 
 
 def with_modes_at_rest(
     record: SeparationInput,
     observed: ObservedSignals,
-    forces: Complex[np.ndarray, "forces lines"],
+    force_spectra: Complex[np.ndarray, "forces lines"],
     corner_hz: float,
-    errors: GaugeErrors,
+    gauge_errors: GaugeErrors,
 ) -> ObservedSignals:
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
-    inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting_observed = replace(observed, further_changes=errors.changes(inputs))
-    return with_slow_modes(record.rig, resting_observed, 0 * inputs, corner_hz) if corner_hz else resting_observed
+    input_spectra = np.concatenate([force_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
+    resting_observed = replace(observed, further_changes=gauge_errors.changes(input_spectra))
+    return (
+        with_slow_modes(record.rig, resting_observed, 0 * input_spectra, corner_hz) if corner_hz else resting_observed
+    )

@@ -30,9 +30,9 @@ from rig.errors import RigError
 from rig.model.description import Body, Rig
 from rig.recording import Recording
 
-LOWEST_HZ = 0.5
+LOWEST_NIFO_HZ = 0.5
 """Lowest frequency of NIFO: a free body's response below it is drift."""
-CORNER_RATIO = 4.0
+LOWEST_NIFO_CORNER_RATIO = 4.0
 """Lowest frequency of NIFO on integrated accelerations over the corner frequency, clear of the blocks' leakage."""
 MAX_EQUATIONS = 4
 """Modal equations of each body, or as many as it has modes or stations."""
@@ -74,27 +74,29 @@ class PaperMethods:
     @property
     def main_surfaces(self) -> tuple[Surface, ...]:
         """Surfaces of the main equation, as far as they could be computed."""
-        return tuple(s for s in self.surfaces if s.equation.name == self.main_equation)
+        return tuple(surface for surface in self.surfaces if surface.equation.name == self.main_equation)
 
 
 def results_by_name(
-    notes: list[str], description: str, items: Mapping[str, Item], compute: Callable[[Item], Result]
+    notes: list[str], description: str, inputs_by_name: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
-    """Results of `make` for each item, by its name; a note for each item where it fails numerically."""
-    results = {}
-    for name, item in items.items():
+    """Results of `compute` for each input, by its name; a note for each where it fails numerically."""
+    result_by_name = {}
+    for name, method_input in inputs_by_name.items():
         try:
-            results[name] = compute(item)
+            result_by_name[name] = compute(method_input)
         except (ValueError, ArithmeticError) as error:  # RigError and LinAlgError are ValueErrors
             notes.append(f"{description} of {name} cannot be made: {error}")
-    return results
+    return result_by_name
 
 
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
     names = [
-        f"{body.name} {i}" for body in driven_bodies(rig) for i in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
+        f"{body.name} {mode_number}"
+        for body in driven_bodies(rig)
+        for mode_number in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
     ]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
@@ -111,33 +113,40 @@ def driven_bodies(rig: Rig) -> list[Body]:
 
 def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
-    names = [c.name for c in separation.rig.contacts]
+    names = [contact.name for contact in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
     force_n, force_over_stiffness_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
-        eta_m, rate = record.eta_m, record.velocity_m_per_s
-        signs = dict(zip((names[j] for j in group.contact_indices), group.signs, strict=True))
-        estimated_names = [name for name in signs if name in outcomes.estimates]
+        eta_m, velocity = record.eta_m, record.velocity_m_per_s
+        sign_by_name = dict(
+            zip((names[contact_index] for contact_index in group.contact_indices), group.signs, strict=True)
+        )
+        estimated_names = [name for name in sign_by_name if name in outcomes.estimates]
         if estimated_names:
-            estimate, sign = outcomes.estimates[estimated_names[0]], signs[estimated_names[0]]
-            eta_m, rate = eta_m + sign * estimate.drift_m, rate + sign * estimate.drift_m_per_s
-        for j, sign in zip(group.contact_indices, group.signs, strict=True):
-            eta[j] = sign * eta_m
-            if names[j] in estimated_names:
-                estimate = outcomes.estimates[names[j]]
-                force_over_stiffness_m[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
-                force_n[j] = estimate.force_n(eta[j], sign * rate)
+            estimate, sign = outcomes.estimates[estimated_names[0]], sign_by_name[estimated_names[0]]
+            eta_m, velocity = eta_m + sign * estimate.drift_m, velocity + sign * estimate.drift_m_per_s
+        for index, sign in zip(group.contact_indices, group.signs, strict=True):
+            eta[index] = sign * eta_m
+            if names[index] in estimated_names:
+                estimate = outcomes.estimates[names[index]]
+                force_over_stiffness_m[index] = evaluated_law(
+                    estimate.spring_m, eta[index][None], record.sample_rate_hz
+                )
+                force_n[index] = estimate.force_n(eta[index], sign * velocity)
     return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
     """Stops of each contact of the rig; None where the record does not determine it."""
-    return tuple(_stops(outcomes.estimates[c.name]) if c.name in outcomes.estimates else None for c in rig.contacts)
+    return tuple(
+        _stops(outcomes.estimates[contact.name]) if contact.name in outcomes.estimates else None
+        for contact in rig.contacts
+    )
 
 
 def _stops(estimate: JointEstimate) -> Stops:
-    (lower, upper, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
-    return Stops(lower, upper, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
+    (lower_m, upper_m, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
+    return Stops(lower_m, upper_m, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
 
 
 def paper_methods(
@@ -158,44 +167,46 @@ def paper_methods(
     """
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
-    samples = correctable_samples(motion)
-    eta, force_over_stiffness_m = signals.eta_m[:, :samples], signals.force_over_stiffness_m[:, :samples]
-    blocks_by_body = _blocks(rig, motion, samples, averaging, notes)
-    whole_motion, bodies = motion, {body.name: body for body in rig.bodies}
+    sample_count = correctable_samples(motion)
+    eta, force_over_stiffness_m = signals.eta_m[:, :sample_count], signals.force_over_stiffness_m[:, :sample_count]
+    blocks_by_body = _blocks(rig, motion, sample_count, averaging, notes)
+    uncorrected_motion, bodies = motion, {body.name: body for body in rig.bodies}
 
     def body_transformation(body: Body) -> Transformation:
-        return transformation(rig, body, whole_motion)
+        return transformation(rig, body, uncorrected_motion)
 
-    def body_equations(transform: Transformation) -> tuple[ModalEquation, ...]:
-        return modal_equations(rig, whole_motion, transform.body, MAX_EQUATIONS, signals.force_n)
+    def body_equations(transformation: Transformation) -> tuple[ModalEquation, ...]:
+        return modal_equations(rig, uncorrected_motion, transformation.body, MAX_EQUATIONS, signals.force_n)
 
     transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
     equation_rows = results_by_name(notes, "the modal equations", transformations, body_equations)
     equations = {e.name: e for row in equation_rows.values() for e in row}
-    motion = motion.segment(slice(samples)).without_rows
+    motion = motion.segment(slice(sample_count)).without_rows
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
 
-    def by_nifo(modal: ModalEquation, form: Form = "weak") -> Nifo:
-        force_n = equivalent_force_n(rig, modal, motion.forces_n)
-        return nifo(modal, force_n, force_over_stiffness_m, blocks_by_body[modal.body], form)
+    def nifo_of(modal_equation: ModalEquation, form: Form = "weak") -> Nifo:
+        force_n = equivalent_force_n(rig, modal_equation, motion.forces_n)
+        return nifo(modal_equation, force_n, force_over_stiffness_m, blocks_by_body[modal_equation.body], form)
 
-    def by_surface(modal: ModalEquation) -> Surface:
-        return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, decimation, stops)
+    def surface_of(modal_equation: ModalEquation) -> Surface:
+        return fit_surface(
+            modal_equation, equivalent_force_n(rig, modal_equation, motion.forces_n), eta, surface_decimation, stops
+        )
 
-    decimation = _surface_decimation(rig, motion)
-    spectra = results_by_name(notes, "NIFO", nifo_equations, by_nifo)
-    surfaces = results_by_name(notes, "the restoring force surface", equations, by_surface)
+    surface_decimation = _surface_decimation(rig, motion)
+    spectra = results_by_name(notes, "NIFO", nifo_equations, nifo_of)
+    surfaces = results_by_name(notes, "the restoring force surface", equations, surface_of)
     single_signals = {
-        rig.contacts[j].name: (eta[j, motion.excited_from :], stop.touched)
-        for j, stop in enumerate(stops)
-        if stop and j in single_contacts
+        rig.contacts[stop_index].name: (eta[stop_index, motion.excited_from :], stop.touched)
+        for stop_index, stop in enumerate(stops)
+        if stop and stop_index in single_contacts
     }
     histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
     main_name = _main_equation(spectra, driven_equations, equation, notes)
     main_spectra = {main_name: spectra[main_name]} if main_name in spectra else {}
     main_equations = {name: spectrum.equation for name, spectrum in main_spectra.items()}
-    paper_spectra = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: by_nifo(e, "paper"))
+    paper_spectra = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: nifo_of(e, "paper"))
     return PaperMethods(
         motion=motion,
         eta_m=eta,
@@ -209,7 +220,9 @@ def paper_methods(
     )
 
 
-def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, notes: list[str]) -> dict[str, Blocks]:
+def _blocks(
+    rig: Rig, motion: Kinematics, sample_count: int, averaging: Averaging, notes: list[str]
+) -> dict[str, Blocks]:
     """Blocks of NIFO by body, in the band of the forces on it; none for a body without force."""
     body_forces_n = {}
     for body in driven_bodies(rig):
@@ -220,16 +233,19 @@ def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, no
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
         low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
         lowest_hz, highest_hz = motion.trusted_hz
-        band_hz = averaging.band_hz or (max(low_hz, CORNER_RATIO * lowest_hz, LOWEST_HZ), min(high_hz, highest_hz))
-        return blocks(samples, motion.sample_rate_hz, averaging, band_hz)
+        band_hz = averaging.band_hz or (
+            max(low_hz, LOWEST_NIFO_CORNER_RATIO * lowest_hz, LOWEST_NIFO_HZ),
+            min(high_hz, highest_hz),
+        )
+        return blocks(sample_count, motion.sample_rate_hz, averaging, band_hz)
 
     return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)
 
 
-def _histogram_stops(signal: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
+def _histogram_stops(eta_and_touched: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
     """Stops by the histogram of a relative displacement, which touches the given sides; None if too uncertain, as of a
     decay, which rests most of the time."""
-    eta_m, touched = signal
+    eta_m, touched = eta_and_touched
     stops = replace(clearance_from_occurrence(eta_m), touched=touched)
     return stops if stops.clearance_error_m < UNCERTAIN_SHARE * stops.clearance_m else None
 
@@ -238,7 +254,7 @@ def _surface_decimation(rig: Rig, motion: Kinematics) -> int:
     """Decimation of a surface, to four fifths of the lowest natural frequency that the stations do not resolve."""
     limits_hz = [motion.trusted_hz[1]]
     for body in rig.bodies:
-        station_count = sum(s.body == body.name for s in motion.stations)
+        station_count = sum(station.body == body.name for station in motion.stations)
         if body.length_m > 0 and station_count < body.max_modes:
             mode_number = min(max(station_count, body.rigid_modes) + 1, body.max_modes)
             limits_hz.append(0.8 * float(body.frequencies_hz(mode_number)[-1]))
@@ -246,18 +262,23 @@ def _surface_decimation(rig: Rig, motion: Kinematics) -> int:
 
 
 def _main_equation(
-    spectra: Mapping[str, Nifo], driven_equations: Mapping[str, ModalEquation], requested: str | None, notes: list[str]
+    spectra: Mapping[str, Nifo],
+    driven_equations: Mapping[str, ModalEquation],
+    requested_name: str | None,
+    notes: list[str],
 ) -> str:
     """Name of the requested equation, or of the one whose stiffnesses deviate least over frequency; without NIFO, of
     the first with a force. Empty if there is none."""
-    equations = spectra or driven_equations
-    if requested in equations:
-        return str(requested)
-    if requested is not None:
-        notes.append(f"the modal equation {requested} cannot be made; the figures show another one")
+    selectable_equations = spectra or driven_equations
+    if requested_name in selectable_equations:
+        return str(requested_name)
+    if requested_name is not None:
+        notes.append(f"the modal equation {requested_name} cannot be made; the figures show another one")
 
     def deviation(name: str) -> tuple[int, float]:
-        weak = spectra[name]
-        return -len(weak.contacts), float(np.max(weak.deviation_n_per_m / np.abs(weak.mean_n_per_m), initial=0.0))
+        weak_nifo = spectra[name]
+        return -len(weak_nifo.contacts), float(
+            np.max(weak_nifo.deviation_n_per_m / np.abs(weak_nifo.mean_n_per_m), initial=0.0)
+        )
 
     return min(spectra, key=deviation) if spectra else next(iter(driven_equations), "")

@@ -17,19 +17,19 @@ from rig.limits import memory_bound_bytes
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import bytes_per_second, segments
 
-LARGE_BYTES = 1 << 26
+LARGE_FILE_BYTES = 1 << 26
 """Size of files from which they are identified segment by segment."""
 SEGMENT_S = 40.0
-"""Length of the segments, whose identification takes less memory than `LARGE_BYTES`."""
-SHORTEST_S = 10.0
+"""Length of the segments, whose identification takes less memory than `LARGE_FILE_BYTES`."""
+SHORTEST_SEGMENT_S = 10.0
 MEMORY_COPIES, LAST_SEGMENT_RATIO = 18, 1.5
 """Memory of an identification over that of a segment's samples; length of the last segment over the others, at most."""
 Struct = TypeVar("Struct", bound=msgspec.Struct)
-NAME_FIELDS = ("name", "contact", "equation", "body", "beam", "index")
+IDENTIFYING_FIELDS = ("name", "contact", "equation", "body", "beam", "index")
 """Fields by which structures of several reports are matched."""
 
 
-ADDED_FIELDS = ("averages", "whirls")
+SUMMED_FIELDS = ("averages", "whirls")
 """Fields whose values are added."""
 
 
@@ -48,11 +48,13 @@ def identify_long(
     A segment is read with the seconds before it, in which the beams ring of what was earlier. A segment that allows no
     identification is left out. Raises RigError if none allows it, or the recording cannot be read.
     """
-    if not SHORTEST_S <= segment_s < np.inf:
-        raise RigError(f"segments of {segment_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
+    if not SHORTEST_SEGMENT_S <= segment_s < np.inf:
+        raise RigError(
+            f"segments of {segment_s:g} s: give {SHORTEST_SEGMENT_S:g} s or more, of which contacts can be told"
+        )
     identified_segments: list[Segment] = []
-    reason = ""
-    size = path.stat().st_size if path.exists() else 0
+    refusal_reason = ""
+    file_bytes = path.stat().st_size if path.exists() else 0
     for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         try:
             report = identify_recording(
@@ -62,55 +64,72 @@ def identify_long(
                 Segment(recording.start_s + (RINGING_S if recording.start_s else 0.0), recording.end_s, report)
             )
         except RigError as error:
-            reason = str(error)
-        rows = sum(len(s.channels.names) for s in recording.signals.values())
-        progress(min(1.0, 8 * rows * recording.end_s * recording.rig.sample_rate_hz / size))
+            refusal_reason = str(error)
+        channel_count = sum(len(signal.channels.names) for signal in recording.signals.values())
+        progress(min(1.0, 8 * channel_count * recording.end_s * recording.rig.sample_rate_hz / file_bytes))
     if not identified_segments:
-        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({reason})")
-    return pooled_report([s.report for s in identified_segments]), tuple(identified_segments)
+        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({refusal_reason})")
+    return pooled_report([segment.report for segment in identified_segments]), tuple(identified_segments)
 
 
 def longest_segment_s(path: Path) -> float:
     """Length of the segments of a large file, s: SEGMENT_S, or less where memory is bounded.
 
-    Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
+    Raises RigError where that leaves less than SHORTEST_SEGMENT_S, as of samples by the million a second.
     """
-    byte_rate, bound_bytes = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
-    memory_limit_s = bound_bytes / (MEMORY_COPIES * LAST_SEGMENT_RATIO * byte_rate) - RINGING_S
-    if memory_limit_s < SHORTEST_S:
+    bytes_per_s, bound_bytes = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
+    memory_limit_s = bound_bytes / (MEMORY_COPIES * LAST_SEGMENT_RATIO * bytes_per_s) - RINGING_S
+    if memory_limit_s < SHORTEST_SEGMENT_S:
         raise RigError(
-            f"{path}: its channels have {byte_rate / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at "
-            f"once take more memory than {bound_bytes / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format "
-            "csv --map MAP, then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+            f"{path}: its channels have {bytes_per_s / 1e6:.3g} MB a second, of which "
+            f"{SHORTEST_SEGMENT_S + RINGING_S:g} s at once take more memory than {bound_bytes / 1e6:.0f} MB; sample at "
+            "a lower rate: rig export FILE --format csv --map MAP, then a lower sample_rate_hz in its rig.json, "
+            "resample = true in MAP, and rig import"
         )
     return min(SEGMENT_S, memory_limit_s)
 
 
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
-    merged = _merged_structs(_with_usual_law(reports))
-    answered_names = {c.name for c in merged.contacts}
-    findings = {(f.cause, f.channels, f.of): f for r in reversed(reports) for f in reversed(r.findings)}
-    equations = [r.main_equation for r in reports]
+    merged_report = _merged_structs(_with_usual_law(reports))
+    answered_names = {contact.name for contact in merged_report.contacts}
+    findings = {
+        (finding.cause, finding.channels, finding.of): finding
+        for report in reversed(reports)
+        for finding in reversed(report.findings)
+    }
+    main_equations = [report.main_equation for report in reports]
     return msgspec.structs.replace(
-        merged,
-        unanswered=tuple(u for u in merged.unanswered if u.name not in answered_names),
+        merged_report,
+        unanswered=tuple(
+            unanswered for unanswered in merged_report.unanswered if unanswered.name not in answered_names
+        ),
         findings=tuple(findings.values())[::-1],
-        main_equation=max(equations, key=equations.count),
-        notes=tuple(dict.fromkeys(note for r in reports for note in r.notes)),
+        main_equation=max(main_equations, key=main_equations.count),
+        notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
     )
 
 
 def _with_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
     """Reports with only those contacts whose law is the one of most segments: parameters of different laws cannot be
     pooled."""
-    laws = [(c.name, c.law, c.reference_depth_m) for r in reports for c in r.contacts]
-    usual_laws = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
+    names_laws_and_depths = [
+        (contact.name, contact.law, contact.reference_depth_m) for report in reports for contact in report.contacts
+    ]
+    usual_laws = {
+        name: max(names_laws_and_depths, key=lambda law: (law[0] == name, names_laws_and_depths.count(law)))
+        for name, *_ in names_laws_and_depths
+    }
     return [
         msgspec.structs.replace(
-            r, contacts=tuple(c for c in r.contacts if (c.name, c.law, c.reference_depth_m) == usual_laws[c.name])
+            report,
+            contacts=tuple(
+                contact
+                for contact in report.contacts
+                if (contact.name, contact.law, contact.reference_depth_m) == usual_laws[contact.name]
+            ),
         )
-        for r in reports
+        for report in reports
     ]
 
 
@@ -123,20 +142,27 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     and v = n / (n - 1) sum of w_i (x_i - mean)^2. The mean is at least as certain as one segment unless the scatter
     exceeds the standard errors. Its own error is that of independent estimates, or that of the scatter if larger.
     """
-    values, errors = np.array([(e.value, e.standard_error) for e in estimates]).T
+    values, errors = np.array([(estimate.value, estimate.standard_error) for estimate in estimates]).T
     if len(estimates) == 1:
         return estimates[0]
     if not np.all(errors > 0):
         return Estimate(float(values.mean()), float(errors.max()))
     weights = errors**-2 / np.sum(errors**-2)
-    mean, count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
-    scatter = count / (count - 1) * weights @ (values - mean) ** 2
-    shared_variance = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
-    own_errors = [e.own_error for e in estimates if e.own_error is not None]
+    weighted_mean, effective_count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
+    scatter_variance = effective_count / (effective_count - 1) * weights @ (values - weighted_mean) ** 2
+    shared_variance = max(0.0, mean_variance - scatter_variance * max(0.0, 1 - np.sqrt(2 / effective_count)))
+    own_errors = [estimate.own_error for estimate in estimates if estimate.own_error is not None]
     return Estimate(
-        float(mean),
-        float(np.sqrt(max(scatter / count, min(scatter / count + shared_variance, mean_variance)))),
-        float(np.sqrt(max(scatter / count, weights**2 @ np.square(own_errors))))
+        float(weighted_mean),
+        float(
+            np.sqrt(
+                max(
+                    scatter_variance / effective_count,
+                    min(scatter_variance / effective_count + shared_variance, mean_variance),
+                )
+            )
+        ),
+        float(np.sqrt(max(scatter_variance / effective_count, weights**2 @ np.square(own_errors))))
         if len(own_errors) == len(estimates)
         else None,
     )
@@ -144,30 +170,36 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
 
 def _merged_structs(structs: Sequence[Struct]) -> Struct:
     """Structure merged field by field; the numbers of averages are added."""
-    merged: dict[str, Any] = {}
+    merged_fields: dict[str, Any] = {}
     for name in structs[0].__struct_fields__:
-        values = [value for struct in structs if (value := getattr(struct, name)) is not None]
-        merged[name] = sum(values[1:], values[0]) if name in ADDED_FIELDS else _merged_value(values) if values else None
-    return type(structs[0])(**merged)
+        field_values = [value for struct in structs if (value := getattr(struct, name)) is not None]
+        merged_fields[name] = (
+            sum(field_values[1:], field_values[0])
+            if name in SUMMED_FIELDS
+            else _merged_value(field_values)
+            if field_values
+            else None
+        )
+    return type(structs[0])(**merged_fields)
 
 
-def _merged_value(values: Sequence[Any]) -> Any:
+def _merged_value(field_values: Sequence[Any]) -> Any:
     """Value of a field: estimates pooled, numbers averaged, structures merged; else the first."""
-    match values[0]:
+    match field_values[0]:
         case Estimate():
-            return pooled_estimate(values)
+            return pooled_estimate(field_values)
         case msgspec.Struct():
-            return _merged_structs(values)
+            return _merged_structs(field_values)
         case tuple():
-            return _merged_rows(values)
+            return _merged_rows(field_values)
         case float():
-            return float(np.mean(values))
-    return values[0]
+            return float(np.mean(field_values))
+    return field_values[0]
 
 
-def _merged_rows(rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
-    """Structures of several rows, merged where their `NAME_FIELDS` agree; the first row if there are none."""
-    groups: dict[tuple[Any, ...], list[Any]] = {}
-    for item in (item for row in rows for item in row if isinstance(item, msgspec.Struct)):
-        groups.setdefault(tuple(getattr(item, name, None) for name in NAME_FIELDS), []).append(item)
-    return tuple(map(_merged_structs, groups.values())) if groups else rows[0]
+def _merged_rows(struct_rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """Structures of several rows, merged where their `IDENTIFYING_FIELDS` agree; the first row if there are none."""
+    structs_by_name: dict[tuple[Any, ...], list[Any]] = {}
+    for struct in (struct for struct_row in struct_rows for struct in struct_row if isinstance(struct, msgspec.Struct)):
+        structs_by_name.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
+    return tuple(map(_merged_structs, structs_by_name.values())) if structs_by_name else struct_rows[0]

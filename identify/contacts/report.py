@@ -81,14 +81,19 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    findings = page.list_html(f.sentence for f in report.findings)
+    findings = page.list_html(finding.sentence for finding in report.findings)
     page.write(
         path,
         title=title,
         answer=answer(report, len(result.rig.contacts)),
         top_blocks=[
             f"{findings if report.findings else ''}{drawing(result.rig, report)}{values(report, laws, laws_name)}",
-            "".join(_figures({n: p for n, p in figures.items() if n == DECISIVE_FIGURE}, page.FIRST_PLOT_PX)),
+            "".join(
+                _figures_html(
+                    {name: contents for name, contents in figures.items() if name == DECISIVE_FIGURE},
+                    page.FIRST_PLOT_PX,
+                )
+            ),
         ],
         sections=[
             *([("What was refused", refusals(report))] if report.unanswered else []),
@@ -97,12 +102,16 @@ def write_page(
         folded_sections=[
             *(
                 [("Does it fit?", "".join(other_figures))]
-                if (other_figures := _figures({n: p for n, p in figures.items() if n != DECISIVE_FIGURE}))
+                if (
+                    other_figures := _figures_html(
+                        {name: contents for name, contents in figures.items() if name != DECISIVE_FIGURE}
+                    )
+                )
                 else []
             ),
             *([("How sure is it?", _variance_table(result))] if report.contacts else []),
             ("What was assumed", page.list_html(assumptions(result))),
-            ("For comparison: the paper's methods", _methods(result)),
+            ("For comparison: the paper's methods", _methods_html(result)),
         ],
         foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
@@ -113,8 +122,8 @@ def drawing(rig: Rig, report: ContactReport) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
     contact_lines: dict[str, tuple[str, ...]] = {
         contact.name: (
-            *([] if contact.is_spring else [_interval(contact.clearance_m, "mm", 1e3)]),
-            _interval(contact.stiffness_n_per_m, "N/m"),
+            *([] if contact.is_spring else [_interval_text(contact.clearance_m, "mm", 1e3)]),
+            _interval_text(contact.stiffness_n_per_m, "N/m"),
         )
         for contact in report.contacts
     }
@@ -136,16 +145,20 @@ def _variance_table(result: Identification) -> str:
     )
 
 
-def answer(report: ContactReport, count: int) -> page.Answer:
+def answer(report: ContactReport, total_count: int) -> page.Answer:
     """Answer that the page of a report on so many contacts begins with."""
-    identified = len(report.contacts)
+    identified_count = len(report.contacts)
     return page.Answer(
-        "red" if not identified else "green" if identified == count and not report.findings else "yellow",
+        "red"
+        if not identified_count
+        else "green"
+        if identified_count == total_count and not report.findings
+        else "yellow",
         "not to be relied on"
         if report.findings
         else "identified"
-        if identified == count
-        else f"{identified} of {count} contacts identified",
+        if identified_count == total_count
+        else f"{identified_count} of {total_count} contacts identified",
         _sentences(report),
     )
 
@@ -157,17 +170,17 @@ def _sentences(report: ContactReport) -> list[str]:
         reasons = [f"{unanswered.name}: {unanswered.reason}." for unanswered in report.unanswered]
         return ["This record determines no contact.", *reasons]
     values_by_contact = (
-        f"{c.name}: "
-        + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
-        + f"stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
-        + (f" ({c.law})" if c.law_sentence or c.is_spring else "")
-        for c in contacts
+        f"{contact.name}: "
+        + ("" if contact.is_spring else f"clearance {_interval_text(contact.clearance_m, 'mm', 1e3)}, ")
+        + f"stiffness {_interval_text(contact.stiffness_n_per_m, 'N/m')}"
+        + (f" ({contact.law})" if contact.law_sentence or contact.is_spring else "")
+        for contact in contacts
     )
     return ["; ".join(values_by_contact)]
 
 
-def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
-    return interval(scale * estimate.value, scale * estimate.standard_error, unit)
+def _interval_text(estimate: Estimate, unit: str, unit_scale: float = 1.0) -> str:
+    return interval(unit_scale * estimate.value, unit_scale * estimate.standard_error, unit)
 
 
 def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
@@ -177,12 +190,14 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
         return ""
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    half = "" if all(c.ring for c in contacts) else " The clearance is half the total play."
-    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
-        half = (
+    half_play_words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
+    if any(
+        contact.lower_clearance_m and _is_surer(contact.clearance_m, contact.lower_clearance_m) for contact in contacts
+    ):
+        half_play_words = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half}</p>"
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half_play_words}</p>"
     return (
         page.table(("", "", "identified", laws_name, "differs by"), rows)
         + note
@@ -198,7 +213,7 @@ def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
     first_quantity = "stiffness" if contact.is_spring else "clearance"
-    for name, estimate, reference_value, unit, scale in (
+    for name, estimate, reference_value, unit, unit_scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
         ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
@@ -213,33 +228,38 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
             yield (
                 contact.name if name == first_quantity else "",
                 name if unit == "1" else f"{name}, {unit}",
-                _interval(estimate, "1", scale),
-                number(scale * reference_value) if np.isfinite(reference_value) else "no stop",
+                _interval_text(estimate, "1", unit_scale),
+                number(unit_scale * reference_value) if np.isfinite(reference_value) else "no stop",
                 difference,
             )
 
 
 def refusals(report: ContactReport) -> str:
     """Table of the contacts that the record does not determine, and why."""
-    return page.table(("contact", "not told by this record, because"), [(u.name, u.reason) for u in report.unanswered])
+    return page.table(
+        ("contact", "not told by this record, because"),
+        [(unanswered.name, unanswered.reason) for unanswered in report.unanswered],
+    )
 
 
-def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
+def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
-    named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = results_by_name(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
-    return [*([page.list_html(notes)] if notes else []), *html.values()]
+    figure_by_name = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
+    figure_html = results_by_name(
+        notes, "the figure", figure_by_name, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px)
+    )
+    return [*([page.list_html(notes)] if notes else []), *figure_html.values()]
 
 
-def _methods(result: Identification) -> str:
+def _methods_html(result: Identification) -> str:
     """Section on NIFO, surface and histogram, which begins with the notes on methods that failed."""
     report = result.report
-    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
-    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
+    bands = [nifo.band_hz for nifo in report.nifo]  # each that of the forces on its body
+    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(band[1] for band in bands):.3g} Hz) and " if bands else ""
     modes = [
-        (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %", m.flag)
-        for m in report.modes
+        (f"{mode.beam} {mode.index}", f"{mode.frequency_hz:.3f} Hz", f"{100 * mode.damping_ratio:.2f} %", mode.flag)
+        for mode in report.modes
     ]
     return (
         (page.list_html(report.notes) if report.notes else "")
@@ -257,19 +277,27 @@ def _methods(result: Identification) -> str:
 
 def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
     for nifo in report.nifo:
-        for s in nifo.stiffness:
-            deviation = f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %"
-            visibility_note = "nearly invisible" if s.contact in nifo.nearly_invisible else ""
-            yield nifo.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, visibility_note
+        for stiffness in nifo.stiffness:
+            deviation_percent = f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g} %"
+            visibility_note = "nearly invisible" if stiffness.contact in nifo.nearly_invisible else ""
+            yield (
+                nifo.equation,
+                stiffness.contact,
+                f"{number(stiffness.mean_n_per_m.value)} N/m",
+                deviation_percent,
+                visibility_note,
+            )
     for nifo in report.nifo:
         for name in nifo.nearly_invisible:
-            if name not in {s.contact for s in nifo.stiffness}:
+            if name not in {stiffness.contact for stiffness in nifo.stiffness}:
                 yield nifo.equation, name, "not told", "", "on a node of this mode"
 
 
 def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
     clearances = [
-        (f"surface of {s.equation}", clearance) for s in report.surface.surfaces for clearance in s.clearances
+        (f"surface of {surface.equation}", clearance)
+        for surface in report.surface.surfaces
+        for clearance in surface.clearances
     ]
     clearances += [("histogram", clearance) for clearance in report.surface.histogram]
     for method, clearance in clearances:

@@ -73,32 +73,37 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
         """Sentence on a law that is no dead zone, without a full stop; else empty."""
         if self.ring is not None:
             return f"{self.name} is annular: {self._annular_words}; {self.ring.sentence}"
-        biased = "clearance, stiffness and damping of a dead zone would be biased"
+        bias_words = "clearance, stiffness and damping of a dead zone would be biased"
         if self.exponent is not None and self.reference_depth_m is not None:
             depth_mm = number(1e3 * self.reference_depth_m)
             return (
                 f"{self.name} follows a power law, k depth |depth / {depth_mm} mm|^(p - 1) with p = "
                 f"{interval(self.exponent.value, self.exponent.standard_error, '1')}; its stiffness is the force over "
-                f"the depth at {depth_mm} mm; {biased}"
+                f"the depth at {depth_mm} mm; {bias_words}"
             )
         if self.law == "cannot pull":
-            return f"{self.name} cannot pull: its stops let go where damping would turn their force; {biased}"
+            return f"{self.name} cannot pull: its stops let go where damping would turn their force; {bias_words}"
         return ""
 
     @property
     def _annular_words(self) -> str:
         """Friction and centre of an annular contact in words."""
-        words = []
+        clauses = []
         if self.friction_coefficient is not None and self.sliding_speed_m_per_s is not None:
-            friction, speed = self.friction_coefficient, self.sliding_speed_m_per_s
-            words.append(
+            friction, sliding_speed = self.friction_coefficient, self.sliding_speed_m_per_s
+            clauses.append(
                 f"friction coefficient {interval(friction.value, friction.standard_error, '1')}, sliding speed "
-                f"{interval(1e3 * speed.value, 1e3 * speed.standard_error, 'mm/s')}"
+                f"{interval(1e3 * sliding_speed.value, 1e3 * sliding_speed.standard_error, 'mm/s')}"
             )
         if self.center_y_m is None or self.center_z_m is None:
-            return "; ".join([*words, "its centre is not known, as it does not rest in the ring"])
-        y, z = (interval(1e3 * e.value, 1e3 * e.standard_error, "mm") for e in (self.center_y_m, self.center_z_m))
-        return "; ".join([*words, f"its centre lies at y = {y}, z = {z} from the rest position"])
+            return "; ".join([*clauses, "its centre is not known, as it does not rest in the ring"])
+        center_y_text, center_z_text = (
+            interval(1e3 * center.value, 1e3 * center.standard_error, "mm")
+            for center in (self.center_y_m, self.center_z_m)
+        )
+        return "; ".join(
+            [*clauses, f"its centre lies at y = {center_y_text}, z = {center_z_text} from the rest position"]
+        )
 
 
 class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -227,46 +232,51 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 
     Where only half the total play is known, the clearances are placed about the nominal middle of the play.
     """
-    estimates = {c.name: c for c in report.contacts}
-    contacts = tuple(replace(c, law=_law(c.law, estimates[c.name])) if c.name in estimates else c for c in rig.contacts)
+    estimate_by_name = {contact.name: contact for contact in report.contacts}
+    contacts = tuple(
+        replace(contact, law=_identified_law(contact.law, estimate_by_name[contact.name]))
+        if contact.name in estimate_by_name
+        else contact
+        for contact in rig.contacts
+    )
     return replace(rig, contacts=contacts)
 
 
-def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
+def _identified_law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
     if isinstance(law, Annular):
-        return _annular_law(law, estimate)
-    lower, upper = law.lower_clearance_m, law.upper_clearance_m
+        return _identified_annular_law(law, estimate)
+    lower_m, upper_m = law.lower_clearance_m, law.upper_clearance_m
     if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
         growth_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
-        lower, upper = lower + growth_m, upper + growth_m
+        lower_m, upper_m = lower_m + growth_m, upper_m + growth_m
     if estimate.lower_clearance_m is not None:
-        lower = estimate.lower_clearance_m.value
+        lower_m = estimate.lower_clearance_m.value
     if estimate.upper_clearance_m is not None:
-        upper = estimate.upper_clearance_m.value
+        upper_m = estimate.upper_clearance_m.value
     if isinstance(law, DeadZone):
         exponent = 1.0 if estimate.exponent is None else float(np.clip(estimate.exponent.value, *EXPONENT_RANGE))
         depth_m = estimate.reference_depth_m or law.reference_depth_m
         law = replace(law, exponent=exponent, reference_depth_m=depth_m, pulls=estimate.law != "cannot pull")
     return replace(
         law,
-        lower_clearance_m=max(0.0, lower),
-        upper_clearance_m=max(0.0, upper),
+        lower_clearance_m=max(0.0, lower_m),
+        upper_clearance_m=max(0.0, upper_m),
         stiffness_n_per_m=max(0.0, estimate.stiffness_n_per_m.value),
         damping_n_s_per_m=max(0.0, estimate.damping_n_s_per_m.value),  # an estimate may lie below zero
     )
 
 
-def _annular_law(law: Annular, estimate: ContactEstimate) -> Annular:
+def _identified_annular_law(law: Annular, estimate: ContactEstimate) -> Annular:
     """Law with the identified numbers. The centre stays as in rig.json: where a record tells it, it is against the rest
     position."""
-    friction, speed = estimate.friction_coefficient, estimate.sliding_speed_m_per_s
+    friction, sliding_speed = estimate.friction_coefficient, estimate.sliding_speed_m_per_s
     return replace(
         law,
         clearance_m=estimate.clearance_m.value,
         stiffness_n_per_m=estimate.stiffness_n_per_m.value,
         damping_n_s_per_m=max(0.0, estimate.damping_n_s_per_m.value),
         friction_coefficient=law.friction_coefficient if friction is None else max(0.0, friction.value),
-        sliding_speed_m_per_s=law.sliding_speed_m_per_s if speed is None else speed.value,
+        sliding_speed_m_per_s=law.sliding_speed_m_per_s if sliding_speed is None else sliding_speed.value,
     )
 
 

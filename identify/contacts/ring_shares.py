@@ -8,7 +8,7 @@ from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CLEARANCE, LOG_SPEED
 from identify.pages.wording import percent
 
-BRIDGED_S = 0.005
+BRIDGED_OPENING_S = 0.005
 """Longest opening within a whirl."""
 SHOWN_WHIRLS = 4
 SECTORS = 36
@@ -30,43 +30,49 @@ class RingShares(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def sentence(self) -> str:
         """Shares in words, without a full stop."""
-        times = ", ".join(f"{first:.1f} to {last:.1f} s" for first, last in self.whirls[:SHOWN_WHIRLS])
-        more = ", ..." if len(self.whirls) > SHOWN_WHIRLS else ""
-        whirling = f"whirling {percent(self.whirling)} ({times}{more})" if self.whirls else "never whirling"
+        whirl_times = ", ".join(f"{start_s:.1f} to {end_s:.1f} s" for start_s, end_s in self.whirls[:SHOWN_WHIRLS])
+        ellipsis = ", ..." if len(self.whirls) > SHOWN_WHIRLS else ""
+        whirling = f"whirling {percent(self.whirling)} ({whirl_times}{ellipsis})" if self.whirls else "never whirling"
         return (
             f"free {percent(self.free)} of the time, sliding {percent(self.sliding)}, sticking "
             f"{percent(self.sticking)}; {whirling}; {percent(self.touched_sectors)} of the ring touched"
         )
 
 
-def ring_shares(estimate: AnnularEstimate, rate_hz: float, first: int, start_s: float) -> RingShares:
-    """Shares of an estimate's motion from its `first` sample on; `start_s` is the time of sample zero."""
-    (y, z), (vy, vz) = estimate.eta_m[:, first:], estimate.rate_m_per_s[:, first:]
-    radius = np.maximum(np.hypot(y, z), 1e-12)
-    closed = radius > estimate.values[CLEARANCE]
-    slides = np.abs(y * vz - z * vy) / radius > np.exp(estimate.values[LOG_SPEED])
-    angle = np.arctan2(z, y)
-    sectors = np.unique(np.floor((angle[closed] / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS)
-    whirls = _whirls(closed, angle, round(BRIDGED_S * rate_hz))
+def ring_shares(estimate: AnnularEstimate, rate_hz: float, first_sample: int, start_s: float) -> RingShares:
+    """Shares of an estimate's motion from its sample `first_sample` on; `start_s` is the time of sample zero."""
+    (eta_y, eta_z), (rate_y, rate_z) = estimate.eta_m[:, first_sample:], estimate.rate_m_per_s[:, first_sample:]
+    radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
+    is_closed = radius_m > estimate.values[CLEARANCE]
+    is_sliding = np.abs(eta_y * rate_z - eta_z * rate_y) / radius_m > np.exp(estimate.values[LOG_SPEED])
+    angle_rad = np.arctan2(eta_z, eta_y)
+    sector_numbers = np.unique(np.floor((angle_rad[is_closed] / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS)
+    whirl_samples = _whirls(is_closed, angle_rad, round(BRIDGED_OPENING_S * rate_hz))
     return RingShares(
-        free=float(np.mean(~closed)),
-        sliding=float(np.mean(closed & slides)),
-        sticking=float(np.mean(closed & ~slides)),
-        whirling=float(np.sum(np.diff(whirls))) / max(closed.size, 1),
-        touched_sectors=sectors.size / SECTORS,
-        whirls=tuple((start_s + (first + a) / rate_hz, start_s + (first + b) / rate_hz) for a, b in whirls.tolist()),
+        free=float(np.mean(~is_closed)),
+        sliding=float(np.mean(is_closed & is_sliding)),
+        sticking=float(np.mean(is_closed & ~is_sliding)),
+        whirling=float(np.sum(np.diff(whirl_samples))) / max(is_closed.size, 1),
+        touched_sectors=sector_numbers.size / SECTORS,
+        whirls=tuple(
+            (start_s + (first_sample + whirl_start) / rate_hz, start_s + (first_sample + whirl_end) / rate_hz)
+            for whirl_start, whirl_end in whirl_samples.tolist()
+        ),
     )
 
 
 def _whirls(
-    closed: Bool[np.ndarray, " samples"], angle: Float[np.ndarray, " samples"], bridged: int
+    is_closed: Bool[np.ndarray, " samples"], angle_rad: Float[np.ndarray, " samples"], bridged_samples: int
 ) -> Int[np.ndarray, "whirls 2"]:
     """First and last samples of the times of contact in which the angle goes once around or more."""
-    samples = np.flatnonzero(closed)
-    if not samples.size:
+    closed_samples = np.flatnonzero(is_closed)
+    if not closed_samples.size:
         return np.zeros((0, 2), dtype=int)
-    breaks = np.flatnonzero(np.diff(samples) > bridged)
-    starts, stops = samples[np.r_[0, breaks + 1]], samples[np.r_[breaks, samples.size - 1]]
-    turned = np.unwrap(angle)
-    goes_around = np.abs(turned[stops] - turned[starts]) >= 2 * np.pi
-    return np.stack([starts[goes_around], stops[goes_around]], axis=1)
+    break_indices = np.flatnonzero(np.diff(closed_samples) > bridged_samples)
+    start_samples, end_samples = (
+        closed_samples[np.r_[0, break_indices + 1]],
+        closed_samples[np.r_[break_indices, closed_samples.size - 1]],
+    )
+    unwrapped_rad = np.unwrap(angle_rad)
+    goes_around = np.abs(unwrapped_rad[end_samples] - unwrapped_rad[start_samples]) >= 2 * np.pi
+    return np.stack([start_samples[goes_around], end_samples[goes_around]], axis=1)

@@ -80,15 +80,15 @@ def separate_planes(
 
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
     """
-    measured = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
-    driven_motions = [motion for _, motion in measured if not is_unforced(motion)]
+    gauged_motions = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
+    driven_motions = [motion for _, motion in gauged_motions if not is_unforced(motion)]
     highest_excited_hz = (
         max(map(highest_driven_hz, driven_motions))
         if driven_motions
-        else max(highest_vibration_hz(motion) for _, motion in measured)
+        else max(highest_vibration_hz(motion) for _, motion in gauged_motions)
     )
     excited_from = min((motion.excited_from for motion in driven_motions), default=0)
-    transverse_motions = [motion for _, motion in measured[::-1]] if len(measured) > 1 else [None]
+    transverse_motions = [motion for _, motion in gauged_motions[::-1]] if len(gauged_motions) > 1 else [None]
     return tuple(
         _separated(
             recording,
@@ -97,7 +97,7 @@ def separate_planes(
             highest_excited_hz,
             tolerances,
         )
-        for recording, (gauges, motion), transverse in zip(recordings, measured, transverse_motions, strict=True)
+        for recording, (gauges, motion), transverse in zip(recordings, gauged_motions, transverse_motions, strict=True)
     )
 
 
@@ -108,32 +108,30 @@ def _separated(
     rig = recording.rig
     least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
-    decimation = max(1, int(motion.sample_rate_hz / 2 / band_end_hz))
-    noise_m_per_s2, noise_of_displacements = acceleration_noise(motion, rig), displacement_noise(motion, rig)
-    group_rig = group_rig_of(rig)
-    from_rest = recording.start_s > 0 or motion.excited_from > 0
+    noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
+    begins_at_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
         _check_displacements(rig, motion)
-    pull = mass_pull(rig, motion, tolerances)
+    rig_mass_pull = mass_pull(rig, motion, tolerances)
     forces = separated_forces(
         SeparationInput(
             rig=group_rig,
             motion=motion,
-            decimation=decimation,
+            decimation=max(1, int(motion.sample_rate_hz / 2 / band_end_hz)),
             noise_m_per_s2=noise_m_per_s2,
-            displacement_noise=noise_of_displacements,
+            displacement_noise=displacement_noise(motion, rig),
             tolerances=tolerances,
             gauges=gauges,
-            from_rest=from_rest,
+            from_rest=begins_at_rest,
         )
     )
     if forces.slow_motion:
         motion = forces.slow_motion.added_to(motion)
         _check_displacements(rig, motion)
-    if recording.start_s > 0 or not from_rest:
-        motion, forces = _without_start(recording, group_rig, motion, forces, from_rest)
+    if recording.start_s > 0 or not begins_at_rest:
+        motion, forces = _without_start(recording, group_rig, motion, forces, begins_at_rest)
     records = _contact_records(group_rig, motion, noise_m_per_s2, forces, tolerances)
-    return Separation(rig, motion, forces, contact_groups(rig), records, pull)
+    return Separation(rig, motion, forces, contact_groups(rig), records, rig_mass_pull)
 
 
 def separate_described(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> Separation:
@@ -156,10 +154,10 @@ def highest_driven_hz(motion: Kinematics) -> float:
 
     Raises ContactRefusedError if neither a force nor a motion was recorded.
     """
-    rows = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
-    if not rows:
+    driven_signals = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
+    if not driven_signals:
         raise refused(RefusalCode.ALL_ZERO)
-    return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
+    return max(force_band(row, motion.sample_rate_hz)[1] for row in driven_signals)
 
 
 def highest_vibration_hz(motion: Kinematics) -> float:
@@ -171,32 +169,32 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     highest_moving_hz = highest_driven_hz(motion)
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
-    hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
+    line_hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
     noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND)
-    noise_power = np.median(power[:, (hz > noise_low_hz) & (hz < noise_high_hz)], axis=1, keepdims=True)
+    noise_power = np.median(power[:, (line_hz > noise_low_hz) & (line_hz < noise_high_hz)], axis=1, keepdims=True)
     exceeds_noise = power > NOISE_POWER_RATIO * noise_power
-    highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
+    highest_hz = line_hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
     return float(min(highest_moving_hz, highest_hz.max()))
 
 
 def _without_start(
-    recording: Recording, group_rig: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
+    recording: Recording, group_rig: Rig, motion: Kinematics, forces: ContactForces, begins_at_rest: bool
 ) -> tuple[Kinematics, ContactForces]:
     """Motion and contact forces without the start, in which the beams ring of what was before.
 
     Raises ContactRefusedError if too little is left.
     """
-    rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
-    start_s = RINGING_S if from_rest else start_transient_s(group_rig, forces.slow_n_per_m)
+    rate_hz, sample_count = motion.sample_rate_hz, forces.force_n.shape[1]
+    start_s = RINGING_S if begins_at_rest else start_transient_s(group_rig, forces.slow_n_per_m)
     skipped_samples = round(start_s * rate_hz / forces.decimation)
-    if (samples - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
+    if (sample_count - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
         displacement_remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
         raise refused(
             RefusalCode.TOO_SHORT,
             RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else displacement_remedy,
             duration_s=recording.duration_s,
             at_start_s=start_s,
-            at_end_s=recording.duration_s - samples * forces.decimation / recording.rig.sample_rate_hz,
+            at_end_s=recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz,
         )
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
 
@@ -205,13 +203,13 @@ def check_described(rig: Rig) -> None:
     """Raises ContactRefusedError if the rig has no contact, or a field that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
-    for field in UNMODELLED_FIELDS:
-        if getattr(rig, field) not in ((), None, ForceSensor()):
-            if field == "base_motion" and rig.base_sensors:
+    for field_name in UNMODELLED_FIELDS:
+        if getattr(rig, field_name) not in ((), None, ForceSensor()):
+            if field_name == "base_motion" and rig.base_sensors:
                 continue
-            if field == "base_motion":
+            if field_name == "base_motion":
                 raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field)
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field_name)
     if any(spring.cubic_n_per_m3 for spring in rig.springs):
         raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what="springs with cubic_n_per_m3")
 
@@ -221,14 +219,14 @@ def _check_displacements(rig: Rig, motion: Kinematics) -> None:
     there does not follow from those at the stations."""
     for contact in rig.contacts:
         for station in (s for s in contact_stations(contact) if motion.row(s) is None):
-            stations = sum(s.body == station.body for s in motion.stations)
-            if stations < rig.body(station.body).max_modes:
+            station_count = sum(s.body == station.body for s in motion.stations)
+            if station_count < rig.body(station.body).max_modes:
                 raise refused(
                     RefusalCode.NO_SENSOR,
                     contact=contact.name,
                     position_m=station.position_m,
                     body=station.body,
-                    stations=stations,
+                    stations=station_count,
                 )
 
 
@@ -240,7 +238,7 @@ def _contact_records(
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    samples = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
+    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
     eta_m = relative_motion(rig, motion, motion.displacement_m)
     velocity_m_per_s = relative_motion(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
@@ -248,30 +246,31 @@ def _contact_records(
     quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]
     quiet_deviation_n = quiet_force_n.std(axis=1) if quiet_force_n.shape[1] else np.zeros(len(rig.contacts))
     quiet_deviation_n = np.maximum(quiet_deviation_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
-    for j in range(len(rig.contacts)):
-        displacements_m = nuisances.eta_m[:, j]
+    for contact_index in range(len(rig.contacts)):
+        displacements_m = nuisances.eta_m[:, contact_index]
         shifts_eta = np.any(displacements_m, axis=1)
-        drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, samples)
+        drift = drift_of(rig, motion, contact_index, noise_m_per_s2, tolerances, sample_count)
         if drift:
-            spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
+            spring_n_per_m = float(forces.slow_n_per_m[contact_index, contact_index])
+            damper_n_s_per_m = float(forces.slow_n_s_per_m[contact_index, contact_index])
             drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
-        nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :samples].astype(np.float32)
+        nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :sample_count].astype(np.float32)
         records.append(
             ContactRecord(
-                eta_m=eta_m[j, :samples],
-                velocity_m_per_s=velocity_m_per_s[j, :samples],
+                eta_m=eta_m[contact_index, :sample_count],
+                velocity_m_per_s=velocity_m_per_s[contact_index, :sample_count],
                 sample_rate_hz=motion.sample_rate_hz,
-                force_n=forces.force_n[j],
+                force_n=forces.force_n[contact_index],
                 decimation=forces.decimation,
-                quiet_deviation_n=float(quiet_deviation_n[j]),
-                noise_n=float(forces.noise_n[j]),
+                quiet_deviation_n=float(quiet_deviation_n[contact_index]),
+                noise_n=float(forces.noise_n[contact_index]),
                 unmodelled_share=tolerances.unmodelled_contact,
-                noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
+                noise_m=float(forces.slow_motion.noise_m[contact_index]) if forces.slow_motion else 0.0,
                 drift=drift,
-                drift_spline=spline(samples, motion.sample_rate_hz, drift),
-                nuisance_n=nuisances.force_n[:, j],
-                force_noise_multiple=nuisances.force_noise_multiple[:, j],
-                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, j],
+                drift_spline=spline(sample_count, motion.sample_rate_hz, drift),
+                nuisance_n=nuisances.force_n[:, contact_index],
+                force_noise_multiple=nuisances.force_noise_multiple[:, contact_index],
+                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, contact_index],
                 shifts_eta=shifts_eta,
                 nuisance_m=nuisance_m,
                 is_initial_state=is_initial_state,
@@ -295,7 +294,7 @@ def drift_of(
     if motion.zero_known:
         return None
     stations = contact_stations(rig.contacts[contact_index])
-    unmeasured_stations = [s for s in stations if motion.row(s) is None]
+    unmeasured_stations = [station for station in stations if motion.row(station) is None]
     if unmeasured_stations:
         raise refused(
             RefusalCode.NO_ACCELEROMETER,
@@ -303,15 +302,15 @@ def drift_of(
             position_m=unmeasured_stations[0].position_m,
             body=unmeasured_stations[0].body,
         )
-    slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
-    densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]
+    slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
+    error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
         error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
-        densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
+        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
     return Drift(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
-        noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
+        noise_density=max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )
 
@@ -324,25 +323,25 @@ def _error_density(
     It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
     of the other direction.
     """
-    row = motion.stations.index(station)
-    body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
-    body_stations.sort(key=lambda i: motion.stations[i].position_m)
+    station_row = motion.stations.index(station)
+    body_rows = [station_index for station_index, s in enumerate(motion.stations) if s.body == station.body]
+    body_rows.sort(key=lambda row_index: motion.stations[row_index].position_m)
     slow_m_per_s2 = np.stack(
-        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]]
+        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_rows]]
     )
-    absolute_m_per_s2 = slow_m_per_s2[body_stations.index(row)]
+    absolute_m_per_s2 = slow_m_per_s2[body_rows.index(station_row)]
     if motion.base:
         absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
-    if len(body_stations) > 1:
-        slope = np.gradient(slow_m_per_s2, [motion.stations[i].position_m for i in body_stations], axis=0)[
-            body_stations.index(row)
+    if len(body_rows) > 1:
+        slope = np.gradient(slow_m_per_s2, [motion.stations[row_index].position_m for row_index in body_rows], axis=0)[
+            body_rows.index(station_row)
         ]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
         transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
+    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 
 def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:

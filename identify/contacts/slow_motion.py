@@ -51,12 +51,12 @@ class SlowModel:
     nuisance_changes: Mapping[Nuisance, Complex[np.ndarray, "stations slow"]]
 
     def correction(
-        self, inputs: Complex[np.ndarray, "inputs lines"], displacements: Complex[np.ndarray, "stations lines"]
+        self, input_spectra: Complex[np.ndarray, "inputs lines"], displacements: Complex[np.ndarray, "stations lines"]
     ) -> Complex[np.ndarray, "stations slow"]:
         """Slow displacement by exciting and contact forces, less the integrated one."""
-        lines = slice(self.low_pass_gain.shape[1])
-        by_forces = np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines])
-        return np.asarray(by_forces - self.low_pass_gain * displacements[:, lines])
+        slow_lines = slice(self.low_pass_gain.shape[1])
+        force_displacements = np.einsum("isl,il->sl", self.input_displacements, input_spectra[:, slow_lines])
+        return np.asarray(force_displacements - self.low_pass_gain * displacements[:, slow_lines])
 
     def displacement_change(
         self,
@@ -66,12 +66,12 @@ class SlowModel:
     ) -> Complex[np.ndarray, "stations lines"]:
         """Change of the stations' displacement by a parameter, given its changes of the contact forces and of the
         integrated displacement."""
-        count = self.low_pass_gain.shape[1]
-        by_contacts = self.input_displacements[-len(contact_forces) :]
-        slow_changes = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
+        slow_count = self.low_pass_gain.shape[1]
+        contact_displacements = self.input_displacements[-len(contact_forces) :]
+        slow_changes = np.einsum("isl,il->sl", contact_displacements, contact_forces[:, :slow_count])
         slow_changes = slow_changes - self.nuisance_changes.get(parameter, 0.0)
-        integrated_motion = (1 - self.low_pass_gain) * displacements[:, :count]
-        return np.concatenate([integrated_motion + slow_changes, displacements[:, count:]], axis=1)
+        integrated_motion = (1 - self.low_pass_gain) * displacements[:, :slow_count]
+        return np.concatenate([integrated_motion + slow_changes, displacements[:, slow_count:]], axis=1)
 
 
 def slow_model(
@@ -79,16 +79,16 @@ def slow_model(
     motion: Kinematics,
     lines: SpectralLines,
     corner_hz: float,
-    by_input: Complex[np.ndarray, "inputs rows lines"],
+    accelerations_by_input: Complex[np.ndarray, "inputs rows lines"],
     observed: ObservedSignals,
 ) -> SlowModel:
-    """Slow model of a rig; `by_input` are the accelerations per newton, those of the stations first; `observed` has the
+    """Slow model of a rig; `accelerations_by_input` are per newton, those of the stations first; `observed` has the
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
-    is_integrated = [float(s.measures.order > 0) for s in motion.displaced_by]
+    is_integrated = [float(displacement_sensor.measures.order > 0) for displacement_sensor in motion.displaced_by]
     low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
-    exact_sensors = msgspec.structs.replace(
+    tolerances_of_exact_sensors = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
     )
     no_motion = np.zeros((station_count, slow_count), dtype=complex)
@@ -96,7 +96,7 @@ def slow_model(
     station_signals = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
-        tolerances=exact_sensors,
+        tolerances=tolerances_of_exact_sensors,
         omega=omega,
         sensor_response=(low_pass_gain / -(omega**2)).astype(complex),
         signals=no_motion,
@@ -108,7 +108,9 @@ def slow_model(
         ),
     )
     changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(station_signals)}
-    return SlowModel(low_pass_gain, by_input[:, :station_count, :slow_count] * station_signals.sensor_response, changes)
+    return SlowModel(
+        low_pass_gain, accelerations_by_input[:, :station_count, :slow_count] * station_signals.sensor_response, changes
+    )
 
 
 @dataclass(frozen=True)
@@ -140,23 +142,24 @@ class SlowMotion:
 
 
 def slow_motion(
-    correction: Complex[np.ndarray, "stations slow"],
+    correction_spectra: Complex[np.ndarray, "stations slow"],
     lines: SpectralLines,
-    samples: int,
+    sample_count: int,
     noise_m: Float[np.ndarray, " contacts"],
 ) -> SlowMotion:
     """Slow motion over some samples, at the rate of the record."""
-    i_omega = 1j * lines.omega[: correction.shape[-1]]
-    real_at_zero = np.concatenate([correction[:, :1].real, correction[:, 1:]], axis=1)
+    i_omega = 1j * lines.omega[: correction_spectra.shape[-1]]
+    real_at_zero = np.concatenate([correction_spectra[:, :1].real, correction_spectra[:, 1:]], axis=1)
     displacement, velocity = (
-        np.fft.irfft(rows, lines.padded_samples)[:, :samples] for rows in (real_at_zero, i_omega * correction)
+        np.fft.irfft(row_spectra, lines.padded_samples)[:, :sample_count]
+        for row_spectra in (real_at_zero, i_omega * correction_spectra)
     )
     return SlowMotion(displacement, velocity, noise_m)
 
 
 def quietest_corner(
     signs: Float[np.ndarray, "contacts stations"],
-    by_contacts: Complex[np.ndarray, "contacts rows lines"],
+    contact_accelerances: Complex[np.ndarray, "contacts rows lines"],
     weights: Complex[np.ndarray, "contacts rows lines"],
     noise_power: Float[np.ndarray, "rows lines"],
     acceleration_power: Float[np.ndarray, "stations lines"],
@@ -169,7 +172,7 @@ def quietest_corner(
     """
     stations = signs.shape[1]
     integrated_power = np.einsum("cs,sl->cl", signs**2, acceleration_power) / lines.omega**4
-    by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
+    by_contacts_m = np.einsum("cs,jsl->cjl", signs, contact_accelerances[:, :stations]) / lines.omega**2
     by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
     modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
@@ -180,12 +183,12 @@ def quietest_corner(
         low_pass_gain = low_pass(lines.omega, float(corner_hz))
         combined_power = low_pass_gain**2 * modelled_power + (1 - low_pass_gain) ** 2 * integrated_power
         noise_m.append(np.sqrt(2 * combined_power.sum(axis=1)) / lines.padded_samples)
-    quietest = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
-    return float(corners_hz[quietest]), noise_m[quietest]
+    quietest_index = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
+    return float(corners_hz[quietest_index]), noise_m[quietest_index]
 
 
 def with_slow_modes(
-    rig: Rig, observed: ObservedSignals, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
+    rig: Rig, observed: ObservedSignals, input_spectra: Complex[np.ndarray, "inputs lines"], corner_hz: float
 ) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
@@ -193,9 +196,13 @@ def with_slow_modes(
     bodies = []
     for body in observed.bodies:
         response, acceleration = body.response, body.acceleration.copy()
-        count, dynamics = len(acceleration), response.dynamics
-        held_modes = [m for m in np.flatnonzero(dynamics.natural_hz[:count]).tolist() if m not in dynamics.high_passed]
-        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ inputs[:, :slow_count]
+        mode_count, dynamics = len(acceleration), response.dynamics
+        held_modes = [
+            mode_index
+            for mode_index in np.flatnonzero(dynamics.natural_hz[:mode_count]).tolist()
+            if mode_index not in dynamics.high_passed
+        ]
+        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ input_spectra[:, :slow_count]
         acceleration[held_modes, :slow_count] = response.accelerance[held_modes, :slow_count] * modal_force
         bodies.append(replace(body, acceleration=acceleration))
     return replace(observed, bodies=tuple(bodies))

@@ -62,18 +62,25 @@ def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolera
     """Findings of the check, without what weight does to displacements at rest."""
     findings = check_recording(from_rest_position(recording), use, tolerances)
     findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
-    return tuple(f for f in findings if f.cause != "not at rest")
+    return tuple(finding for finding in findings if finding.cause != "not at rest")
 
 
 def check_directions(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
-    for contact in (c for c in rig.contacts if c.law.spatial):
+    for contact in (contact for contact in rig.contacts if contact.law.spatial):
         for station in contact_stations(contact):
-            sensors = [s for s in rig.sensors if s.station.body == station.body and use in ("auto", s.quantity)]
-            measured_directions = {s.station.direction for s in sensors if s.measures.translates}
-            if missing := {*rig.directions} - measured_directions:
+            sensors = [
+                sensor
+                for sensor in rig.sensors
+                if sensor.station.body == station.body and use in ("auto", sensor.quantity)
+            ]
+            measured_directions = {sensor.station.direction for sensor in sensors if sensor.measures.translates}
+            if missing_directions := {*rig.directions} - measured_directions:
                 raise refused(
-                    RefusalCode.ONE_DIRECTION, contact=contact.name, body=station.body, direction=min(missing)
+                    RefusalCode.ONE_DIRECTION,
+                    contact=contact.name,
+                    body=station.body,
+                    direction=min(missing_directions),
                 )
 
 
@@ -81,14 +88,16 @@ def from_rest_position(recording: Recording) -> Recording:
     """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
     has none, or does not begin at rest."""
     rig = recording.rig
-    start = 0
+    first_excited_sample = 0
     if rig.gravity_m_per_s2 and not recording.start_s:
-        channels = (recording.values_of(s) for s in rig.sensors)
-        start = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
+        channels = (recording.values_of(sensor) for sensor in rig.sensors)
+        first_excited_sample = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
     signals = dict(recording.signals)
-    for name in {"displacement", "strain"} & signals.keys() if start else ():
-        values = signals[name].values
-        signals[name] = replace(signals[name], values=values - values[:, :start].mean(axis=1, keepdims=True))
+    for name in {"displacement", "strain"} & signals.keys() if first_excited_sample else ():
+        channel_values = signals[name].values
+        signals[name] = replace(
+            signals[name], values=channel_values - channel_values[:, :first_excited_sample].mean(axis=1, keepdims=True)
+        )
     return replace(recording, signals=signals)
 
 
@@ -103,10 +112,10 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         if not contact.law.spatial and contact.at.direction == "y":
             unmodelled_words = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
-    from_rest = from_rest_position(recording)
-    planes = [plane_recording(from_rest, direction) for direction in rig.directions]
-    planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
-    y, z = separate_planes(planes, use, tolerances)
+    recording_from_rest = from_rest_position(recording)
+    plane_recordings = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
+    plane_recordings = [replace(plane, rig=condensed(plane.rig)) for plane in plane_recordings]
+    y, z = separate_planes(plane_recordings, use, tolerances)
     records = annular_records(rig, (y, z), tolerances)
     annular = dict[str, AnnularEstimate]()
     refusals = dict[str, Refusal]()
@@ -123,7 +132,14 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     plane, findings = _plane_outcomes(rig, (y, z))
     shared_parameters = next(iter(records.values())).parameters if annular else ()
     annular_findings = fit_findings(annular, shared_parameters, DAMPING)
-    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *annular_findings))
+    return SpaceContacts(
+        (y, z),
+        annular,
+        records,
+        plane,
+        refusals,
+        (*findings, *annular_findings),
+    )
 
 
 def annular_records(
@@ -133,18 +149,18 @@ def annular_records(
     names = [rig.force_names_in(direction) for direction in rig.directions]
     parameters = [separation.forces.nuisances.parameters for separation in separations]
     records = {}
-    for contact in (c for c in rig.contacts if c.law.spatial):
-        planes = []
+    for contact in (contact for contact in rig.contacts if contact.law.spatial):
+        plane_records = []
         for separation in separations:
-            in_plane = separation.rig.contact(contact.name)
+            plane_contact = separation.rig.contact(contact.name)
             (record,) = (
                 record
                 for group, record in zip(separation.contact_groups, separation.records, strict=True)
-                if in_plane in [separation.rig.contacts[j] for j in group.contact_indices]
+                if plane_contact in [separation.rig.contacts[contact_index] for contact_index in group.contact_indices]
             )
-            planes.append(_with_whole_band(record, separation, in_plane, tolerances))
+            plane_records.append(_with_whole_band(record, separation, plane_contact, tolerances))
         records[contact.name] = annular_record(
-            (planes[0], planes[1]),
+            (plane_records[0], plane_records[1]),
             (parameters[0], parameters[1]),
             (names[0], names[1]),
             separations[0].motion.quiet_samples,
@@ -160,59 +176,64 @@ def _with_whole_band(
     The separation knows them in the band of the forces alone. A delay tau and the damping of a contact press nearly
     alike, by k tau v and c v: what of tau v is left out counts as damping.
     """
-    motion, samples, nuisance_m = separation.motion, record.eta_m.size, record.nuisance_m.copy()
+    motion, sample_count, nuisance_m = separation.motion, record.eta_m.size, record.nuisance_m.copy()
     parameters = list(compress(separation.forces.nuisances.parameters, record.shifts_eta))
     for sign, station in ((1.0, contact.at), (-1.0, contact.against)):
         if station is None or (row := motion.row(station)) is None:
             continue
         sensor = motion.displaced_by[row].name
-        tolerance = tolerances.of_sensor(sensor)
+        sensor_tolerances = tolerances.of_sensor(sensor)
         changes_m = {
-            NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],
-            NuisanceKind.DELAY: -tolerance.delay_s * motion.velocity_m_per_s[row],
+            NuisanceKind.GAIN: sensor_tolerances.gain * motion.displacement_m[row],
+            NuisanceKind.DELAY: -sensor_tolerances.delay_s * motion.velocity_m_per_s[row],
         }
         if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
-            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.transverse.displacement_m[transverse_row]
+            changes_m[NuisanceKind.CROSS_AXIS] = (
+                sensor_tolerances.cross_axis * motion.transverse.displacement_m[transverse_row]
+            )
         for kind, change_m in changes_m.items():
             if (parameter := Nuisance(kind, sensor)) in parameters:
-                whole_m = sign * change_m[:samples]
-                band_m = oversampled(decimated(whole_m, record.decimation), record.decimation)[:samples]
+                whole_m = sign * change_m[:sample_count]
+                band_m = oversampled(decimated(whole_m, record.decimation), record.decimation)[:sample_count]
                 nuisance_m[parameters.index(parameter)] += whole_m - band_m
     return replace(record, nuisance_m=nuisance_m)
 
 
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
-    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        share = float(estimate.errors[index] / estimate.values[index])
-        if not share < UNCERTAIN_SHARE:
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * share, 100.0))
+    for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
+        if not error_share < UNCERTAIN_SHARE:
+            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
 
 
 def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tuple[Outcomes, tuple[Finding, ...]]:
     """Outcomes of the contacts of one direction, and findings on them."""
     outcomes, findings = NO_OUTCOMES, list[Finding]()
-    annular = {contact.name for contact in rig.contacts if contact.law.spatial}
+    annular_names = {contact.name for contact in rig.contacts if contact.law.spatial}
     for separation in separations:
         contacts = separation.rig.contacts
-        groups = [
-            k
-            for k, p in enumerate(separation.contact_groups)
-            if not annular & {contacts[j].name for j in p.contact_indices}
+        plane_group_indices = [
+            group_index
+            for group_index, group in enumerate(separation.contact_groups)
+            if not annular_names & {contacts[contact_index].name for contact_index in group.contact_indices}
         ]
-        if not groups:
+        if not plane_group_indices:
             continue
         plane_separation = replace(
             separation,
-            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(groups, groups)]),
-            contact_groups=tuple(separation.contact_groups[k] for k in groups),
-            records=tuple(separation.records[k] for k in groups),
+            forces=replace(
+                separation.forces,
+                slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(plane_group_indices, plane_group_indices)],
+            ),
+            contact_groups=tuple(separation.contact_groups[group_index] for group_index in plane_group_indices),
+            records=tuple(separation.records[group_index] for group_index in plane_group_indices),
         )
-        determined, parameters = determine(plane_separation), separation.forces.nuisances.parameters
+        plane_outcomes, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {
             name: widened_estimate(estimate, parameters, separation.mass_pull)
-            for name, estimate in determined.estimates.items()
+            for name, estimate in plane_outcomes.estimates.items()
         }
-        outcomes = outcomes | Outcomes(estimates, determined.refusals)
+        outcomes = outcomes | Outcomes(estimates, plane_outcomes.refusals)
         findings += fit_findings(estimates, parameters)
     return outcomes, tuple(findings)

@@ -47,9 +47,9 @@ class _Panel:
     @property
     def polar(self) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
         """Radius (m), and the separated force across and along the wall (N)."""
-        (y, z), (force_y, force_z) = self.eta_m, self.force_n
-        radius = np.maximum(np.hypot(y, z), 1e-12)
-        return radius, (y * force_y + z * force_z) / radius, (y * force_z - z * force_y) / radius
+        (eta_y, eta_z), (force_y, force_z) = self.eta_m, self.force_n
+        radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
+        return radius_m, (eta_y * force_y + eta_z * force_z) / radius_m, (eta_y * force_z - eta_z * force_y) / radius_m
 
 
 def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> dict[str, Picture]:
@@ -59,15 +59,15 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
         return {}
 
     def drawn(draw: Callable[[_Panel], None]) -> Picture:
-        def of_all(figure: Any) -> None:
-            row = figure.subplots(1, len(estimates), squeeze=False)[0]
-            for axes, (name, estimate) in zip(row, estimates.items(), strict=True):
+        def draw_all(figure: Any) -> None:
+            axes_row = figure.subplots(1, len(estimates), squeeze=False)[0]
+            for axes, (name, estimate) in zip(axes_row, estimates.items(), strict=True):
                 axes.set_title(name)
                 draw(_Panel(figure, axes, result, estimate, laws.get(name), laws_name))
-            handles, labels = row[0].get_legend_handles_labels()
+            handles, labels = axes_row[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=4)
 
-        return picture(of_all)
+        return picture(draw_all)
 
     return {name: drawn(draw) for name, draw in _SPACE_FIGURES.items()}
 
@@ -75,30 +75,40 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
 def _orbit(panel: _Panel) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
     axes, estimate = panel.axes, panel.estimate
-    (y, z), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
-    thinned = slice(None, None, max(1, force.size // POINTS))
-    points = axes.scatter(z[thinned], y[thinned], c=force[thinned], s=1.5, cmap="viridis", rasterized=True)
+    (eta_y_mm, eta_z_mm), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
+    drawn_samples = slice(None, None, max(1, force.size // POINTS))
+    points = axes.scatter(
+        eta_z_mm[drawn_samples], eta_y_mm[drawn_samples], c=force[drawn_samples], s=1.5, cmap="viridis", rasterized=True
+    )
     panel.figure.colorbar(points, ax=axes, label="contact force, N", location="bottom")
-    angle = np.linspace(0, 2 * np.pi, 181)
-    circle = np.stack([np.sin(angle), np.cos(angle)])
-    clearance_circle_mm, line = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
+    angles_rad = np.linspace(0, 2 * np.pi, 181)
+    circle = np.stack([np.sin(angles_rad), np.cos(angles_rad)])
+    clearance_circle_mm, line_style = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
     axes.plot(*clearance_circle_mm, color="w", lw=4.0, zorder=3)  # seen upon the points
-    axes.plot(*clearance_circle_mm, color=GREEN, label="clearance found", **line)
+    axes.plot(*clearance_circle_mm, color=GREEN, label="clearance found", **line_style)
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
-        axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", label=reference_label, **line)
+        axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", label=reference_label, **line_style)
     axes.set(xlabel="η_z, mm", ylabel="η_y, mm", aspect="equal")
 
 
 def _radial(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
     axes, estimate = panel.axes, panel.estimate
-    radius, normal, _ = panel.polar
-    thinned = slice(None, None, max(1, radius.size // POINTS))
-    axes.plot(1e3 * radius[thinned], normal[thinned], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
-    span = np.linspace(0, radius.max(), 200)
-    force = estimate.values[STIFFNESS] * np.maximum(span - estimate.values[CLEARANCE], 0)
-    axes.plot(1e3 * span, force, color=BLUE, lw=1.2, label="law found (without damping)")
+    radius_m, normal_n, _ = panel.polar
+    drawn_samples = slice(None, None, max(1, radius_m.size // POINTS))
+    axes.plot(
+        1e3 * radius_m[drawn_samples],
+        normal_n[drawn_samples],
+        ".",
+        ms=4,
+        color=GREY,
+        alpha=0.4,
+        label="separated, no law",
+    )
+    radius_grid_m = np.linspace(0, radius_m.max(), 200)
+    force = estimate.values[STIFFNESS] * np.maximum(radius_grid_m - estimate.values[CLEARANCE], 0)
+    axes.plot(1e3 * radius_grid_m, force, color=BLUE, lw=1.2, label="law found (without damping)")
     axes.axvline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
@@ -109,10 +119,10 @@ def _radial(panel: _Panel) -> None:
 def _surface(panel: _Panel) -> None:
     """Normal force over radius and angle, averaged in cells."""
     axes, estimate = panel.axes, panel.estimate
-    radius, normal, _ = panel.polar
-    y, z = panel.eta_m
+    radius_m, normal_n, _ = panel.polar
+    eta_y, eta_z = panel.eta_m
     cells = axes.hexbin(
-        np.degrees(np.arctan2(z, y)), 1e3 * radius, C=normal, gridsize=(36, 36), cmap="viridis", mincnt=2
+        np.degrees(np.arctan2(eta_z, eta_y)), 1e3 * radius_m, C=normal_n, gridsize=(36, 36), cmap="viridis", mincnt=2
     )
     panel.figure.colorbar(cells, ax=axes, label="normal force, N", shrink=0.7)
     axes.axhline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
@@ -122,45 +132,57 @@ def _surface(panel: _Panel) -> None:
 def _friction(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     axes, estimate, law = panel.axes, panel.estimate, panel.law
-    radius, normal_n, tangential_n = panel.polar
-    (y, z), (vy, vz) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
-    speed = (y * vz - z * vy) / radius
-    is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius > estimate.values[CLEARANCE])
-    ratio = tangential_n[is_closed] / normal_n[is_closed]
-    axes.plot(1e3 * speed[is_closed], ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
-    speed_range = np.quantile(speed[is_closed], [0.005, 0.995]) if is_closed.any() else np.zeros(2)
-    span = np.linspace(speed_range[0], speed_range[1], 200)
-    mu, v_0 = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
-    axes.plot(1e3 * span, mu * np.tanh(span / v_0), color=BLUE, lw=1.2, label="law found")
-    limit = 3 * abs(mu) + 0.05
+    radius_m, normal_n, tangential_n = panel.polar
+    (eta_y, eta_z), (rate_y, rate_z) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
+    sliding_m_per_s = (eta_y * rate_z - eta_z * rate_y) / radius_m
+    is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius_m > estimate.values[CLEARANCE])
+    force_ratio = tangential_n[is_closed] / normal_n[is_closed]
+    axes.plot(
+        1e3 * sliding_m_per_s[is_closed], force_ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law"
+    )
+    speed_range = np.quantile(sliding_m_per_s[is_closed], [0.005, 0.995]) if is_closed.any() else np.zeros(2)
+    sliding_grid_m_per_s = np.linspace(speed_range[0], speed_range[1], 200)
+    friction_coefficient, sliding_speed_m_per_s = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
+    axes.plot(
+        1e3 * sliding_grid_m_per_s,
+        friction_coefficient * np.tanh(sliding_grid_m_per_s / sliding_speed_m_per_s),
+        color=BLUE,
+        lw=1.2,
+        label="law found",
+    )
+    ratio_limit = 3 * abs(friction_coefficient) + 0.05
     if isinstance(law, Annular):
-        reference = law.friction_coefficient * np.tanh(span / law.sliding_speed_m_per_s)
-        axes.plot(1e3 * span, reference, color="k", ls=":", lw=1.2, label=panel.laws_name)
-    axes.set(xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-limit, limit))
+        reference_ratio = law.friction_coefficient * np.tanh(sliding_grid_m_per_s / law.sliding_speed_m_per_s)
+        axes.plot(1e3 * sliding_grid_m_per_s, reference_ratio, color="k", ls=":", lw=1.2, label=panel.laws_name)
+    axes.set(
+        xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-ratio_limit, ratio_limit)
+    )
 
 
 def _kinds(panel: _Panel) -> None:
     """Radius over time: open, sliding and sticking, of the first whirl or else of a part amid the record."""
     axes, result, estimate = panel.axes, panel.result, panel.estimate
     motion = result.contacts.separations[0].motion
-    samples = estimate.eta_m.shape[1]
-    whirls = next(c for c in result.report.contacts if c.name == axes.get_title()).ring
-    middle_s = samples / motion.sample_rate_hz / 2 + motion.start_s
+    sample_count = estimate.eta_m.shape[1]
+    whirls = next(contact for contact in result.report.contacts if contact.name == axes.get_title()).ring
+    middle_s = sample_count / motion.sample_rate_hz / 2 + motion.start_s
     if whirls is not None and whirls.whirls:
         middle_s = sum(whirls.whirls[0]) / 2
-    first = max(0, min(round((middle_s - motion.start_s - EXCERPT_S / 2) * motion.sample_rate_hz), samples - 2))
-    excerpt = slice(first, first + round(EXCERPT_S * motion.sample_rate_hz))
-    (y, z), (vy, vz) = estimate.eta_m[:, excerpt], estimate.rate_m_per_s[:, excerpt]
-    radius = np.maximum(np.hypot(y, z), 1e-12)
-    time_s = motion.start_s + (first + np.arange(radius.size)) / motion.sample_rate_hz
-    closed = radius > estimate.values[CLEARANCE]
-    slides = np.abs(y * vz - z * vy) / radius > np.exp(estimate.values[LOG_SPEED])
+    first_sample = max(
+        0, min(round((middle_s - motion.start_s - EXCERPT_S / 2) * motion.sample_rate_hz), sample_count - 2)
+    )
+    excerpt_samples = slice(first_sample, first_sample + round(EXCERPT_S * motion.sample_rate_hz))
+    (eta_y, eta_z), (rate_y, rate_z) = estimate.eta_m[:, excerpt_samples], estimate.rate_m_per_s[:, excerpt_samples]
+    radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
+    time_s = motion.start_s + (first_sample + np.arange(radius_m.size)) / motion.sample_rate_hz
+    is_closed = radius_m > estimate.values[CLEARANCE]
+    is_sliding = np.abs(eta_y * rate_z - eta_z * rate_y) / radius_m > np.exp(estimate.values[LOG_SPEED])
     for mask, colour, label in (
-        (~closed, GREY, "free"),
-        (closed & slides, BLUE, "sliding"),
-        (closed & ~slides, RED, "sticking"),
+        (~is_closed, GREY, "free"),
+        (is_closed & is_sliding, BLUE, "sliding"),
+        (is_closed & ~is_sliding, RED, "sticking"),
     ):
-        axes.plot(time_s, np.where(mask, 1e3 * radius, np.nan), ".", ms=1.5, color=colour, label=label)
+        axes.plot(time_s, np.where(mask, 1e3 * radius_m, np.nan), ".", ms=1.5, color=colour, label=label)
     for begin_s, end_s in whirls.whirls if whirls is not None else ():
         if time_s[0] < end_s and begin_s < time_s[-1]:
             axes.axvspan(max(begin_s, time_s[0]), min(end_s, time_s[-1]), color=GREEN, alpha=0.2, lw=0)
@@ -174,10 +196,10 @@ def _first(result: SpaceIdentification) -> int:
 
 
 def _at_forces(
-    result: SpaceIdentification, rows: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
+    result: SpaceIdentification, signals: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
 ) -> Float[np.ndarray, "2 fewer"]:
     """Signals at the samples of the separated force that are shown."""
-    return rows[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
+    return signals[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
 
 
 _SPACE_FIGURES = {
@@ -194,9 +216,9 @@ def space_curves(result: SpaceIdentification) -> dict[str, Table]:
     table: Table = {}
     motion = result.contacts.separations[0].motion
     for name, estimate in result.contacts.annular.items():
-        eta, first = _at_forces(result, estimate.eta_m, estimate), _first(result)
-        table.setdefault("time_s", motion.time_s(first + eta.shape[1], result.decimation)[first:])
-        for row, force, direction in zip(eta, estimate.force_n[:, first:], "yz", strict=True):
-            table[f"{name} relative displacement {direction} m"] = row
+        eta, first_sample = _at_forces(result, estimate.eta_m, estimate), _first(result)
+        table.setdefault("time_s", motion.time_s(first_sample + eta.shape[1], result.decimation)[first_sample:])
+        for eta_row, force, direction in zip(eta, estimate.force_n[:, first_sample:], "yz", strict=True):
+            table[f"{name} relative displacement {direction} m"] = eta_row
             table[f"{name} contact force {direction} N"] = force
     return {"motion": table}

@@ -81,15 +81,15 @@ def identify_in_space(
         name: record.eta_m + contacts.plane.estimates[name].drift_m
         for separation in contacts.separations
         for place, record in zip(separation.contact_groups, separation.records, strict=True)
-        for name in [separation.rig.contacts[j].name for j in place.contact_indices]
+        for name in [separation.rig.contacts[contact_index].name for contact_index in place.contact_indices]
         if name in contacts.plane.estimates
     }
-    first, start_s = motions[0].excited_from, motions[0].start_s
+    first_sample, start_s = motions[0].excited_from, motions[0].start_s
     estimates = []
     for contact in rig.contacts:
         if contact.name in contacts.annular:
             estimate = contacts.annular[contact.name]
-            shares = ring_shares(estimate, motions[0].sample_rate_hz, first, start_s)
+            shares = ring_shares(estimate, motions[0].sample_rate_hz, first_sample, start_s)
             estimates.append(_annular(contact.name, estimate, shares))
         elif contact.name in contacts.plane.estimates:
             estimates.append(
@@ -99,7 +99,9 @@ def identify_in_space(
     report = results.ContactReport(
         rig=rig.name,
         contacts=tuple(estimates),
-        unanswered=results.unanswered({c.name: refusals[c.name] for c in rig.contacts if c.name in refusals}),
+        unanswered=results.unanswered(
+            {contact.name: refusals[contact.name] for contact in rig.contacts if contact.name in refusals}
+        ),
         main_equation="",
         modes=(),
         nifo=(),
@@ -117,13 +119,15 @@ def identify_in_space(
 def _rings_are_coupled(contacts: SpaceContacts) -> bool:
     """True if springs couple the slow motion of some contact to that of others, beside a ring."""
     slow_n_per_m = [separation.forces.slow_n_per_m for separation in contacts.separations]
-    return bool(contacts.records) and any(np.any(k - np.diag(np.diag(k))) for k in slow_n_per_m)
+    return bool(contacts.records) and any(
+        np.any(stiffness_n_per_m - np.diag(np.diag(stiffness_n_per_m))) for stiffness_n_per_m in slow_n_per_m
+    )
 
 
 def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
     values, errors, repeatable_errors = estimate.values, estimate.errors, estimate.own_errors
 
-    def of(index: int) -> results.Estimate:
+    def ring_estimate(index: int) -> results.Estimate:
         return results.Estimate(float(values[index]), float(errors[index]), float(repeatable_errors[index]))
 
     speed = float(np.exp(values[LOG_SPEED]))
@@ -131,18 +135,18 @@ def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> result
     rest_y, rest_z = range(len(values))[REST]
     return results.ContactEstimate(
         name=name,
-        clearance_m=of(CLEARANCE),
-        stiffness_n_per_m=of(STIFFNESS),
-        damping_n_s_per_m=of(DAMPING),
+        clearance_m=ring_estimate(CLEARANCE),
+        stiffness_n_per_m=ring_estimate(STIFFNESS),
+        damping_n_s_per_m=ring_estimate(DAMPING),
         closed_share=1.0 - shares.free,
         law="annular",
-        friction_coefficient=of(FRICTION),
+        friction_coefficient=ring_estimate(FRICTION),
         sliding_speed_m_per_s=results.Estimate(
             speed, speed * float(errors[LOG_SPEED]), speed * float(repeatable_errors[LOG_SPEED])
         ),
-        center_y_m=of(center_y) if estimate.center_known else None,
-        center_z_m=of(center_z) if estimate.center_known else None,
-        rest_force_y_n=of(rest_y),
-        rest_force_z_n=of(rest_z),
+        center_y_m=ring_estimate(center_y) if estimate.center_known else None,
+        center_z_m=ring_estimate(center_z) if estimate.center_known else None,
+        rest_force_y_n=ring_estimate(rest_y),
+        rest_force_z_n=ring_estimate(rest_z),
         ring=shares,
     )

@@ -46,7 +46,7 @@ def _write_page(
     sources: Sequence[Path],
 ) -> None:
     report = result.report
-    findings = page.list_html(f.sentence for f in report.findings) if report.findings else ""
+    findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
     orbit = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
     page.write(
@@ -69,14 +69,17 @@ def _variance_table(result: SpaceIdentification) -> str:
     """Table of the share of each annular estimate's variance by source."""
     rows = []
     for name, estimate in result.contacts.annular.items():
-        for quantity, index in (
+        for quantity, parameter_index in (
             ("clearance", CLEARANCE),
             ("stiffness", STIFFNESS),
             ("damping", DAMPING),
             ("friction", FRICTION),
         ):
-            variance = estimate.covariance[index, index]
-            shares = {source: float(part[index, index] / variance) for source, part in estimate.covariances.items()}
+            variance = estimate.covariance[parameter_index, parameter_index]
+            shares = {
+                source: float(source_covariance[parameter_index, parameter_index] / variance)
+                for source, source_covariance in estimate.covariances.items()
+            }
             rows.append((f"{quantity} of {name}", *(percent(shares[source]) for source in VARIANCE_SOURCES)))
     return "<p>Where the variance of each value comes from.</p>" + page.table(
         ("value", *VARIANCE_SOURCES.values()), rows
@@ -105,10 +108,10 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
     for direction, motion in zip("yz", motions, strict=True):
         places = "; ".join(places_of(body.name, motion.stations) for body in result.rig.bodies)
         yield f"Stations used in {direction}: {places}."
-    low, high = result.report.trusted_hz
+    low_hz, high_hz = result.report.trusted_hz
     yield (
-        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
-        f"{result.rate_hz / 2 / result.decimation:.4g} Hz."
+        f"Frequencies: the motion is trusted from {low_hz:g} to {high_hz:.4g} Hz, the contact forces are separated "
+        f"up to {result.rate_hz / 2 / result.decimation:.4g} Hz."
     )
     yield (
         "Accelerometers do not show what weight does to a rig at rest: the constant part of each contact force is that "

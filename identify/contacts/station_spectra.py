@@ -46,8 +46,8 @@ class SpectralLines:
     def omega(self) -> Float[np.ndarray, " lines"]:
         """Angular frequencies, rad/s; the lowest is slightly above zero, as displacements are accelerations /
         -omega^2."""
-        lines = np.maximum(np.arange(self.padded_samples // self.decimation // 2 + 1), ZERO_LINE_NUMBER)
-        return np.asarray(2 * np.pi * lines * self.rate_hz / self.padded_samples)
+        line_numbers = np.maximum(np.arange(self.padded_samples // self.decimation // 2 + 1), ZERO_LINE_NUMBER)
+        return np.asarray(2 * np.pi * line_numbers * self.rate_hz / self.padded_samples)
 
     @property
     def is_slow(self) -> Bool[np.ndarray, " lines"]:
@@ -60,11 +60,13 @@ class SpectralLines:
             signals = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
         return np.asarray(np.fft.rfft(signals, self.padded_samples)[..., : self.omega.size])
 
-    def signals(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
+    def signals(
+        self, spectra: Complex[np.ndarray, "*rows lines"], sample_count: int
+    ) -> Float[np.ndarray, "*rows fewer"]:
         """First samples of the signals of spectra, at every `decimation`-th sample."""
         real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples]
-        return np.asarray(signals / self.decimation)
+        decimated_signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :sample_count]
+        return np.asarray(decimated_signals / self.decimation)
 
     @property
     def correlated_line_count(self) -> int:
@@ -117,20 +119,20 @@ class StationErrors:
     changes: tuple[Change, ...]
     correlated_line_count: int
 
-    def covariance(self, start: int, stop: int) -> Complex[np.ndarray, "some stations stations"]:
-        """Covariance of the stations' errors on the lines from `start` to before `stop`."""
+    def covariance(self, first_line: int, stop_line: int) -> Complex[np.ndarray, "some stations stations"]:
+        """Covariance of the stations' errors on the lines from `first_line` to before `stop_line`."""
         station_count, line_count = self.noise_power.shape
-        width = self.correlated_line_count
-        first_line, last_line = max(start - width, 0), min(stop + width, line_count)
-        chunk_lines = slice(start - first_line, stop - first_line)
-        covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
-        index = np.arange(station_count)
+        smoothing_lines = self.correlated_line_count
+        averaged_from, averaged_to = max(first_line - smoothing_lines, 0), min(stop_line + smoothing_lines, line_count)
+        chunk_lines = slice(first_line - averaged_from, stop_line - averaged_from)
+        covariance = np.zeros((station_count, station_count, stop_line - first_line), dtype=complex)
+        station_index = np.arange(station_count)
         least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
-        covariance[index, index] = self.noise_power[:, start:stop] + least_power
+        covariance[station_index, station_index] = self.noise_power[:, first_line:stop_line] + least_power
         for change in self.changes:
-            rows, signals = np.array(change.sensors), change.signals[:, first_line:last_line]
-            products = uniform_filter1d(signals[:, None] * signals[None].conj(), width, axis=-1)
-            covariance[rows[:, None], rows[None]] += products[..., chunk_lines]
+            sensor_rows, signals = np.array(change.sensors), change.signals[:, averaged_from:averaged_to]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), smoothing_lines, axis=-1)
+            covariance[sensor_rows[:, None], sensor_rows[None]] += products[..., chunk_lines]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
     @cached_property
@@ -139,39 +141,41 @@ class StationErrors:
         tolerance_power = sum(np.linalg.norm(change.signals) ** 2 for change in self.changes)
         return float(np.sum(self.noise_power) + tolerance_power) / self.noise_power.size
 
-    def line_chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
-        """Lines from `start` on, chunk by chunk, with their covariance."""
+    def line_chunks(self, start_line: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
+        """Lines from `start_line` on, chunk by chunk, with their covariance."""
         line_count = self.noise_power.shape[1]
-        for first in range(start, line_count, CHUNK_LINES):
-            last = min(first + CHUNK_LINES, line_count)
-            yield slice(first, last), self.covariance(first, last)
+        for first_line in range(start_line, line_count, CHUNK_LINES):
+            stop_line = min(first_line + CHUNK_LINES, line_count)
+            yield slice(first_line, stop_line), self.covariance(first_line, stop_line)
 
 
 def force_weights(
-    by_contacts: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
+    contact_accelerances: Complex[np.ndarray, "contacts stations lines"], station_errors: StationErrors
 ) -> Complex[np.ndarray, "contacts stations lines"]:
     """Weights W of the contact forces f = W (A - G_F F), line by line, from the accelerations by a unit of each force.
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    to_contacts, condition = to_free_inputs(by_contacts, errors.line_chunks())
-    if not condition <= CONDITION_LIMIT:
+    contact_weights, condition_number = to_free_inputs(contact_accelerances, station_errors.line_chunks())
+    if not condition_number <= CONDITION_LIMIT:
         raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
-    return to_contacts
+    return contact_weights
 
 
 def observed_body_motion(
     rig: Rig, response: Response, motion: Kinematics, accelerations: Complex[np.ndarray, "stations lines"]
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
-    transform = transformation(rig, response.body, motion)
-    modal_accelerations = real_product(transform.inverse_shapes, accelerations[list(transform.station_rows)])
+    body_transformation = transformation(rig, response.body, motion)
+    modal_accelerations = real_product(
+        body_transformation.inverse_shapes, accelerations[list(body_transformation.station_rows)]
+    )
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
+    return modes_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
 
 
 def driven_body_motion(
@@ -204,8 +208,8 @@ def driven_body_motion(
 def start_transient_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
     """Length of the start that is left out of a record that does not begin at rest, s: longer where springs of an
     elastic body act on high-passed displacements, which remember the start."""
-    remembers_start = np.any(slow_n_per_m) and any(b.length_m for b in rig.bodies)
-    return 2 / CORNER_HZ if remembers_start else START_TRANSIENT_S
+    is_start_remembered = np.any(slow_n_per_m) and any(body.length_m for body in rig.bodies)
+    return 2 / CORNER_HZ if is_start_remembered else START_TRANSIENT_S
 
 
 def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np.ndarray, "stations lines"]:
@@ -213,46 +217,63 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
 
     A displacement that does not begin at zero has the spectrum of a step, whose acceleration is no signal over time.
     """
-    derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    orders = [s.measures.order for s in motion.sensors]
-    sensor_spectra = lines.spectra(np.array([derivatives[order][i] for i, order in enumerate(orders)]))
+    motion_by_order = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    orders = [sensor.measures.order for sensor in motion.sensors]
+    sensor_spectra = lines.spectra(
+        np.array([motion_by_order[order][sensor_index] for sensor_index, order in enumerate(orders)])
+    )
     return np.asarray(sensor_spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
 def initial_states(
     responses: tuple[Response, ...],
     motion: Kinematics,
-    rows: StationRows,
+    station_rows: StationRows,
     lines: SpectralLines,
-    by_input: Complex[np.ndarray, "inputs stations lines"],
-    errors: StationErrors,
+    accelerations_by_input: Complex[np.ndarray, "inputs stations lines"],
+    station_errors: StationErrors,
 ) -> InitialStates:
     """Initial states of the modes, from the record cut off sharply at both ends.
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
     untapered = replace(lines, is_tapered=False)
-    samples, padding_samples, force_count = motion.samples, lines.padded_samples - motion.samples, len(motion.forces_n)
+    sample_count, padding_samples, force_count = (
+        motion.samples,
+        lines.padded_samples - motion.samples,
+        len(motion.forces_n),
+    )
     highest_hz = float(lines.omega[-1]) / (2 * np.pi)
-    motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
-    orders = [s.measures.order for s in motion.sensors]
+    motions_of_modes, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
+    derivative_orders = [sensor.measures.order for sensor in motion.sensors]
 
-    def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        in_metres, omega = rows.in_metres, lines.omega
-        spectra = unit_free_spectra(motions, orders, in_metres, omega, lambda x: part.spectra(x[:, :length]))
-        return rows.signals(spectra, spectra)
+    def unit_spectra(cut_lines: SpectralLines, cut_samples: int) -> Complex[np.ndarray, "states stations lines"]:
+        in_metres, omega = station_rows.in_metres, lines.omega
+        spectra = unit_free_spectra(
+            motions_of_modes,
+            derivative_orders,
+            in_metres,
+            omega,
+            lambda free_signals: cut_lines.spectra(free_signals[:, :cut_samples]),
+        )
+        return station_rows.signals(spectra, spectra)
 
-    start_spectra, end_spectra = unit_spectra(untapered, samples), unit_spectra(untapered, padding_samples)
-    end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
-    measured = rows.signals(untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
-    is_spring_held = np.array([m.is_held for m in motions])
+    start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)
+    end_shift = np.exp(-1j * lines.omega * sample_count / lines.rate_hz)
+    measured_signals = station_rows.signals(
+        untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered)
+    )
+    is_spring_held = np.array([mode_motion.is_held for mode_motion in motions_of_modes])
     state_estimate = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
         np.concatenate([start_prior[0], end_prior[0]]),
         np.concatenate([start_prior[1], end_prior[1]]),
-        measured - np.sum(by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
-        by_input[force_count:],
-        errors.line_chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
+        measured_signals
+        - np.sum(accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
+        accelerations_by_input[force_count:],
+        station_errors.line_chunks(
+            0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))
+        ),
         correlated_line_count=lines.correlated_line_count,
     )
-    return state_estimate.initial_states(unit_spectra(lines, samples), np.flatnonzero(is_spring_held))
+    return state_estimate.initial_states(unit_spectra(lines, sample_count), np.flatnonzero(is_spring_held))

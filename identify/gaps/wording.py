@@ -16,7 +16,7 @@ from identify.pages import wording
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import Value
 
-VERDICTS = {
+VERDICT_WORDS = {
     Verdict.CONSISTENT: "consistent with rig.json",
     Verdict.CANNOT_TELL: "cannot tell",
     Verdict.SMALL: "a difference too small to matter",
@@ -25,12 +25,12 @@ VERDICTS = {
     Verdict.UNEXPLAINED: "not explained",
 }
 
-WHEN = {
+WHEN_WORDS = {
     "always": "throughout the record",
     "in contact": "while contacts are closed",
     "growing with time": "growing with time",
 }
-ANALYSES = {
+ANALYSIS_WORDS = {
     "unmeasured_force": "an unmeasured force",
     "clearance_modulation": "a clearance that swings",
     "force_description": "the description of the unmeasured force",
@@ -67,12 +67,12 @@ SMALLEST_FREQUENCY_CHANGE = 5e-4
 """Relative change of a frequency below which a mode neither softens nor stiffens."""
 
 
-def verdict(gap: Gap) -> str:
+def verdict_words(gap: Gap) -> str:
     """Verdict in a few words, with what keeps an explanation from being used as it is."""
-    return ", but ".join(filter(None, (VERDICTS[gap.verdict], reservation(gap))))
+    return ", but ".join(filter(None, (VERDICT_WORDS[gap.verdict], reservation_words(gap))))
 
 
-def reservation(gap: Gap) -> str:
+def reservation_words(gap: Gap) -> str:
     """Reason not to use an explanation as it is: a machine that changed, or look-alikes; empty if there is none."""
     if gap.verdict not in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED):
         return ""
@@ -107,10 +107,10 @@ def bound_numbers(bound: Bounded) -> list[str]:
         return [
             "no bound" if share is None else percent(share) for share in (bound.value, bound.upper, bound.threshold)
         ]
-    scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
+    unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
     return [
-        "no bound" if size is None else f"{number(scale * size, 3)} {unit}"
-        for size in (bound.value, bound.upper, bound.threshold)
+        "no bound" if bound_value is None else f"{number(unit_scale * bound_value, 3)} {unit}"
+        for bound_value in (bound.value, bound.upper, bound.threshold)
     ]
 
 
@@ -118,7 +118,11 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     """Named effects of the likeliest cause that have look-alikes, each with these, in words."""
     if not gap.causes:
         return []
-    effect_words = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
+    effect_words = {
+        strength.effect: effect_word
+        for cause in reversed(gap.causes)
+        for strength, effect_word in zip(cause.strengths, cause.words, strict=True)
+    }
     likeliest = gap.causes[0]
     return [
         (effect_phrases, [effect_words.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
@@ -172,7 +176,11 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
     Without what noise hides, whose share is zero; "< 0.1 % of the motion" if noise hides all.
     """
     share_words = [f"{percent(unexplained.share)} of the motion"] if unexplained.share > 0 else []
-    for contact_number, (name, share) in enumerate((n, s) for n, s in unexplained.contact_shares.items() if s > 0):
+    for contact_number, (name, share) in enumerate(
+        (contact_name, contact_share)
+        for contact_name, contact_share in unexplained.contact_shares.items()
+        if contact_share > 0
+    ):
         share_words.append(f"{percent(share)} of {'that' if contact_number else 'the force'} of {name}")
     return joined(share_words or [f"{percent(SMALLEST_SHARE)} of the motion"])
 
@@ -189,7 +197,7 @@ def joined(words: Sequence[str], conjunction: str = "and") -> str:
     return f"{', '.join(leading_words)} {conjunction} {last_word}" if leading_words else last_word
 
 
-def between_records(between: RecordDifferences) -> str:
+def between_records_sentence(between: RecordDifferences) -> str:
     """Sentence on what differs between the records."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
@@ -205,32 +213,33 @@ def between_records(between: RecordDifferences) -> str:
 
 def level_words(change: LevelDependence) -> str:
     """Sentence on the change of a mode with the level: "The machine softens with the motion: ..."."""
-    shift, damping = (
+    frequency_words, damping_words = (
         f"{100 * relative_change:+.2g} %" for relative_change in (change.frequency_change, change.damping_change)
     )
     if abs(change.frequency_change) < SMALLEST_FREQUENCY_CHANGE:
-        trend = f"is damped {'more' if change.damping_change > 0 else 'less'}"
+        trend_words = f"is damped {'more' if change.damping_change > 0 else 'less'}"
     else:
-        trend = "softens" if change.frequency_change < 0 else "stiffens"
-    joint = "a stop or a hardening spring" if trend == "stiffens" else "friction or clearance in a joint"
+        trend_words = "softens" if change.frequency_change < 0 else "stiffens"
+    joint_words = "a stop or a hardening spring" if trend_words == "stiffens" else "friction or clearance in a joint"
     return (
-        f"The machine {trend} with the motion: from {number(change.lowest_n, 2)} to {number(change.highest_n, 2)} N "
-        f"rms the mode of the {change.body} at {number(change.frequency_hz)} Hz changes by {shift} and its damping by "
-        f"{damping}, as {joint} makes it; a changed mass or linear stiffness would be the same at every level."
+        f"The machine {trend_words} with the motion: from {number(change.lowest_n, 2)} to "
+        f"{number(change.highest_n, 2)} N rms the mode of the {change.body} at {number(change.frequency_hz)} Hz "
+        f"changes by {frequency_words} and its damping by {damping_words}, as {joint_words} makes it; a changed mass "
+        "or linear stiffness would be the same at every level."
     )
 
 
 def difference_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    value_words = ", ".join(number(v.value) for v in comparison.values)
+    value_words = ", ".join(number(value.value) for value in comparison.values)
     unit_words = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
     place_words = f" ({comparison.place})" if comparison.place else ""
     return f"{comparison.parameter}{place_words} {comparison.trend} ({value_words}{unit_words})"
 
 
-def not_computed(gap: Gap) -> list[str]:
+def failed_analysis_sentences(gap: Gap) -> list[str]:
     """Side analyses that could not be made, each with its reason."""
-    return [f"Not computed: {ANALYSES[note.analysis]} ({note.reason})." for note in gap.notes]
+    return [f"Not computed: {ANALYSIS_WORDS[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
 def remaining_probabilities(gap: Gap) -> list[tuple[str, float]]:

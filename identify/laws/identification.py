@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.acceptance import Contacts, checked_contacts
+from identify.contacts.acceptance import AcceptedContacts, checked_contacts
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import LawForm
@@ -187,7 +187,7 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: Contacts, contact_group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
+    contacts: AcceptedContacts, contact_group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
     samples = _contact_samples(contacts, contact_group, contact_record)
@@ -233,7 +233,9 @@ def _identify_contact(
     )
 
 
-def _contact_samples(contacts: Contacts, contact_group: ContactGroup, contact_record: ContactRecord) -> _ContactSamples:
+def _contact_samples(
+    contacts: AcceptedContacts, contact_group: ContactGroup, contact_record: ContactRecord
+) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 
     Of several contacts between the same places the estimated damping is subtracted: it would hide the knee of a soft

@@ -163,7 +163,7 @@ def _term_information(
 ) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
     normal_matrix, _ = model.normal_equations(np.zeros(len(model.column_spectra)), np.arange(len(model.column_spectra)))
-    base = model.base_columns
+    base = model.present_columns
     response = np.linalg.solve(
         normal_matrix[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal_matrix[np.ix_(base, columns)]
     )

@@ -93,8 +93,8 @@ def costs_of(path: Path, null_references: Path | None) -> StageCosts:
     simulator = prepare.simulator_named("modal")
     prepared = costs.measured(STAGES[1], lambda: prepare.prepare(fit, held, simulator, null_references, None))
     found = costs.measured(STAGES[2], lambda: prepare.search(prepared))
-    judgement = costs.measured(STAGES[3], lambda: judge.judge(prepared, found, answer.MATTERS))
-    gap = costs.measured(STAGES[4], lambda: answer.describe(prepared, found, judgement, answer.MATTERS))
+    judgement = costs.measured(STAGES[3], lambda: judge.judge(prepared, found, answer.DEFAULT_MATTERS))
+    gap = costs.measured(STAGES[4], lambda: answer.describe(prepared, found, judgement, answer.DEFAULT_MATTERS))
     corrected = judgement.decision.corrected_rig or fit.rig
     with TemporaryDirectory() as folder:
         costs.measured(STAGES[5], lambda: write_all(gap, corrected, path.stem, Path(folder), (path, validate), ()))

@@ -37,7 +37,7 @@ from rig.recording import Recording
 
 __all__ = ["Simulator", "diagnose"]
 
-MATTERS = Matters()
+DEFAULT_MATTERS = Matters()
 """Thresholds of what matters where none are given: 0.5 % of the acceleration, 3 % of a contact force. Set by hand."""
 
 Progress = Callable[[str, float], None]
@@ -50,7 +50,7 @@ def diagnose(
     null_reference_path: Path | None = None,
     progress: Progress = lambda *_: None,
     tolerances: Tolerances | None = None,
-    matters: Matters = MATTERS,
+    matters: Matters = DEFAULT_MATTERS,
     ask_next: bool = False,
 ) -> tuple[Gap, Rig]:
     """Diagnosis of recordings, and the corrected rig (the nominal one, if no effect explains at least a part).
@@ -93,12 +93,16 @@ def describe(
     decision, record = judgement.decision, prepared.validation_recording.record
     side_analyses = _side_analyses(prepared, search_result, judgement, matters, ask_next, progress)
     causes_by_weight = sorted(
-        (weighted for weighted in decision.weighted_hypotheses if weighted.validated.hypothesis.candidates),
-        key=lambda weighted: weighted.validated is not decision.named_hypothesis,
+        (
+            weighted_hypothesis
+            for weighted_hypothesis in decision.weighted_hypotheses
+            if weighted_hypothesis.validated.hypothesis.candidates
+        ),
+        key=lambda weighted_hypothesis: weighted_hypothesis.validated is not decision.named_hypothesis,
     )
     causes = tuple(
-        cause_of(weighted, decision.weighted_hypotheses, record, prepared.null_reference, matters)
-        for weighted in causes_by_weight
+        cause_of(weighted_hypothesis, decision.weighted_hypotheses, record, prepared.null_reference, matters)
+        for weighted_hypothesis in causes_by_weight
     )
     evidence = decision.evidence
     diagnosis = Diagnosis(
@@ -107,7 +111,10 @@ def describe(
         evidence=evidence,
         not_seen=evidence.not_seen,
         rollout=judgement.prediction.rollout_attempt.result,
-        ruled_out=tuple(words_of(weighted.hypothesis, record.rig) for weighted in judgement.prediction.ruled_out),
+        ruled_out=tuple(
+            words_of(weighted_hypothesis.hypothesis, record.rig)
+            for weighted_hypothesis in judgement.prediction.ruled_out
+        ),
         free_decay=not any(observation.record.has_force for observation in prepared.observations),
         before=unexplained_shares(decision.nominal_hypothesis.misfit, record.rig, evidence.p_value),
         after=unexplained_shares(decision.named_misfit, record.rig, evidence.p_value_after),
@@ -119,7 +126,9 @@ def describe(
         unknown_gain=judgement.unmeasured.cost_decrease,
         unknown=side_analyses.unknown,
         bands=bands_of(decision.nominal_hypothesis.misfit, decision.named_misfit, prepared.null_reference),
-        separate_by=confirming_tests(causes, [weighted.validated for weighted in causes_by_weight]),
+        separate_by=confirming_tests(
+            causes, [weighted_hypothesis.validated for weighted_hypothesis in causes_by_weight]
+        ),
         next_experiments=side_analyses.next_experiments,
         next_between=side_analyses.next_between,
         attribution=side_analyses.attribution,
@@ -215,7 +224,7 @@ def _unmeasured_force(
     force_attempt = attempted("force_description", lambda: described(force_fit)) if force_fit else Attempt()
     if clearance_swing is None:
         return force_attempt
-    contact_by_name = {c.name: c for c in group_rig_of(rig).contacts}
+    contact_by_name = {contact.name: contact for contact in group_rig_of(rig).contacts}
     unexplained_contact_share = dict(zip(contact_by_name, misfit.contact_shares, strict=True))[
         clearance_swing.contact_name
     ]
@@ -247,13 +256,20 @@ def _rival_hypotheses(decision: Decision) -> tuple[Hypothesis, Hypothesis] | Non
 
     The nominal rig also stands for something unmeasured, which cannot be simulated.
     """
-    pairs = [
+    probabilities_and_hypotheses = [
         (
-            weighted.probability
-            + decision.probability_unmeasured * (weighted.validated is decision.nominal_hypothesis),
-            weighted.validated.hypothesis,
+            weighted_hypothesis.probability
+            + decision.probability_unmeasured * (weighted_hypothesis.validated is decision.nominal_hypothesis),
+            weighted_hypothesis.validated.hypothesis,
         )
-        for weighted in decision.weighted_hypotheses
+        for weighted_hypothesis in decision.weighted_hypotheses
     ]
-    likely_hypotheses = sorted((pair for pair in pairs if pair[0] > RIVAL_PROBABILITY), key=lambda pair: -pair[0])
+    likely_hypotheses = sorted(
+        (
+            probability_and_hypothesis
+            for probability_and_hypothesis in probabilities_and_hypotheses
+            if probability_and_hypothesis[0] > RIVAL_PROBABILITY
+        ),
+        key=lambda probability_and_hypothesis: -probability_and_hypothesis[0],
+    )
     return (likely_hypotheses[0][1], likely_hypotheses[1][1]) if len(likely_hypotheses) > 1 else None

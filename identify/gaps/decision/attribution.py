@@ -13,7 +13,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.results import Attribution, ResidualMap, Share
 
-BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
+BAND_EDGES_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 """Edges of the bands in which the mismatch is shown. Display."""
 TIME_INTERVALS = 10
 """Intervals of the time in which the mismatch is shown. Display."""
@@ -64,9 +64,11 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
         ),
         surface={
             contact.name: _residual_map(
-                signals.eta_m[:: signals.decimation], signals.eta_rate_m_per_s[:: signals.decimation], squares
+                contact_signals.eta_m[:: contact_signals.decimation],
+                contact_signals.eta_rate_m_per_s[:: contact_signals.decimation],
+                squares,
             )
-            for contact, signals, squares in zip(
+            for contact, contact_signals, squares in zip(
                 linearization.model.rig.contacts, residual.signals, contact_squares, strict=True
             )
         }
@@ -107,21 +109,27 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     sensor_deviations = np.sqrt(np.mean(residual.model.error_deviation**2, axis=1))
     variance_ratios = {}
     for response in residual.model.responses:
-        body_sensors = [
-            sensor_index for sensor_index, s in enumerate(record.sensors) if s.station.body == response.body.name
+        body_sensor_indices = [
+            sensor_index
+            for sensor_index, sensor in enumerate(record.sensors)
+            if sensor.station.body == response.body.name
         ]
-        mode_count = min(len(body_sensors), response.mode_count)
+        mode_count = min(len(body_sensor_indices), response.mode_count)
         if not mode_count:
             continue
-        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[
+        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensor_indices])[
             :, :mode_count
         ]
         inverse_shapes = np.linalg.pinv(shapes)
         mean_squares = np.mean(
-            (inverse_shapes @ (residual.linear_residual[body_sensors] * sensor_deviations[body_sensors, None])) ** 2,
+            (
+                inverse_shapes
+                @ (residual.linear_residual[body_sensor_indices] * sensor_deviations[body_sensor_indices, None])
+            )
+            ** 2,
             axis=1,
         )
-        error_variances = np.sum((inverse_shapes * sensor_deviations[body_sensors]) ** 2, axis=1)
+        error_variances = np.sum((inverse_shapes * sensor_deviations[body_sensor_indices]) ** 2, axis=1)
         for mode_index in range(mode_count):
             equation_name = response.body.name if response.body.is_mass else f"{response.body.name} {mode_index + 1}"
             variance_ratios[equation_name] = float(mean_squares[mode_index] / error_variances[mode_index])
@@ -129,11 +137,11 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
 
 
 def _band_shares(band_excess: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
-    """Shares in `BANDS_HZ` of the excess in 2 Hz bands."""
+    """Shares in `BAND_EDGES_HZ` of the excess in 2 Hz bands."""
     centre_hz = 2.0 * np.arange(band_excess.size) + 1.0
     excess_sum = max(float(band_excess.sum()), 1e-300)
     band_shares = []
-    for low_hz, high_hz in pairwise(BANDS_HZ):
+    for low_hz, high_hz in pairwise(BAND_EDGES_HZ):
         is_in_band = (centre_hz >= low_hz) & (centre_hz < high_hz)
         if np.any(is_in_band):
             band_shares.append(
@@ -148,13 +156,15 @@ def _contact_state_shares(linearization: Linearization, total_squares: Float[np.
     closed_masks = [observation.closed_mask > 0 for observation in linearization.observations]
     contact_names = [mask.name for mask in linearization.model.rig.contacts]
     for state_code in range(2 ** len(contact_names)):
-        state = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
+        is_contact_closed = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
         is_in_state = (
-            np.all([mask == is_closed for mask, is_closed in zip(closed_masks, state, strict=True)], axis=0)
+            np.all([mask == is_closed for mask, is_closed in zip(closed_masks, is_contact_closed, strict=True)], axis=0)
             if contact_names
             else np.ones(total_squares.size, bool)
         )
-        closed_names = " and ".join(name for name, is_closed in zip(contact_names, state, strict=True) if is_closed)
+        closed_names = " and ".join(
+            name for name, is_closed in zip(contact_names, is_contact_closed, strict=True) if is_closed
+        )
         squares_by_state[f"{closed_names} closed" if closed_names else "open"] = float(total_squares[is_in_state].sum())
     return _shares_of_sum(squares_by_state)
 

@@ -45,7 +45,7 @@ TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
 
 
 @dataclass(frozen=True)
-class Difference:
+class NominalDifference:
     """Difference of nominal rig and records: the p-value over all records, and the quantities that matter."""
 
     p_value: float
@@ -76,30 +76,35 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     bounded_shares = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
     for contact_index, contact_name in enumerate(contact_names):
         weights = misfit.nominal_variances.observations[contact_index].weights
-        noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        force_n2 = max(float(np.mean(misfit.force_n2[:, contact_index])), 1e-300)
-        squared_shares = misfit.contact_n2[:, contact_index] / force_n2
-        bounded_shares.append(contact_bound(contact_name, squared_shares, noise_n2 / force_n2, matters.contact))
+        noise_square_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
+        mean_square_force_n2 = max(float(np.mean(misfit.force_n2[:, contact_index])), 1e-300)
+        squared_shares = misfit.contact_excess_n2[:, contact_index] / mean_square_force_n2
+        bounded_shares.append(
+            contact_bound(contact_name, squared_shares, noise_square_n2 / mean_square_force_n2, matters.contact)
+        )
     return tuple(bounded_shares)
 
 
 def contact_bound(
-    contact_name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
+    contact_name: str, squared_share_by_second: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
 ) -> Bounded:
     """Bounded unexplained share of a contact force, from its squares second by second and the noise's share of the
     force's mean square."""
-    unexplained_share = float(np.sqrt(max(squared_shares.mean(), 0.0)))
+    unexplained_share = float(np.sqrt(max(squared_share_by_second.mean(), 0.0)))
     if noise_share > HIDING_NOISE_SHARE:
         return Bounded(contact_name, "1", unexplained_share, None, threshold, "noise hides it", LOUDER_ADVICE)
     if unexplained_share > 1:
         return Bounded(contact_name, "1", None, None, threshold, *LAW_FAR_OFF)
-    return _bounded_share(contact_name, unexplained_share, squared_shares, threshold)
+    return _bounded_share(contact_name, unexplained_share, squared_share_by_second, threshold)
 
 
 def _bounded_share(
-    quantity_name: str, unexplained_share: float, squared_shares: Float[np.ndarray, " seconds"], threshold: float
+    quantity_name: str,
+    unexplained_share: float,
+    squared_share_by_second: Float[np.ndarray, " seconds"],
+    threshold: float,
 ) -> Bounded:
-    upper_share = _upper_share(squared_shares)
+    upper_share = _upper_share(squared_share_by_second)
     if upper_share is not None:
         return Bounded(quantity_name, "1", unexplained_share, max(unexplained_share, upper_share), threshold)
     return Bounded(
@@ -107,13 +112,18 @@ def _bounded_share(
     )
 
 
-def _upper_share(squared_shares: Float[np.ndarray, " seconds"]) -> float | None:
+def _upper_share(squared_share_by_second: Float[np.ndarray, " seconds"]) -> float | None:
     """Upper 97.5 % bound of sqrt(mean(squares)) by Student's distribution; None for a single second."""
-    if squared_shares.size < 2:
+    if squared_share_by_second.size < 2:
         return None
-    standard_error = float(squared_shares.std(ddof=1)) / np.sqrt(squared_shares.size)
+    standard_error = float(squared_share_by_second.std(ddof=1)) / np.sqrt(squared_share_by_second.size)
     return float(
-        np.sqrt(max(squared_shares.mean() + student.ppf(0.975, squared_shares.size - 1) * standard_error, 0.0))
+        np.sqrt(
+            max(
+                squared_share_by_second.mean() + student.ppf(0.975, squared_share_by_second.size - 1) * standard_error,
+                0.0,
+            )
+        )
     )
 
 
@@ -172,11 +182,13 @@ class LawDistance:
         return float(self.parameter_distances @ np.linalg.solve(self.covariance, self.parameter_distances))
 
 
-def law_distance(law_estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
+def law_distance(
+    law_estimate: LawEstimate, contact: Contact, nominal_contact: Contact, tolerances: Tolerances
+) -> LawDistance:
     parameter_distances = np.asarray(
         law_estimate.quantity_values - law_estimate.quantity_weights @ parameters_of_law(contact.law)
     )
-    nominal_deviations = np.array(stated_deviations(nominal, tolerances))[_parameter_indices(nominal)]
+    nominal_deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
     stated_variances = np.diag(np.square(nominal_deviations[: parameter_distances.size]))
     return LawDistance(parameter_distances, law_estimate.covariance + stated_variances)
 
@@ -187,7 +199,7 @@ def _law_p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances
 
 
 def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distances = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
+    distance_by_parameter = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
     half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
     parameter_names, parameter_units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
     parameter_deviations = stated_deviations(contact, tolerances)
@@ -195,7 +207,7 @@ def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Toler
         (parameter_names[parameter_index], parameter_units[parameter_index], parameter_deviations[parameter_index])
         for parameter_index in _parameter_indices(contact)
     ]
-    parameters_and_distances = zip(described_parameters, distances, half_widths, strict=False)
+    parameters_and_distances = zip(described_parameters, distance_by_parameter, half_widths, strict=False)
     return [
         Bounded(
             f"{parameter_name} of {contact.name}",

@@ -11,7 +11,7 @@ from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, WeightedHypothesis, strengths_of
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.scales import BAND_HZ
+from identify.gaps.residual.scales import BAND_WIDTH_HZ
 from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, labels_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis
@@ -24,16 +24,18 @@ from rig.model.unmeasured_force import Value
 
 MULTIPLE_RATIO = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
-DIGITS = 3
+STRENGTH_DIGITS = 3
 """Significant digits of a phrase. Display."""
 UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
 
 
-def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True) -> str:
+def phrase(
+    candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True
+) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
     word_fields = {
         parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
-        for parameter, value in zip(candidate.parameters, values, strict=True)
+        for parameter, value in zip(candidate.parameters, effect_values, strict=True)
     }
     for place_field, place in candidate.place.items():
         word_fields[place_field] = _place_words(place_field, place, rig)
@@ -41,7 +43,7 @@ def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: 
         word_fields.setdefault(place_field, str(getattr(candidate.typical_effect, place_field)))
     word_fields["at"] = ""
     if "relative_position" in candidate.parameters.names:
-        relative_position = float(values[candidate.parameters.names.index("relative_position")])
+        relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
         body_name = candidate.place.get("body") or rig.first_driven
         word_fields["at"] = f" at {relative_position * rig.body(body_name).length_m:.2f} m"
     return candidate.kind.words.format_map(word_fields)
@@ -51,9 +53,9 @@ def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
         return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
-    negative, positive = candidate.kind.signed_words[parameter.name]
+    negative_words, positive_words = candidate.kind.signed_words[parameter.name]
     return (
-        f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}"
+        f"{_value_words(parameter, abs(value))} {negative_words if value < 0 else positive_words}"
         if is_known
         else UNKNOWN_DIRECTION
     )
@@ -62,13 +64,13 @@ def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is
 def _value_words(parameter: Parameter, value: float) -> str:
     if parameter.neutral == 1.0 and parameter.name == "factor":
         if not 1 / MULTIPLE_RATIO <= value <= MULTIPLE_RATIO:
-            return f"{number(value, DIGITS)} times as large"
-        return f"{number(100 * abs(value - 1), DIGITS)} % {'larger' if value > 1 else 'smaller'}"
+            return f"{number(value, STRENGTH_DIGITS)} times as large"
+        return f"{number(100 * abs(value - 1), STRENGTH_DIGITS)} % {'larger' if value > 1 else 'smaller'}"
     if parameter.unit == "1/min":
-        return f"{number(100 * value, DIGITS)} % a minute"
+        return f"{number(100 * value, STRENGTH_DIGITS)} % a minute"
     if parameter.unit in MILLI_UNITS and 0 < abs(value) < 1:
-        return f"{number(1e3 * value, DIGITS)} m{parameter.unit}"
-    return number(value, DIGITS) + ("" if parameter.unit == "1" else f" {printed_unit(parameter.unit)}")
+        return f"{number(1e3 * value, STRENGTH_DIGITS)} m{parameter.unit}"
+    return number(value, STRENGTH_DIGITS) + ("" if parameter.unit == "1" else f" {printed_unit(parameter.unit)}")
 
 
 MILLI_UNITS = ("m", "s")
@@ -88,8 +90,8 @@ def _place_words(place_field: str, place: str | None, rig: Rig) -> str:
 def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
     """Phrases of the effects of a hypothesis, with values and places."""
     return tuple(
-        phrase(candidate, values, rig)
-        for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
+        phrase(candidate, effect_values, rig)
+        for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
     )
 
 
@@ -99,7 +101,7 @@ LIMIT_MARGIN = 1e-3
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
-    contact_names = [c.name for c in group_rig_of(rig).contacts]
+    contact_names = [contact.name for contact in group_rig_of(rig).contacts]
     return UnexplainedShares(
         share=misfit.motion_share,
         contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),
@@ -109,8 +111,8 @@ def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedS
 
 
 def cause_of(
-    weighted: WeightedHypothesis,
-    all_weighted: Sequence[WeightedHypothesis],
+    weighted_hypothesis: WeightedHypothesis,
+    all_weighted_hypotheses: Sequence[WeightedHypothesis],
     record: Record,
     null_reference: NullReference,
     matters: Matters,
@@ -119,7 +121,7 @@ def cause_of(
 
     Standard errors include model error: residuals were weighted by scales estimated from them.
     """
-    validated, hypothesis = weighted.validated, weighted.validated.hypothesis
+    validated, hypothesis = weighted_hypothesis.validated, weighted_hypothesis.validated.hypothesis
     parameter_values: dict[str, Value] = {}
     place_by_field: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
@@ -151,8 +153,8 @@ def cause_of(
     return Cause(
         effects=hypothesis.effects,
         words=tuple(effect_words),
-        strengths=strengths_of(hypothesis, all_weighted),
-        probability=weighted.probability,
+        strengths=strengths_of(hypothesis, all_weighted_hypotheses),
+        probability=weighted_hypothesis.probability,
         parameters=parameter_values,
         places=place_by_field,
         explained=explained_share(validated.nominal_misfit, validated.misfit, matters),
@@ -167,8 +169,8 @@ def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: N
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
     return tuple(
         Band(
-            low_hz=BAND_HZ * band_index,
-            high_hz=BAND_HZ * (band_index + 1),
+            low_hz=BAND_WIDTH_HZ * band_index,
+            high_hz=BAND_WIDTH_HZ * (band_index + 1),
             before=float(nominal_share),
             after=float(corrected_share),
             usual=float(usual_share),

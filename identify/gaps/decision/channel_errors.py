@@ -11,7 +11,7 @@ from identify.gaps.residual.record import Record
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-LATERAL_S = 1.0
+LATERAL_SEGMENT_S = 1.0
 """Length of the segments in which lateral motion has the spectrum of the measured one, s. Set by hand: it rises and
 decays with that motion."""
 
@@ -62,8 +62,8 @@ def with_lateral_motion(
     recording: Recording, lateral_share: float, silent_samples: int, rng: np.random.Generator
 ) -> Recording:
     """Recording with lateral motion in the accelerometers, after `silent_samples`: random shares, of this standard
-    deviation, of a motion with the spectrum of the measured one in every second (`LATERAL_S`), but other phases, common
-    to a body.
+    deviation, of a motion with the spectrum of the measured one in every second (`LATERAL_SEGMENT_S`), but other
+    phases, common to a body.
 
     Its segments overlap under the square root w of a Hann window, whose square has the mean 1/2:
 
@@ -72,22 +72,22 @@ def with_lateral_motion(
     if "acceleration" not in recording.signals or not lateral_share:
         return recording
     signals = recording.signals["acceleration"]
-    half_samples = round(LATERAL_S * recording.rig.sample_rate_hz / 2)
-    window = np.sqrt(hann(2 * half_samples, sym=False))
+    half_samples = round(LATERAL_SEGMENT_S * recording.rig.sample_rate_hz / 2)
+    segment_window = np.sqrt(hann(2 * half_samples, sym=False))
     padded_values = np.pad(signals.values, ((0, 0), (half_samples, 2 * half_samples)))
     sensors = [sensor for sensor in recording.rig.sensors if sensor.quantity == "acceleration"]
     body_names = list(dict.fromkeys(sensor.station.body for sensor in sensors))
     body_indices = [body_names.index(sensor.station.body) for sensor in sensors]
     lateral_motion = np.zeros_like(padded_values)
-    for start in range(0, padded_values.shape[1] - 2 * half_samples + 1, half_samples):
-        segment = slice(start, start + 2 * half_samples)
+    for segment_start in range(0, padded_values.shape[1] - 2 * half_samples + 1, half_samples):
+        segment_slice = slice(segment_start, segment_start + 2 * half_samples)
         phase_factors = np.exp(2j * np.pi * rng.uniform(size=(len(body_names), half_samples + 1)))
-        spectrum = np.fft.rfft(window * padded_values[:, segment]) * phase_factors[body_indices]
-        lateral_motion[:, segment] += window * np.fft.irfft(spectrum, 2 * half_samples)
+        spectrum = np.fft.rfft(segment_window * padded_values[:, segment_slice]) * phase_factors[body_indices]
+        lateral_motion[:, segment_slice] += segment_window * np.fft.irfft(spectrum, 2 * half_samples)
     lateral_motion = lateral_motion[:, half_samples : half_samples + signals.values.shape[1]]
     lateral_motion[:, :silent_samples] = 0.0
-    shares = np.sqrt(2) * lateral_share * rng.standard_normal((len(sensors), 1))
-    lateral_signals = with_fields(signals, values=signals.values + shares * lateral_motion)
+    lateral_shares = np.sqrt(2) * lateral_share * rng.standard_normal((len(sensors), 1))
+    lateral_signals = with_fields(signals, values=signals.values + lateral_shares * lateral_motion)
     return with_fields(recording, signals={**recording.signals, "acceleration": lateral_signals})
 
 

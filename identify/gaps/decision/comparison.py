@@ -94,7 +94,7 @@ def validate_hypotheses(
     nominal_variances: NominalVariances,
     nominal_residual: Residual,
     hypotheses: Sequence[Hypothesis],
-    priors: Mapping[tuple[str, ...], float],
+    log_prior_by_effects: Mapping[tuple[str, ...], float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[ValidatedHypothesis]:
     """Validate hypotheses on a record that was not fitted; the likeliest first, without those that it cannot hold.
@@ -111,7 +111,9 @@ def validate_hypotheses(
                 rigs_and_misfits = _rigs_and_misfits(record, nominal_variances, unchanged_misfit, hypothesis)
             except RigError:
                 continue
-        validated_hypotheses.append(ValidatedHypothesis(hypothesis, *rigs_and_misfits, priors[hypothesis.effect_names]))
+        validated_hypotheses.append(
+            ValidatedHypothesis(hypothesis, *rigs_and_misfits, log_prior_by_effects[hypothesis.effect_names])
+        )
         progress((hypothesis_index + 1) / len(hypotheses))
     return sorted(validated_hypotheses, key=lambda validated_hypothesis: -validated_hypothesis.log_posterior)
 
@@ -159,8 +161,8 @@ def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
         return with_effects(record.rig, hypothesis.candidates, all_values)
 
     start_rig = record.rig  # with a base motion's row, if there is one
-    for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
-        start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
+    for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
+        start_rig = candidate.applied(start_rig, effect_values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
     specific_steps = steps_of(hypothesis.candidates)[specific_indices]
     lower_bounds, upper_bounds = (bounds[specific_indices] for bounds in hypothesis.parameters.bounds)
@@ -205,7 +207,7 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
 
 
-def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
+def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:
     """p-value of the nominal rig against hypotheses that were fitted on another record.
 
     With S = -2 ln p on the record that was not fitted, the split likelihood ratio of their mixture gives (Wasserman,
@@ -216,12 +218,16 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
     fitted record.
     """
-    named = [item for item in ranked if item.hypothesis.candidates]
-    if not named:
+    hypotheses_with_effects = [validated for validated in ranked_hypotheses if validated.hypothesis.candidates]
+    if not hypotheses_with_effects:
         return 1.0
-    fitted_costs = np.array([item.hypothesis.cost for item in named])
-    weights = probabilities(np.array([item.log_prior for item in named]) - fitted_costs / (2 * TEMPERATURE))
-    gains = nominal_of(ranked).misfit.minus_two_log - np.array([item.misfit.minus_two_log for item in named])
+    fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
+    weights = probabilities(
+        np.array([validated.log_prior for validated in hypotheses_with_effects]) - fitted_costs / (2 * TEMPERATURE)
+    )
+    gains = nominal_of(ranked_hypotheses).misfit.minus_two_log - np.array(
+        [validated.misfit.minus_two_log for validated in hypotheses_with_effects]
+    )
     return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))
 
 

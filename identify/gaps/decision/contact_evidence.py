@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, law_distance
+from identify.gaps.decision.bounds import NominalDifference, law_distance
 from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, validate_hypotheses
 from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.residual.likelihood import misfit
@@ -35,7 +35,7 @@ def with_contact_evidence(
     prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
     ranked_hypotheses: Sequence[ValidatedHypothesis],
-    difference: Difference,
+    difference: NominalDifference,
     validation_residual: Residual,
 ) -> list[ValidatedHypothesis]:
     """Hypotheses with their `contact_minus_two_log`, and that of the contact fit itself; the likeliest first.
@@ -43,25 +43,26 @@ def with_contact_evidence(
     validation_residual is that of the nominal rig on the validation record.
     """
     law_estimates, validation = difference.contact_estimates, prepared.validation_recording
-    record, validated = validation.record, list(ranked_hypotheses)
+    record, hypotheses = validation.record, list(ranked_hypotheses)
     contact_hypothesis = _hypothesis_of_contact_fit(
         prepared, candidates, law_estimates, nominal_of(ranked_hypotheses).hypothesis
     )
     if contact_hypothesis is not None and all(
-        contact_hypothesis.effect_names != item.hypothesis.effect_names for item in ranked_hypotheses
+        contact_hypothesis.effect_names != ranked_hypothesis.hypothesis.effect_names
+        for ranked_hypothesis in ranked_hypotheses
     ):
-        priors = log_priors([contact_hypothesis], candidates)
-        validated += validate_hypotheses(
-            record, validation.nominal_variances, validation_residual, [contact_hypothesis], priors
+        log_prior_by_effects = log_priors([contact_hypothesis], candidates)
+        hypotheses += validate_hypotheses(
+            record, validation.nominal_variances, validation_residual, [contact_hypothesis], log_prior_by_effects
         )
     with_evidence = []
-    for hypothesis in validated:
+    for hypothesis in hypotheses:
         contact_costs = (
             contact_minus_two_log(law_estimate, record.rig, hypothesis.rig, record.tolerances)
             for law_estimate in law_estimates
         )
         with_evidence.append(replace(hypothesis, contact_minus_two_log=float(sum(contact_costs))))
-    return sorted(with_evidence, key=lambda item: -item.log_posterior)
+    return sorted(with_evidence, key=lambda ranked_hypothesis: -ranked_hypothesis.log_posterior)
 
 
 def contact_minus_two_log(

@@ -27,13 +27,13 @@ from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import parameters_of, steps_of, with_effects
-from identify.gaps.search.pooled import Information, LinearizedRecord, PooledEstimate, linearized_record, pooled
+from identify.gaps.search.pooled import LinearizedRecord, PooledEstimate, RecordInformation, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.unmeasured_force import Value
 
-FITTED_EFFECTS, ROUNDS = 3, 2
+FITTED_EFFECTS, FIT_ROUNDS = 3, 2
 """Number of the likeliest differing effects that are fitted to every record; linearisations of each fit. Effort."""
 TREND_DEVIATIONS = 2.0
 """Standard errors of a step from one record to the next above which a value grows or falls. Convention."""
@@ -103,13 +103,13 @@ class VaryingParameters:
         lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
         return lower_bounds[self.columns], upper_bounds[self.columns]
 
-    def information(self, record_index: int, linearised_record: LinearizedRecord) -> Information:
+    def information(self, record_index: int, linearised_record: LinearizedRecord) -> RecordInformation:
         def build(record_values: Values) -> Rig:
             return self.effects.with_values(record_index, self.columns, record_values).rig(record_index)
 
         return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
-    def pooled(self, information: Sequence[Information]) -> PooledEstimate:
+    def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
         return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
@@ -152,10 +152,10 @@ class _RecordSet:
             if candidate.name not in excluded_names
         ]
         for candidate in self.candidates:
-            for start in candidate.start_values() if candidate.name not in effects.effect_names else ():
-                with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
+            for start_values in candidate.start_values() if candidate.name not in effects.effect_names else ():
+                with_candidate = effects.with_effect(candidate, np.tile(start_values, (len(self.records), 1)))
                 varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
-        trial_information: list[list[Information]] = [[] for _ in varying_trials]
+        trial_information: list[list[RecordInformation]] = [[] for _ in varying_trials]
         for record_index in range(len(self.records)):
             linearised_record = self.linearized_record(effects, record_index)
             for record_information, (_, values) in zip(trial_information, varying_trials, strict=True):
@@ -176,7 +176,7 @@ class _RecordSet:
             estimate = self.pooled_estimate(own_values)
             return own_values.at_estimate(estimate), estimate
 
-        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=ROUNDS - 1)
+        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=FIT_ROUNDS - 1)
 
     def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
         """Pooled estimate from all records, each linearised about its own values."""
@@ -188,10 +188,10 @@ class _RecordSet:
         screened_tests = self.screened_tests(effects, excluded)
         log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
         fitted_tests = []
-        for screened in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
+        for screened_test in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                own_values, estimate = self.joint_fit(screened.own_values)
-                fitted_tests.append(_homogeneity_test(screened.candidate, own_values, estimate))
+                own_values, estimate = self.joint_fit(screened_test.own_values)
+                fitted_tests.append(_homogeneity_test(screened_test.candidate, own_values, estimate))
         significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
         return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
 
@@ -215,14 +215,14 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
-    comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
-    record_set = _RecordSet(records, variances_by_record, comparable)
-    initial = _initial_effects(records, cause)
-    tests, tested_effect_count = _differing_effects(record_set, initial, progress)
+    comparable_candidates = [effect for effect in candidates if not (effect.kind.stochastic or effect.kind.of_a_record)]
+    record_set = _RecordSet(records, variances_by_record, comparable_candidates)
+    initial_effects = _initial_effects(records, cause)
+    tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
     records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
-    varied, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, records_by_level)
+    varied, differing = _fit_differing_values(record_set, initial_effects, tests, tested_effect_count, records_by_level)
     differing_names = [test.candidate.name for test in tests]
-    shared = _pool_shared_values(record_set, varied.effects, initial.effect_names, differing_names)
+    shared = _pool_shared_values(record_set, varied.effects, initial_effects.effect_names, differing_names)
     progress(1.0)
     rig_by_record = [varied.effects.rig(record) for record in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
@@ -292,8 +292,8 @@ def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | Non
     candidates = cause.hypothesis.candidates if cause else ()
     if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         by_record = np.tile(cause.hypothesis.values, (len(records), 1))
-        return EffectValues(tuple(r.rig for r in records), candidates, by_record)
-    rig_by_record = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
+        return EffectValues(tuple(record.rig for record in records), candidates, by_record)
+    rig_by_record = tuple(record_specific_rig(record, cause.hypothesis) if cause else record.rig for record in records)
     return EffectValues(rig_by_record, (), np.zeros((len(records), 0)))
 
 
@@ -316,7 +316,7 @@ def _parameters_by_record(
     """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
     record_count, parameter_count = own_values.record_values.shape
     labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
-    results = []
+    parameters_by_record = []
     for parameter_index, column_index in enumerate(own_values.columns):
         candidate, parameter = labelled[column_index]
         value_indices = np.arange(record_count) * parameter_count + parameter_index
@@ -325,7 +325,7 @@ def _parameters_by_record(
         centring_matrix = np.eye(record_count) - 1 / record_count
         errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
         p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, parameter_index)))
-        results.append(
+        parameters_by_record.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
@@ -337,7 +337,7 @@ def _parameters_by_record(
                 else _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
             )
         )
-    return results
+    return parameters_by_record
 
 
 def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:

@@ -22,13 +22,13 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_simulations import phase_randomized
-from identify.gaps.residual.extent import REACH
+from identify.gaps.residual.extent import BAND_REACH
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import SAME_EXPERIMENT, NextExperiment
-from identify.gaps.search.hypothesis import ROUNDS, Hypothesis, Search, fit_from, with_effects
+from identify.gaps.search.hypothesis import REFIT_ROUNDS, Hypothesis, Search, fit_from, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
@@ -105,7 +105,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
     for force_factor in FORCE_FACTORS:
         yield Experiment(f"record with {force_factor:g} times the force", _unchanged_rig, force_factor * repeated_n)
-    high_hz = float(record.omega[-1] / (2 * np.pi)) / REACH
+    high_hz = float(record.omega[-1] / (2 * np.pi)) / BAND_REACH
     for band_half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
         filter_sections = butter(FILTER_ORDER, SPLIT_SHARE * high_hz, filter_kind, fs=rate_hz, output="sos")
         band_n = sosfiltfilt(filter_sections, repeated_n)
@@ -164,14 +164,14 @@ def refit_hypothesis(search_start: Search, hypothesis: Hypothesis, fix_parameter
         hypothesis_rig = hypothesis.applied_to(record.rig)
         return replace(
             hypothesis,
-            misfit=fit_from(search_start, lambda _: hypothesis_rig, (), np.zeros(0), ROUNDS).hypothesis.misfit,
+            misfit=fit_from(search_start, lambda _: hypothesis_rig, (), np.zeros(0), REFIT_ROUNDS).hypothesis.misfit,
         )
     return fit_from(
         search_start,
         partial(with_effects, record.rig, hypothesis.candidates),
         hypothesis.candidates,
         hypothesis.values,
-        ROUNDS,
+        REFIT_ROUNDS,
     ).hypothesis
 
 
@@ -186,11 +186,11 @@ def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
     typical_values = np.concatenate([np.zeros(0), *(candidate.typical_values for candidate in hypothesis.candidates)])
     for parameter_index, parameter in enumerate(hypothesis.parameters):
         if parameter.neutral is not None:
-            direction = np.sign(enlarged_values[parameter_index] - parameter.neutral) or np.sign(
+            strength_sign = np.sign(enlarged_values[parameter_index] - parameter.neutral) or np.sign(
                 typical_values[parameter_index] - parameter.neutral
             )
             enlarged_values[parameter_index] += (
-                direction
+                strength_sign
                 * ENLARGED_ERRORS
                 * min(standard_errors[parameter_index], abs(typical_values[parameter_index] - parameter.neutral))
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
+from identify.gaps.decision.bounds import NominalDifference, contact_distances, share_bounds
 from identify.gaps.decision.comparison import (
     ValidatedHypothesis,
     explained_share,
@@ -95,24 +95,30 @@ def judge(
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
-    priors = log_priors(search_result.hypotheses, search_result.candidates)
-    ranked = validate_hypotheses(
-        record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress
+    log_prior_by_effects = log_priors(search_result.hypotheses, search_result.candidates)
+    ranked_hypotheses = validate_hypotheses(
+        record, validation.nominal_variances, residual, search_result.hypotheses, log_prior_by_effects, progress
     )
-    ranked = [with_lasting_error(item, prepared.null_reference) for item in ranked]
-    ranked = _refit_contact_laws(prepared, ranked, residual)
-    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
-    ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
+    ranked_hypotheses = [
+        with_lasting_error(ranked_hypothesis, prepared.null_reference) for ranked_hypothesis in ranked_hypotheses
+    ]
+    ranked_hypotheses = _refit_contact_laws(prepared, ranked_hypotheses, residual)
+    difference = difference_of(
+        prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked_hypotheses)
+    )
+    ranked_hypotheses = with_contact_evidence(
+        prepared, search_result.candidates, ranked_hypotheses, difference, residual
+    )
     basis = _DecisionBasis(prepared, difference, residual, matters)
-    predicted = predicted_decision(
-        ranked,
+    prediction = predicted_decision(
+        ranked_hypotheses,
         basis.decide,
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
-    decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
+    decision, unmeasured_causes = prediction.decision, UnmeasuredCauses()
     if may_hide_force(decision.evidence):
-        decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
-    return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
+        decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked, decision)
+    return Judgement(decision, prediction, unmeasured_causes, linearization, residual)
 
 
 def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
@@ -127,11 +133,13 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     if p_value(null_reference, remaining_misfit) >= USUAL_P_VALUE:
         return validated
     shares_and_limits = zip(remaining_misfit.share_by_band, null_reference.usual_shares(), strict=False)
-    growth_by_band = np.array([share / limit if limit else 1.0 for share, limit in shares_and_limits])
-    order = np.argsort(growth_by_band)
-    power_below = np.cumsum(remaining_misfit.power_by_band[order])
-    growth = max(1.0, growth_by_band[order][np.searchsorted(power_below, power_below[-1] / 2)])
-    hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
+    growth_by_band = np.array(
+        [remaining_share / usual_share if usual_share else 1.0 for remaining_share, usual_share in shares_and_limits]
+    )
+    band_order = np.argsort(growth_by_band)
+    power_below = np.cumsum(remaining_misfit.power_by_band[band_order])
+    error_growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
+    hypothesis = replace(validated.hypothesis, covariance=error_growth**2 * validated.hypothesis.covariance)
     return replace(validated, hypothesis=hypothesis)
 
 
@@ -147,19 +155,24 @@ class _DecisionBasis:
     """Evidence common to all decisions on the hypotheses."""
 
     prepared: PreparedRecordings
-    difference: Difference
+    difference: NominalDifference
     nominal_residual: Residual
     matters: Matters
 
     def decide(
-        self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
+        self,
+        ranked_hypotheses: Sequence[ValidatedHypothesis],
+        is_vetoed: bool = False,
+        force_rivals: ForceRivals | None = None,
     ) -> Decision:
-        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
+        return decide(
+            ranked_hypotheses, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed
+        )
 
 
 def difference_of(
     prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, split_bound: float
-) -> Difference:
+) -> NominalDifference:
     """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
     nominal rig's on the one that was searched.
 
@@ -182,39 +195,47 @@ def difference_of(
     force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
-        return Difference(p_value, motion_bound, tuple(contact_bounds))
+        return NominalDifference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
-    distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), split_bound)
-    return Difference(p_value, motion_bound, tuple(contact_bounds), distances.parameter_bounds, distances.law_estimates)
+    parameter_distances = contact_distances(recordings, rig, validation.record.tolerances)
+    p_value = with_bound(combined_p_value(np.append(p_value_parts, parameter_distances.p_values)), split_bound)
+    return NominalDifference(
+        p_value,
+        motion_bound,
+        tuple(contact_bounds),
+        parameter_distances.parameter_bounds,
+        parameter_distances.law_estimates,
+    )
 
 
 def _refit_contact_laws(
-    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
+    prepared: PreparedRecordings, ranked_hypotheses: list[ValidatedHypothesis], residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
     rig.
     """
-    likeliest, *lower_ranked = ranked
+    likeliest_hypothesis, *lower_ranked = ranked_hypotheses
     recordings = [observation.recording for observation in prepared.fitted_recordings]
     record = prepared.validation_recording.record
-    refitted = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
-    if refitted is likeliest.hypothesis:
-        return ranked
-    priors = {refitted.effect_names: likeliest.log_prior}
+    refitted_hypothesis = with_contact_fit(likeliest_hypothesis.hypothesis, recordings, record.tolerances)
+    if refitted_hypothesis is likeliest_hypothesis.hypothesis:
+        return ranked_hypotheses
+    log_prior_by_effects = {refitted_hypothesis.effect_names: likeliest_hypothesis.log_prior}
     validated_refits = validate_hypotheses(
-        record, prepared.validation_recording.nominal_variances, residual, [refitted], priors
+        record, prepared.validation_recording.nominal_variances, residual, [refitted_hypothesis], log_prior_by_effects
     )
     kept_refits = [
-        item for item in validated_refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN
+        refit
+        for refit in validated_refits
+        if refit.misfit.minus_two_log < likeliest_hypothesis.misfit.minus_two_log + MIN_GAIN
     ]
-    return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
+    return sorted([*(kept_refits or [likeliest_hypothesis]), *lower_ranked], key=lambda refit: -refit.log_posterior)
 
 
 def _decide_with_force(
-    basis: _DecisionBasis, ranked: Sequence[ValidatedHypothesis], decision: Decision
+    basis: _DecisionBasis, ranked_hypotheses: Sequence[ValidatedHypothesis], decision: Decision
 ) -> tuple[Decision, UnmeasuredCauses]:
     """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
     prepared, residual, validation = (basis.prepared, basis.nominal_residual, basis.prepared.validation_recording)
@@ -222,14 +243,14 @@ def _decide_with_force(
     force_in_nominal = attempted(
         "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, record.rig, record)
     )
-    nominal_hypothesis = nominal_of(ranked)
+    nominal_hypothesis = nominal_of(ranked_hypotheses)
     force_cost = (
         minus_two_log_with_force(validation, record.rig, force_in_nominal.result, nominal_hypothesis.misfit)
         if force_in_nominal.result
         else None
     )
     cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
-    decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
+    decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost))
     force_attempt, named_set = force_in_nominal, decision.named_hypothesis
     if (
         named_set
@@ -239,13 +260,15 @@ def _decide_with_force(
         force_beside = attempted(
             "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, named_rig, record)
         )
-        companion = force_beside.result
-        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, named_rig):
-            companion = None
+        companion_force = force_beside.result
+        if companion_force and acts_at_effects(companion_force.on_fit.force_place, record.rig, named_rig):
+            companion_force = None
         companion_cost = (
-            minus_two_log_with_force(validation, named_rig, companion, named_set.misfit) if companion else None
+            minus_two_log_with_force(validation, named_rig, companion_force, named_set.misfit)
+            if companion_force
+            else None
         )
-        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
+        decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force_attempt, residual = force_beside, fit_nuisance(record, named_rig)[1]
     swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))

@@ -60,16 +60,20 @@ def identifiable_change(
         return ""
     reason_words = "not told, as no sensor stands there and one mode dominates"
     mode_words = f"the mode at {number(float(modes.frequencies_hz(mode_index + 1)[mode_index]))} Hz"
-    for quantity_index, (quantity_name, unit, per_unit) in enumerate(
+    for quantity_index, (quantity_name, quantity_unit, per_unit) in enumerate(
         (("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))
     ):
 
-        def shift(parameter_values: Float[np.ndarray, " parameters"], quantity_index: int = quantity_index) -> float:
+        def modal_change(
+            parameter_values: Float[np.ndarray, " parameters"], quantity_index: int = quantity_index
+        ) -> float:
             return float(_modal_changes(rig, candidate, parameter_values, station.body)[quantity_index][mode_index])
 
-        if mode_change := shift(effect_values):
+        if mode_change := modal_change(effect_values):
             change_words = interval(
-                per_unit * mode_change, per_unit * _standard_error_of(shift, effect_values, covariance), unit
+                per_unit * mode_change,
+                per_unit * _standard_error_of(modal_change, effect_values, covariance),
+                quantity_unit,
             )
             return f"{reason_words}; told: the {quantity_name} of {mode_words} changes by {change_words}"
     return f"{reason_words}: {mode_words}"
@@ -126,8 +130,8 @@ def _dominant_mode(
 
 
 def _standard_error_of(
-    function: Callable[[Float[np.ndarray, " parameters"]], float],
-    values: Float[np.ndarray, " parameters"],
+    quantity_of: Callable[[Float[np.ndarray, " parameters"]], float],
+    parameter_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
@@ -135,7 +139,9 @@ def _standard_error_of(
     try:
         slopes = np.array(
             [
-                (function(values + step) - function(values - step)) / (2 * step.sum()) if step.any() else 0.0
+                (quantity_of(parameter_values + step) - quantity_of(parameter_values - step)) / (2 * step.sum())
+                if step.any()
+                else 0.0
                 for step in steps
             ]
         )
@@ -166,7 +172,7 @@ def level_dependence(
     lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
     largest_dependence: tuple[float, LevelDependence] | None = None
     for body in rig_by_record[lowest_index].bodies:
-        (low_hz, low_ratios), (high_hz, high_ratios) = (
+        (low_hz, low_damping_ratios), (high_hz, high_damping_ratios) = (
             _modal_parameters(rig_by_record[record_index], rig_by_record[record_index].body(body.name))
             for record_index in (lowest_index, highest_index)
         )
@@ -174,21 +180,21 @@ def level_dependence(
         if not is_elastic.any():
             continue
         frequency_changes = high_hz[is_elastic] / low_hz[is_elastic] - 1
-        damping_changes = high_ratios[is_elastic] / low_ratios[is_elastic] - 1
-        change_sizes = np.hypot(frequency_changes / low_ratios[is_elastic], damping_changes)
-        most_changed = int(np.argmax(change_sizes))
+        damping_changes = high_damping_ratios[is_elastic] / low_damping_ratios[is_elastic] - 1
+        change_sizes = np.hypot(frequency_changes / low_damping_ratios[is_elastic], damping_changes)
+        most_changed_mode = int(np.argmax(change_sizes))
         dependence = LevelDependence(
             lowest_n=float(force_levels_n[lowest_index]),
             highest_n=float(force_levels_n[highest_index]),
             body=body.name,
-            frequency_hz=float(low_hz[is_elastic][most_changed]),
-            frequency_change=float(frequency_changes[most_changed]),
-            damping_change=float(damping_changes[most_changed]),
+            frequency_hz=float(low_hz[is_elastic][most_changed_mode]),
+            frequency_change=float(frequency_changes[most_changed_mode]),
+            damping_change=float(damping_changes[most_changed_mode]),
         )
-        if change_sizes[most_changed] > 0 and (
-            largest_dependence is None or change_sizes[most_changed] > largest_dependence[0]
+        if change_sizes[most_changed_mode] > 0 and (
+            largest_dependence is None or change_sizes[most_changed_mode] > largest_dependence[0]
         ):
-            largest_dependence = float(change_sizes[most_changed]), dependence
+            largest_dependence = float(change_sizes[most_changed_mode]), dependence
     return largest_dependence[1] if largest_dependence else None
 
 

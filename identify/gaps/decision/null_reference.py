@@ -168,8 +168,8 @@ def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi Liu and Xie, J. Am. Stat. Assoc. 115, 2020
     """
     p_values = np.clip(p_values, 1e-300, MAX_COMBINED_P_VALUE)
-    tangents = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
-    mean_tangent = float(np.mean(tangents))
+    cauchy_values = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
+    mean_tangent = float(np.mean(cauchy_values))
     return 0.5 - float(np.arctan(mean_tangent)) / np.pi if mean_tangent < 1e12 else 1 / (np.pi * mean_tangent)
 
 

@@ -78,7 +78,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     drawn_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
     drawn_contacts = tuple(_draw_contact(contact, tolerances, next_normals) for contact in rig.contacts)
     drawn_bodies = tuple(_draw_body(rig, body, drawn_sensors, tolerances, next_normals) for body in rig.bodies)
-    modal_bodies = {b.name for b in drawn_bodies if not b.is_mass} & {b.name for b in rig.bodies}
+    modal_bodies = {body.name for body in drawn_bodies if not body.is_mass} & {body.name for body in rig.bodies}
     return replace(
         rig,
         bodies=drawn_bodies,
@@ -93,12 +93,14 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
 
 
 def simulated_machines(
-    measured: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, count: int
+    measured_recording: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, machine_count: int
 ) -> Iterator[Recording]:
     """Recordings of machines like `rig`, each off by its own draw of the tolerances, under the measured forces."""
-    for seed, normals in enumerate(standard_normals(measured.rig, count)):
+    for seed, normals in enumerate(standard_normals(measured_recording.rig, machine_count)):
         drawn_rig = draw_rig(rig, channel_errors.tolerances, normals)
-        yield with_channel_errors(simulate(measured.rig, drawn_rig, measured.forces_n, seed), channel_errors, seed)
+        yield with_channel_errors(
+            simulate(measured_recording.rig, drawn_rig, measured_recording.forces_n, seed), channel_errors, seed
+        )
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
@@ -207,11 +209,11 @@ LARGE_MOTION_POWER = 8
 mean over a decay of wrong damping does not tell it. Set by hand."""
 
 
-def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
+def null_simulator(measured_recording: Recording, record: Record, simulate: Simulate) -> Simulate:
     """Simulator of a recording's test: with its force, by its shaken base, or of its free decay."""
     if record.base is not None:
         return ShakenBaseSimulator(simulate)
-    return simulate if record.has_force else FreeDecaySimulator(measured, record, simulate)
+    return simulate if record.has_force else FreeDecaySimulator(measured_recording, record, simulate)
 
 
 @dataclass(frozen=True)
@@ -306,9 +308,9 @@ def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarr
     return np.asarray(signals - signals.mean(axis=1, keepdims=True))
 
 
-def _largest_motion(signals: Float[np.ndarray, "sensors samples"]) -> float:
+def _largest_motion(sensor_signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
-    motion_magnitude = np.linalg.norm(signals, axis=0)
+    motion_magnitude = np.linalg.norm(sensor_signals, axis=0)
     largest_magnitude = max(float(motion_magnitude.max()), 1e-300)
     return largest_magnitude * float(np.mean((motion_magnitude / largest_magnitude) ** LARGE_MOTION_POWER)) ** (
         1 / LARGE_MOTION_POWER
@@ -316,12 +318,12 @@ def _largest_motion(signals: Float[np.ndarray, "sensors samples"]) -> float:
 
 
 def _octave_levels(
-    signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
+    sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
 ) -> Float[np.ndarray, " octaves"]:
     """Logarithm of the rms of all sensors in each octave below a frequency."""
-    fade_window = np.hanning(2 * signals.shape[1])[signals.shape[1] :]
-    line_power = np.sum(np.abs(np.fft.rfft(signals * fade_window, axis=1)) ** 2, axis=0)[1:]
-    lines_hz = np.fft.rfftfreq(signals.shape[1], 1 / rate_hz)[1:]
+    fade_window = np.hanning(2 * sensor_signals.shape[1])[sensor_signals.shape[1] :]
+    line_power = np.sum(np.abs(np.fft.rfft(sensor_signals * fade_window, axis=1)) ** 2, axis=0)[1:]
+    lines_hz = np.fft.rfftfreq(sensor_signals.shape[1], 1 / rate_hz)[1:]
     octave_of_line = np.floor(np.log2(highest_hz / lines_hz[lines_hz <= highest_hz])).astype(int)
     return np.asarray(0.5 * np.log(np.maximum(np.bincount(octave_of_line, line_power[lines_hz <= highest_hz]), 1e-300)))
 

@@ -53,8 +53,8 @@ def predicted_rollout(
         return Rollout(code="not_simulated")
     validation, predict = prepared.validation_recording, prepared.predict
     corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
-    nulls = prepared.null_reference.predictions
-    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
+    null_errors = prepared.null_reference.predictions
+    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, null_errors, predict)
     if not rollout.falls_short:
         return rollout
     horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
@@ -69,7 +69,7 @@ def predicted_rollout(
 
 
 def predicted_decision(
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
@@ -80,34 +80,38 @@ def predicted_decision(
     predicts as expected. If none does, the first that is not vetoed stays, or the first with its veto. decide takes
     hypotheses, and whether their named effects are vetoed.
     """
-    first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
-    accepted = None if first_decision.is_vetoed else first_decision
-    likely = [
-        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
+    first_decision = latest_decision = _decision_with_rollout(ranked_hypotheses, decide, predict)
+    accepted_decision = None if first_decision.is_vetoed else first_decision
+    likely_sets = [
+        weighted_hypothesis.validated
+        for weighted_hypothesis in first_decision.decision.weighted_hypotheses
+        if weighted_hypothesis.probability > RIVAL_PROBABILITY
     ]
-    rivals = [rival for rival in likely if strengths_exclude_neutral(rival.hypothesis)]
+    rival_sets = [rival_set for rival_set in likely_sets if strengths_exclude_neutral(rival_set.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
     while latest_decision.is_doubtful:
         doubtful_set = latest_decision.decision.named_hypothesis
         ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is doubtful_set]
-        rivals = [rival for rival in rivals if rival is not doubtful_set]
-        if not rivals:
-            return accepted or first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
-        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted):
-            accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
-    return accepted or first_decision
+        rival_sets = [rival_set for rival_set in rival_sets if rival_set is not doubtful_set]
+        if not rival_sets:
+            return accepted_decision or first_decision
+        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rival_sets], decide, predict)
+        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted_decision):
+            accepted_decision = (
+                None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
+            )
+    return accepted_decision or first_decision
 
 
 def _decision_with_rollout(
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
-    decision = decide(ranked, False)
+    decision = decide(ranked_hypotheses, False)
     if not decision.corrects_rig or decision.named_hypothesis is None:
-        return PredictedDecision(ranked, decision)
-    predicted = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+        return PredictedDecision(ranked_hypotheses, decision)
+    predicted = PredictedDecision(ranked_hypotheses, decision, predict(decision.named_hypothesis))
     if predicted.is_vetoed:
-        return PredictedDecision(ranked, decide(ranked, True), predicted.rollout_attempt)
+        return PredictedDecision(ranked_hypotheses, decide(ranked_hypotheses, True), predicted.rollout_attempt)
     return predicted

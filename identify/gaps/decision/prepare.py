@@ -42,10 +42,10 @@ PREDICTOR = "modal"
 
 def simulator_named(name: str) -> Simulator:
     """Simulator that an installed package offers under this name; raises RigError if none does."""
-    simulator_points = {point.name: point for point in entry_points(group=SIMULATORS)}
+    simulator_points = {entry_point.name: entry_point for entry_point in entry_points(group=SIMULATORS)}
     if name not in simulator_points:
         raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(simulator_points))}")
-    predictor_points = {point.name: point for point in entry_points(group=PREDICTORS)}
+    predictor_points = {entry_point.name: entry_point for entry_point in entry_points(group=PREDICTORS)}
     predictor_point = predictor_points.get(name) or predictor_points.get(PREDICTOR)
     return Simulator(name, simulator_points[name].load(), predictor_point.load() if predictor_point else None)
 
@@ -109,9 +109,9 @@ class PreparedRecordings:
     @property
     def record_titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{k + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
-            + ", validates" * (k == self.validation_index)
-            for k, observation in enumerate(self.observations)
+            f"{observation_index + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
+            + ", validates" * (observation_index == self.validation_index)
+            for observation_index, observation in enumerate(self.observations)
         )
 
 

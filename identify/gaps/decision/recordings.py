@@ -130,11 +130,11 @@ def _fitted_and_validating(recording: Recording) -> tuple[Recording, Recording]:
 
 def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
     """Slice of the samples of a recording, with time zero at its start."""
-    signals = {
+    cut_signals = {
         quantity: Signals(channel_signals.channels, 0.0, channel_signals.values[:, sample_slice])
         for quantity, channel_signals in recording.signals.items()
     }
-    return Recording(recording.rig, signals, recording.provenance)
+    return Recording(recording.rig, cut_signals, recording.provenance)
 
 
 def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:

@@ -6,7 +6,7 @@ from identify.gaps.wording import (
     DESCRIPTION_EXPLAINED,
     HINT_EXPLAINED,
     SMALLEST_SHARE,
-    between_records,
+    between_records_sentence,
     bound_words,
     capitalised,
     joined,
@@ -46,7 +46,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     all_sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)
     all_sentences += _ruled_out_sentence(diagnosis)
     all_sentences += [UNSCALED] if diagnosis.free_decay else []
-    all_sentences += [between_records(diagnosis.between)] if diagnosis.between else []
+    all_sentences += [between_records_sentence(diagnosis.between)] if diagnosis.between else []
     return all_sentences + [
         f"Channel {channel_name} is {fault} and was left out."
         for channel_name, fault in diagnosis.channel_faults.items()
@@ -66,8 +66,8 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
     first_clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
     exceeding_bounds = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
     if exceeding_bounds:
-        bounds = joined([bound_words(bound) for bound in exceeding_bounds])
-        first_clause += f", though the best value is beyond what matters for {bounds}"
+        bounds_text = joined([bound_words(bound) for bound in exceeding_bounds])
+        first_clause += f", though the best value is beyond what matters for {bounds_text}"
     verdict_sentences = [f"{first_clause}."]
     if named_cause := _named_cause(gap):
         verdict_sentences.append(
@@ -78,8 +78,8 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
 
 def _small_sentences(gap: Diagnosis) -> list[str]:
     bounds = _upper_bound_words(gap.evidence.quantities)
-    if named := _named_cause(gap):
-        return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {bounds}."]
+    if cause := _named_cause(gap):
+        return [f"{capitalised(joined(cause.named))} {_verb_be(cause)} there, too small to matter: {bounds}."]
     return [
         f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
         "No effect of the library is named for it.",
@@ -122,8 +122,8 @@ def _taken_up_words(gap: Diagnosis) -> str:
         for bound in gap.evidence.quantities_beside
         if bound.value is not None and not bound.holds
     ]
-    verb = "it changes" if len(gap.causes[0].named) == 1 else "they change"
-    return f"; tolerances take up the rest of {joined(changed_quantities)} that {verb}"
+    change_verb = "it changes" if len(gap.causes[0].named) == 1 else "they change"
+    return f"; tolerances take up the rest of {joined(changed_quantities)} that {change_verb}"
 
 
 def _strain_words_if_bounded(gap: Diagnosis) -> str:
@@ -139,11 +139,11 @@ def _strain_words(gap: Diagnosis) -> str:
 
 
 def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
-    named = gap.causes[0]
-    explain = "explains" if len(named.named) == 1 else "explain"
+    cause = gap.causes[0]
+    explain = "explains" if len(cause.named) == 1 else "explain"
     return [
-        f"{capitalised(joined(named.named))} {explain} the difference in part: "
-        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and "
+        f"{capitalised(joined(cause.named))} {explain} the difference in part: "
+        f"{'it' if len(cause.named) == 1 else 'they'} {_removal_words(gap, '')}, and "
         f"{stays_unexplained_words(gap.after)}.",
         *_veto_sentence(gap),
         _force_description(gap, "The rest"),
@@ -224,10 +224,10 @@ def _ruled_out_sentence(gap: Diagnosis) -> list[str]:
     """Sentence on the likeliest hypothesis that prediction rules out."""
     if not gap.ruled_out:
         return []
-    words = gap.ruled_out[0]
+    effects = gap.ruled_out[0]
     return [
-        f"By the spectra, {joined(words)} would be likelier; with {'it' if len(words) == 1 else 'them'} alone the rig "
-        "predicts the measured motion no better."
+        f"By the spectra, {joined(effects)} would be likelier; with {'it' if len(effects) == 1 else 'them'} alone "
+        "the rig predicts the measured motion no better."
     ]
 
 
@@ -239,7 +239,7 @@ def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
         if bound.upper is not None:
             upper_share = percent(max(bound.upper, SMALLEST_SHARE))
             names_by_share.setdefault(upper_share, []).append(f"of the {bound.name}")
-    share_words = joined([f"at most {share} {joined(names)}" for share, names in names_by_share.items()])
+    share_words = joined([f"at most {share_text} {joined(names)}" for share_text, names in names_by_share.items()])
     parameter_clause = ", and no clearance, stiffness or damping by more than three tolerances"
     return f"{share_words} differ{parameter_clause * (len(quantities) > len(share_bounds))}".replace(
         "at most < ", "less than "
@@ -261,8 +261,10 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
         return f"{subject} looks like no single force that is known here."
     if gap.unknown.explained >= DESCRIPTION_EXPLAINED:
         return f"{subject} looks like {gap.unknown.sentence}."
-    share = percent(gap.unknown.explained)
-    return f"{subject} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
+    share_text = percent(gap.unknown.explained)
+    return (
+        f"{subject} has no simple form; the nearest explains {share_text} of its mean square: {gap.unknown.sentence}."
+    )
 
 
 def _look_alike_words(gap: Diagnosis) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, share_bounds
+from identify.gaps.decision.bounds import NominalDifference, share_bounds
 from identify.gaps.decision.comparison import (
     PRIOR_UNKNOWN,
     TEMPERATURE,
@@ -21,12 +21,12 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import ATTACHED_FIELDS, Candidate
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.gaps.unmeasured_force.force import SAME_M
+from identify.gaps.unmeasured_force.force import SAME_PLACE_M
 from identify.gaps.unmeasured_force.location import ForcePlace
 from identify.pages.wording import COVERED
 from rig.model.description import Rig
 
-UNKNOWN_PLACES = 100
+UNMEASURED_FORCE_PLACES = 100
 """Distinguishable places of an unknown force (bodies of some metres, 20 mm each). Derived: two bodies of 1 m, 20 mm
 apart, the accuracy of a weak force's place."""
 RIVAL_PROBABILITY = 0.05
@@ -72,14 +72,14 @@ class Decision:
     @property
     def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([weighted.validated for weighted in self.weighted_hypotheses])
+        return nominal_of([weighted_hypothesis.validated for weighted_hypothesis in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
         return next(
-            weighted.probability
-            for weighted in self.weighted_hypotheses
-            if weighted.validated is self.nominal_hypothesis
+            weighted_hypothesis.probability
+            for weighted_hypothesis in self.weighted_hypotheses
+            if weighted_hypothesis.validated is self.nominal_hypothesis
         )
 
     @property
@@ -109,7 +109,7 @@ class Decision:
 
 def decide(
     ranked_hypotheses: Sequence[ValidatedHypothesis],
-    difference: Difference,
+    difference: NominalDifference,
     null_reference: NullReference,
     matters: Matters,
     force_rivals: ForceRivals | None = None,
@@ -125,7 +125,8 @@ def decide(
         difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal_hypothesis.misfit) < USUAL_P_VALUE
     )
     log_posteriors = [
-        item.log_posterior if held_back_shows else item.log_posterior_of_both for item in ranked_hypotheses
+        validated_hypothesis.log_posterior if held_back_shows else validated_hypothesis.log_posterior_of_both
+        for validated_hypothesis in ranked_hypotheses
     ]
     for hypothesis_index, validated in enumerate(ranked_hypotheses):
         if validated is force_rivals.accompanied_hypothesis:
@@ -138,12 +139,28 @@ def decide(
         float(probability) for probability in probabilities(np.array(log_posteriors))
     )
     weighted_hypotheses = tuple(
-        WeightedHypothesis(*pair)
-        for pair in sorted(zip(ranked_hypotheses, posteriors, strict=True), key=lambda pair: -pair[1])
+        WeightedHypothesis(*hypothesis_and_probability)
+        for hypothesis_and_probability in sorted(
+            zip(ranked_hypotheses, posteriors, strict=True),
+            key=lambda hypothesis_and_probability: -hypothesis_and_probability[1],
+        )
     )
-    likeliest = next((item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None)
-    likeliest_strengths = strengths_of(likeliest.hypothesis, weighted_hypotheses) if likeliest else ()
-    named_hypothesis = _named_hypothesis(likeliest, likeliest_strengths, weighted_hypotheses) if likeliest else None
+    likeliest_hypothesis = next(
+        (
+            validated_hypothesis.validated
+            for validated_hypothesis in weighted_hypotheses
+            if validated_hypothesis.validated.hypothesis.candidates
+        ),
+        None,
+    )
+    likeliest_strengths = (
+        strengths_of(likeliest_hypothesis.hypothesis, weighted_hypotheses) if likeliest_hypothesis else ()
+    )
+    named_hypothesis = (
+        _named_hypothesis(likeliest_hypothesis, likeliest_strengths, weighted_hypotheses)
+        if likeliest_hypothesis
+        else None
+    )
     named_or_nominal = named_hypothesis or nominal_hypothesis
     contact_names = [quantity.name for quantity in difference.contact_bounds]
     evidence = Evidence(
@@ -170,26 +187,29 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
     Of several strengths of an effect, the one that is most standard errors from its neutral value.
     """
     strengths, first_column = [], 0
-    errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     for candidate in hypothesis.candidates:
         column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
         look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
         neutral_values = {
-            k: parameter.neutral
-            for k, parameter in zip(column_indices, candidate.parameters, strict=True)
+            column_index: parameter.neutral
+            for column_index, parameter in zip(column_indices, candidate.parameters, strict=True)
             if parameter.neutral is not None
         }
         deviation_in_errors = {
-            k: abs(hypothesis.values[k] - neutral_value) / max(errors[k], 1e-300)
-            for k, neutral_value in neutral_values.items()
+            index: abs(hypothesis.values[index] - neutral_value) / max(standard_errors[index], 1e-300)
+            for index, neutral_value in neutral_values.items()
         }
         column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
-        strength_value, half_width = (float(hypothesis.values[column_index]), float(COVERED * errors[column_index]))
+        strength_value, half_width = (
+            float(hypothesis.values[column_index]),
+            float(COVERED * standard_errors[column_index]),
+        )
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
-            weighted.probability
-            for weighted in weighted_hypotheses
-            if interchangeable_names & set(weighted.validated.hypothesis.effect_names)
+            weighted_hypothesis.probability
+            for weighted_hypothesis in weighted_hypotheses
+            if interchangeable_names & set(weighted_hypothesis.validated.hypothesis.effect_names)
         )
         interval = (strength_value - half_width, strength_value + half_width)
         strengths.append(
@@ -213,7 +233,9 @@ def _look_alikes(
     effect_counts = Counter(hypothesis.effect_names)
     look_alike_names: list[str] = []
     for rival in (
-        weighted.validated.hypothesis for weighted in weighted_hypotheses if weighted.probability > RIVAL_PROBABILITY
+        weighted_hypothesis.validated.hypothesis
+        for weighted_hypothesis in weighted_hypotheses
+        if weighted_hypothesis.probability > RIVAL_PROBABILITY
     ):
         added_effects = Counter(rival.effect_names) - effect_counts
         removed_effects = effect_counts - Counter(rival.effect_names)
@@ -223,7 +245,7 @@ def _look_alikes(
 
 
 def _named_hypothesis(
-    likeliest: ValidatedHypothesis,
+    likeliest_hypothesis: ValidatedHypothesis,
     effect_strengths: Sequence[Strength],
     weighted_hypotheses: Sequence[WeightedHypothesis],
 ) -> ValidatedHypothesis:
@@ -236,9 +258,12 @@ def _named_hypothesis(
             for weighted in weighted_hypotheses
             if named_effects
             and weighted.validated.hypothesis.effect_names == named_effects
-            and all(s.is_named for s in strengths_of(weighted.validated.hypothesis, weighted_hypotheses))
+            and all(
+                effect_strength.is_named
+                for effect_strength in strengths_of(weighted.validated.hypothesis, weighted_hypotheses)
+            )
         ),
-        likeliest,
+        likeliest_hypothesis,
     )
 
 
@@ -263,14 +288,14 @@ def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Ri
         ]
     return any(
         force_station.body == effect_station.body
-        and abs(force_station.position_m - effect_station.position_m) <= SAME_M
+        and abs(force_station.position_m - effect_station.position_m) <= SAME_PLACE_M
         for force_station in force_place.stations
         for effect_station in effect_stations
     )
 
 
 def _force_log_posterior(log_prior: float, force_minus_two_log: float | None) -> float:
-    """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; -inf without one."""
+    """Log posterior of an unmeasured force, which may be at any of `UNMEASURED_FORCE_PLACES`; -inf without one."""
     if force_minus_two_log is None:
         return -np.inf
-    return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)
+    return log_prior + float(np.log(PRIOR_UNKNOWN / UNMEASURED_FORCE_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)

@@ -153,10 +153,12 @@ def _steps_if_unexplained(gap: Gap) -> list[str]:
 def _unexplained_steps(gap: Gap) -> list[str]:
     ranges_hz = unexplained_ranges_hz(gap)[:MAX_RANGES]
     if not ranges_hz:
-        largest = max(gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0))
-        if largest[1] <= gap.matters.contact:
+        contact_name, share = max(
+            gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0)
+        )
+        if share <= gap.matters.contact:
             return []
-        return [f"Look at {largest[0]}: the rest lies in its force, of which {percent(largest[1])} is unexplained."]
+        return [f"Look at {contact_name}: the rest lies in its force, of which {percent(share)} is unexplained."]
     if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * (
         gap.bands[-1].high_hz - gap.bands[0].low_hz
     ):
@@ -228,8 +230,10 @@ def _discriminating_steps(gap: Gap) -> list[str]:
         f"Before anything is changed, find out whether it is {joined([effect_words, *look_alikes], 'or')}."
         for effect_words, look_alikes in look_alikes_of(gap)
     ]
-    tests = (test.partition(": ") for test in gap.separate_by)
-    return steps + _experiment_steps(gap) + [f"To test {name.replace('_', ' ')}: {test}." for name, _, test in tests]
+    test_parts = (test.partition(": ") for test in gap.separate_by)
+    return (
+        steps + _experiment_steps(gap) + [f"To test {name.replace('_', ' ')}: {test}." for name, _, test in test_parts]
+    )
 
 
 def _experiment_steps(gap: Gap) -> list[str]:

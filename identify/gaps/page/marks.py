@@ -9,7 +9,7 @@ from identify.pages.machine import DrawnMark
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
 
-UNLOCATED = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
+UNLOCATED_VERDICTS = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
 """Verdicts that locate no difference."""
 
 
@@ -18,8 +18,8 @@ def marks(gap: Gap, rig: Rig) -> tuple[DrawnMark, ...]:
 
     The ground, on which a sensor may stand, has no place in the drawing.
     """
-    located_marks = () if gap.verdict in UNLOCATED else (*_effect_marks(gap, rig), *_force_marks(gap, rig))
-    return tuple(m for m in (*located_marks, *_channel_marks(gap, rig)) if not rig.is_on_ground(m.station))
+    located_marks = () if gap.verdict in UNLOCATED_VERDICTS else (*_effect_marks(gap, rig), *_force_marks(gap, rig))
+    return tuple(mark for mark in (*located_marks, *_channel_marks(gap, rig)) if not rig.is_on_ground(mark.station))
 
 
 def _channel_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -36,7 +36,7 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     """
     is_doubtful = gap.evidence.vetoed and gap.verdict == Verdict.UNEXPLAINED
     for cause in gap.causes[:1]:
-        for label, words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
+        for label, effect_words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
             position_share = cause.parameters.get(f"{label}.relative_position")
             effect_stations = (
                 station_named(rig, place, 0.5 if position_share is None else position_share.value)
@@ -47,7 +47,9 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
             stations = [contact.at for contact in rig.contacts] if cause.places.get(f"{label}.contact") == "all" else []
             if strength.is_named:
                 for index, marked_station in enumerate([station] if station is not None else stations):
-                    yield DrawnMark(marked_station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{words}")
+                    yield DrawnMark(
+                        marked_station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}"
+                    )
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -58,16 +60,16 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     unmeasured_force = gap.unknown
     if unmeasured_force is None or unmeasured_force.explained < HINT_EXPLAINED:
         return
-    hint = "a hint: " * (unmeasured_force.explained < DESCRIPTION_EXPLAINED)
+    hint_words = "a hint: " * (unmeasured_force.explained < DESCRIPTION_EXPLAINED)
     if (contact_or_sensor := unmeasured_force.contact or unmeasured_force.sensor) and (
         station := station_named(rig, contact_or_sensor)
     ):
         fault_words = "clearance that swings" if unmeasured_force.contact else "fault of the sensor"
-        yield DrawnMark(station, f"{hint}{contact_or_sensor}: {fault_words}")
+        yield DrawnMark(station, f"{hint_words}{contact_or_sensor}: {fault_words}")
     for body_name, growth in unmeasured_force.growth.items():
         yield DrawnMark(
             Station(body_name, rig.body(body_name).length_m / 2),
-            f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %",
+            f"{hint_words}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %",
         )
     if unmeasured_force.body is not None and unmeasured_force.position_m is not None:
         is_pair = unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None
@@ -75,7 +77,7 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
         place_words = "" if rig.body(unmeasured_force.body).is_mass else f", near {unmeasured_force.position_m:.2f} m"
         yield DrawnMark(
             Station(unmeasured_force.body, unmeasured_force.position_m),
-            f"{hint}{force_words}, {unmeasured_force.rms_n:.3g} N rms{place_words}",
+            f"{hint_words}{force_words}, {unmeasured_force.rms_n:.3g} N rms{place_words}",
         )
     if unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None:
         yield DrawnMark(Station(unmeasured_force.against_body, unmeasured_force.against_position_m), "its opposite")

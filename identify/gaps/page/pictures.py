@@ -13,7 +13,7 @@ from identify.gaps.wording import cause_name, is_effective, probability, remaini
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from identify.pages.wording import percent
 
-Draw = Callable[[Any], None]
+DrawFunction = Callable[[Any], None]
 
 MAX_CAUSES = 6
 """Causes of a figure at most. Display."""
@@ -37,7 +37,7 @@ def pictures(gap: Gap) -> dict[str, Picture]:
     return {name: picture(draw_function, *size_in) for name, size_in, draw_function in _drawings(gap)}
 
 
-def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
+def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], DrawFunction]]:
     """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
         height_in = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
@@ -68,8 +68,8 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
         drawn_curves.append(("with the likeliest causes", BLUE, 1.4, "-", [band.after for band in gap.bands]))
     drawn_curves.append(("95 % limit of tolerances and noise", GREEN, 1.4, ":", [band.usual for band in gap.bands]))
     for label, colour, line_width, line_style, band_shares in drawn_curves:
-        line = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
-        axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, **line)
+        line_options = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
+        axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, **line_options)
     limit_label = f"matters above {percent(gap.matters.motion)} (whole motion)"
     axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=limit_label)
     axes.set_yscale("log", nonpositive="mask")
@@ -88,15 +88,25 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     if gap.causes and is_effective(gap.causes[0]):
         drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.28))
     right_percent = 200.0
-    for label, rig_quantities, colour, marker, offset in drawn_rigs:
-        rows = offset + np.arange(len(rig_quantities))
-        ends = [[np.nan if x is None else 100 * x / q.threshold for x in (q.value, q.upper)] for q in rig_quantities]
-        values, upper_ends = np.maximum(np.array(ends), LEAST_PERCENT).T  # a value that is not known is not drawn
-        axes.plot(values, rows, marker, color=colour, label=label)
-        for row, value, upper_end in zip(rows, values, upper_ends, strict=True):
+    for label, rig_quantities, colour, marker, row_offset in drawn_rigs:
+        rows = row_offset + np.arange(len(rig_quantities))
+        ends_percent = [
+            [
+                np.nan if quantity_value is None else 100 * quantity_value / quantity.threshold
+                for quantity_value in (quantity.value, quantity.upper)
+            ]
+            for quantity in rig_quantities
+        ]
+        values_percent, upper_percent = np.maximum(
+            np.array(ends_percent), LEAST_PERCENT
+        ).T  # a value that is not known is not drawn
+        axes.plot(values_percent, rows, marker, color=colour, label=label)
+        for row, value, upper_end in zip(rows, values_percent, upper_percent, strict=True):
             line_ends = np.nan_to_num([value, upper_end], nan=UNBOUNDED_PERCENT, posinf=UNBOUNDED_PERCENT)
             axes.plot(line_ends, [row, row], color=colour, lw=2.0)
-        right_percent = max(right_percent, 2 * np.max(np.array(ends), initial=0.0, where=np.isfinite(ends)))
+        right_percent = max(
+            right_percent, 2 * np.max(np.array(ends_percent), initial=0.0, where=np.isfinite(ends_percent))
+        )
     axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="what matters")
     axes.set_xscale("log")
     axes.set_xlim(0.7 * LEAST_PERCENT, right_percent)
@@ -116,8 +126,8 @@ def _draw_probabilities(figure: Any, gap: Gap) -> None:
         )
     labelled_rows += remaining_probabilities(gap)
     colours = [BLUE] * (len(labelled_rows) - 2) + [GREEN, GREY]
-    bar_names, percentages = ([r[0] for r in labelled_rows], [100 * r[1] for r in labelled_rows])
-    axes = _bar_axes(figure, bar_names, percentages, [probability(r[1]) for r in labelled_rows], colours)
+    bar_names, percentages = ([row[0] for row in labelled_rows], [100 * row[1] for row in labelled_rows])
+    axes = _bar_axes(figure, bar_names, percentages, [probability(row[1]) for row in labelled_rows], colours)
     axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
@@ -129,11 +139,13 @@ def _draw_removed_shares(figure: Any, gap: Gap) -> None:
     intervals_percent = 100 * np.clip([top_cause.interval_95 for top_cause in top_causes], 0, 1)
     cause_names = [_cause_lines(cause_name(top_cause)) for top_cause in top_causes]
     axes = _bar_axes(figure, cause_names, removed_percent, [""] * len(top_causes), BLUE)
-    for bar_index, (cause, (lower, upper)) in enumerate(zip(top_causes, intervals_percent, strict=True)):
-        axes.plot([lower, upper], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
+    for bar_index, (cause, (lower_percent, upper_percent)) in enumerate(
+        zip(top_causes, intervals_percent, strict=True)
+    ):
+        axes.plot([lower_percent, upper_percent], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
         axes.annotate(
             removed_share_words(cause),
-            (max(upper, removed_percent[bar_index]), bar_index),
+            (max(upper_percent, removed_percent[bar_index]), bar_index),
             (6, 0),
             textcoords="offset points",
             va="center",
@@ -175,7 +187,7 @@ def _draw_motion(figure: Any, example: PredictionExample) -> None:
     axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {unit}")
 
 
-def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:
+def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, DrawFunction]]:
     """Name, height in inches and drawing function of each picture of the mismatch's location.
 
     Left out where all shares are zero, as those of the acceleration of a single mass, whose mismatch is in the contact
@@ -187,7 +199,7 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
             0.6 + 1.5 * len(attribution.positions_m),
             partial(_draw_positions, shares_by_body=attribution.positions_m),
         )
-    if any(s.share for s in attribution.band_hz):
+    if any(interval_share.share for interval_share in attribution.band_hz):
         yield (
             "band",
             _HEIGHT_IN,
@@ -205,15 +217,15 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
                 _FRAME_IN + _ROW_IN * len(shares),
                 partial(_draw_share_bars, share_by_part=shares, title=title),
             )
-    if any(s.share for s in attribution.time_s):
+    if any(interval_share.share for interval_share in attribution.time_s):
         yield (
             "time",
             _HEIGHT_IN,
             partial(_draw_share_row, shares=attribution.time_s, title="Over time", x_label="time, s"),
         )
-    for number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
+    for surface_number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
         yield (
-            f"surface_{number}",
+            f"surface_{surface_number}",
             _HEIGHT_IN,
             partial(_draw_surface, residual_map=residual_map, contact_name=contact_name),
         )
@@ -235,11 +247,15 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
 
 def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
     axes = figure.subplots()
-    axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
-    labelled = slice(None, None, -(-len(shares) // MAX_LABELS))
-    interval_names = [_shortened_name(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
+    axes.bar(np.arange(len(shares)), [100 * share.share for share in shares], width=0.85, color=BLUE)
+    labelled_bars = slice(None, None, -(-len(shares) // MAX_LABELS))
+    interval_names = [_shortened_name(f"{share.begin:.3g} to {share.end:.3g}") for share in shares]
     axes.set_xticks(
-        np.arange(len(shares))[labelled], interval_names[labelled], rotation=40, ha="right", rotation_mode="anchor"
+        np.arange(len(shares))[labelled_bars],
+        interval_names[labelled_bars],
+        rotation=40,
+        ha="right",
+        rotation_mode="anchor",
     )
     axes.grid(axis="x", visible=False)
     axes.set(xlabel=x_label, ylabel="share of the difference, %", title=title)
@@ -247,9 +263,9 @@ def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: s
 
 def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, float]]) -> None:
     """Each body as a thick line from its left end, a bar at every station."""
-    panels = figure.subplots(len(shares_by_body), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    body_axes = figure.subplots(len(shares_by_body), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
     longest_m = max([position_m for stations in shares_by_body.values() for position_m in stations], default=0.0) or 1.0
-    for axes, (body_name, share_by_station) in zip(panels, shares_by_body.items(), strict=True):
+    for axes, (body_name, share_by_station) in zip(body_axes, shares_by_body.items(), strict=True):
         positions_m = np.array(list(share_by_station))
         percentages = 100 * np.array(list(share_by_station.values()))
         axes.plot([0.0, max(positions_m.max(initial=0.0), 0.02 * longest_m)], [0, 0], color=INK, lw=5, zorder=3)
@@ -259,8 +275,8 @@ def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, flo
             axes.bar_label(station_bars, [f"{percentage:.0f}" for percentage in percentages], padding=2)
         axes.margins(y=0.22)
         axes.set_title(_shortened_name(body_name), loc="left", fontsize=9)
-    panels[-1].set_xlabel("distance from the left end, m")
-    panels[0].set_ylabel("share of the difference, %")
+    body_axes[-1].set_xlabel("distance from the left end, m")
+    body_axes[0].set_ylabel("share of the difference, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 

@@ -10,18 +10,18 @@ from identify.gaps.decision_table import Verdict
 from identify.gaps.page.marks import marks
 from identify.gaps.page.screen import colour
 from identify.gaps.page.sections import (
-    cause_tables,
-    decision,
-    location,
-    mismatch_size,
+    cause_tables_html,
+    decision_html,
+    failed_analyses_html,
+    location_html,
+    mismatch_size_html,
     next_steps_list,
-    notes,
-    prediction,
-    record_differences,
-    unknown_force,
+    prediction_html,
+    record_differences_html,
+    unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import verdict
+from identify.gaps.wording import verdict_words
 from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
@@ -29,7 +29,7 @@ from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, to_json
 
-CAPTIONS = {
+CAPTION_BY_FIGURE = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
@@ -90,7 +90,10 @@ def write_page(
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
     second_column = (
         page.figure(
-            decisive_figure, figure_by_name.pop(decisive_figure), CAPTIONS.get(decisive_figure, ""), page.FIRST_PLOT_PX
+            decisive_figure,
+            figure_by_name.pop(decisive_figure),
+            CAPTION_BY_FIGURE.get(decisive_figure, ""),
+            page.FIRST_PLOT_PX,
         )
         if decisive_figure
         else ""
@@ -98,20 +101,24 @@ def write_page(
     unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
     experiment_figures = _figures_html(figure_by_name, "next")
     folded_sections = [
-        ("How large is the difference?", "large", mismatch_size(gap)),
-        ("What causes it?", "why", cause_tables(gap)),
-        *([("Does the model move as the machine?", "prediction", prediction(gap.rollout))] if gap.rollout else []),
-        ("How was it decided?", "decided", decision(gap)),
-        *([("What differs between the records?", "between", record_differences(gap.between))] if gap.between else []),
-        *([(unknown_heading, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
-        ("Where does it lie?", "where", location(gap.attribution)),
-        *([("What could not be computed", "notes", notes(gap))] if gap.notes else []),
+        ("How large is the difference?", "large", mismatch_size_html(gap)),
+        ("What causes it?", "why", cause_tables_html(gap)),
+        *([("Does the model move as the machine?", "prediction", prediction_html(gap.rollout))] if gap.rollout else []),
+        ("How was it decided?", "decided", decision_html(gap)),
+        *(
+            [("What differs between the records?", "between", record_differences_html(gap.between))]
+            if gap.between
+            else []
+        ),
+        *([(unknown_heading, "unknown", unknown_force_html(gap.unknown))] if gap.unknown else []),
+        ("Where does it lie?", "where", location_html(gap.attribution)),
+        *([("What could not be computed", "notes", failed_analyses_html(gap))] if gap.notes else []),
     ]
     page.write(
         path,
         title=title,
         answer=page.Answer(
-            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), sentences(gap)
+            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict_words(gap), sentences(gap)
         ),
         top_blocks=[first_column, second_column],
         sections=[("Which further recording?", experiment_figures)] if experiment_figures else [],
@@ -128,7 +135,11 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     """Names of the figures that may stand beside the drawing; of quantities if another than the motion decides."""
     if gap.evidence.vetoed and gap.verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED):
         return ("prediction_motion", *DECISIVE_FIGURES[gap.verdict])
-    ratios = {q.name: q.value / q.threshold for q in gap.evidence.quantities if q.value is not None and not q.holds}
+    ratios = {
+        quantity.name: quantity.value / quantity.threshold
+        for quantity in gap.evidence.quantities
+        if quantity.value is not None and not quantity.holds
+    }
     if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
     return DECISIVE_FIGURES[gap.verdict]
@@ -141,14 +152,14 @@ def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> st
         if figure_name.split("_")[0] == section_key
     }
     wide_figures = "".join(
-        page.figure(figure_name, picture, CAPTIONS[figure_name])
+        page.figure(figure_name, picture, CAPTION_BY_FIGURE[figure_name])
         for figure_name, picture in section_pictures.items()
-        if figure_name in CAPTIONS
+        if figure_name in CAPTION_BY_FIGURE
     )
     small_figures = "".join(
         page.figure(figure_name, picture)
         for figure_name, picture in section_pictures.items()
-        if figure_name not in CAPTIONS
+        if figure_name not in CAPTION_BY_FIGURE
     )
     return wide_figures + (f'<div class="pictures">\n{small_figures}</div>' if small_figures else "")
 

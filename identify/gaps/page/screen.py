@@ -8,22 +8,22 @@ from identify.gaps.decision_table import Verdict
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Cause, Gap
 from identify.gaps.wording import (
-    WHEN,
+    WHEN_WORDS,
     cause_name,
+    failed_analysis_sentences,
     interval,
-    not_computed,
     probability,
     remaining_probabilities,
     removed_share_words,
-    reservation,
+    reservation_words,
     unexplained_words,
-    verdict,
+    verdict_words,
 )
 from identify.pages.page import Colour
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
-COLOURS: dict[Verdict, Colour] = {
+COLOUR_BY_VERDICT: dict[Verdict, Colour] = {
     Verdict.CONSISTENT: "green",
     Verdict.CANNOT_TELL: "yellow",
     Verdict.SMALL: "green",
@@ -36,20 +36,20 @@ MAX_CAUSES = 5
 
 
 def colour(gap: Gap) -> Colour:
-    return "yellow" if reservation(gap) else COLOURS[gap.verdict]
+    return "yellow" if reservation_words(gap) else COLOUR_BY_VERDICT[gap.verdict]
 
 
 def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
     screen_parts: list[RenderableType] = [
-        Text.assemble((verdict(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
+        Text.assemble((verdict_words(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
         _cause_table(gap),
     ]
     if gap.unknown:
         screen_parts.append(
             Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {_unknown_summary(gap.unknown)}")
         )
-    screen_parts += [Text(note) for note in not_computed(gap)]
+    screen_parts += [Text(note) for note in failed_analysis_sentences(gap)]
     screen_parts.append(Text("what to do next:", style="bold"))
     step_table = Table.grid(padding=(0, 1))
     for step_number, step in enumerate(next_steps(gap), 1):
@@ -60,11 +60,11 @@ def screen_view(gap: Gap) -> RenderableType:
 def _unknown_summary(unknown: UnmeasuredForce) -> str:
     """Size, band, times and explained share of an unmeasured force."""
     low_hz, high_hz = unknown.band_hz
-    unit = "m/s²" if unknown.kind == "sensor" else "N"
-    when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
+    force_unit = "m/s²" if unknown.kind == "sensor" else "N"
+    time_words = "" if unknown.when == "always" else f", {WHEN_WORDS[unknown.when]}"
     return (
-        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low_hz:.3g} to {high_hz:.3g} Hz{when}; it explains "
-        f"{percent(unknown.explained)} of the linear residual's mean square"
+        f"{number(unknown.rms_n, 3)} {force_unit} rms, mostly from {low_hz:.3g} to {high_hz:.3g} Hz{time_words}; it "
+        f"explains {percent(unknown.explained)} of the linear residual's mean square"
     )
 
 

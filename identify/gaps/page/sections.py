@@ -19,8 +19,8 @@ from identify.gaps.results import (
 )
 from identify.gaps.rollout.results import Rollout
 from identify.gaps.wording import (
-    VERDICTS,
-    WHEN,
+    VERDICT_WORDS,
+    WHEN_WORDS,
     capitalised,
     cause_name,
     interval,
@@ -51,17 +51,17 @@ def next_steps_list(gap: Gap) -> str:
     return "<ol>" + "".join(f"<li>{page.unbroken_html(escape(step))}</li>" for step in next_steps(gap)) + "</ol>"
 
 
-def mismatch_size(gap: Gap) -> str:
+def mismatch_size_html(gap: Gap) -> str:
     """Unexplained shares before and after, the thresholds of what matters, and the p-values."""
     signal_names = ["the motion", *(f"the force of {name}" for name in gap.before.contact_shares)]
     share_limits = [gap.matters.motion, *([gap.matters.contact] * len(gap.before.contact_shares))]
-    columns = [_share_words(gap.before)]
+    share_columns = [_share_words(gap.before)]
     header = ["unexplained share of", "the model as it is"]
     is_explained = bool(gap.causes) and is_effective(gap.causes[0])
     if is_explained:
         header.append("with the likeliest cause")
-        columns.append(_share_words(gap.after))
-    rows = list(zip(signal_names, *columns, [percent(share_limit) for share_limit in share_limits], strict=True))
+        share_columns.append(_share_words(gap.after))
+    rows = list(zip(signal_names, *share_columns, [percent(share_limit) for share_limit in share_limits], strict=True))
     section_html = (
         "<p>The share of a signal's rms that the model does not explain, beyond sensor noise, on the validation "
         "record: no parameter was fitted to it.</p>"
@@ -79,7 +79,7 @@ def mismatch_size(gap: Gap) -> str:
     return section_html
 
 
-def cause_tables(gap: Gap) -> str:
+def cause_tables_html(gap: Gap) -> str:
     """Tables of the causes: probabilities, removed and unexplained shares, parameters and places."""
     top_causes, remaining_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
     contact_names = list(gap.before.contact_shares)
@@ -92,34 +92,38 @@ def cause_tables(gap: Gap) -> str:
     )
     remaining = remaining_probabilities(gap)
     if remaining_causes:
-        remaining.insert(0, (f"{len(remaining_causes)} further causes", sum(c.probability for c in remaining_causes)))
+        remaining.insert(
+            0, (f"{len(remaining_causes)} further causes", sum(cause.probability for cause in remaining_causes))
+        )
     remaining_rows = [(row_name, probability(p), *[""] * (2 + len(contact_names))) for row_name, p in remaining]
     section_html = (
         "<p>Each row is a set of effects from the library, or no effect, or something unmeasured; the probabilities "
         "sum to one. A cause closes the share by which its effects make the difference on the validation record "
         "smaller while what the tolerances leave open stays as it is (95 % interval in brackets).</p>"
     )
-    section_html += page.table(header, [*(_cause_row(c) for c in top_causes), *remaining_rows])
+    section_html += page.table(header, [*(_cause_row(cause) for cause in top_causes), *remaining_rows])
     if alternatives := wording.look_alikes_of(gap):
         section_html += "<h3>What these records can hardly tell apart</h3>"
         section_html += page.list_html(
             " / ".join([effect_words, *look_alikes]) for effect_words, look_alikes in alternatives
         )
-    effective_causes = [c for c in top_causes if is_effective(c)]
+    effective_causes = [cause for cause in top_causes if is_effective(cause)]
     if effective_causes:
         section_html += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"
-        section_html += "".join(_parameter_table(c) for c in effective_causes)
-    ineffective_causes = [c for c in top_causes if not is_effective(c)]
+        section_html += "".join(_parameter_table(cause) for cause in effective_causes)
+    ineffective_causes = [cause for cause in top_causes if not is_effective(cause)]
     if ineffective_causes or remaining_causes:
-        remaining_table = page.table(header, [_cause_row(c) for c in remaining_causes]) if remaining_causes else ""
-        parameter_tables = "".join(_parameter_table(c) for c in (*ineffective_causes, *remaining_causes))
+        remaining_table = (
+            page.table(header, [_cause_row(cause) for cause in remaining_causes]) if remaining_causes else ""
+        )
+        parameter_tables = "".join(_parameter_table(cause) for cause in (*ineffective_causes, *remaining_causes))
         section_html += (
             f"<details><summary>Other causes that were judged</summary>{remaining_table}{parameter_tables}</details>"
         )
     return section_html
 
 
-def decision(gap: Gap) -> str:
+def decision_html(gap: Gap) -> str:
     """Decision: four questions with their answers, and the numbers from which these follow."""
     evidence, criteria = gap.evidence, gap.criteria
     question_rows = [
@@ -146,10 +150,10 @@ def decision(gap: Gap) -> str:
         ),
     ]
     section_html = (
-        f"<p>Four questions decide. Their answers give the verdict: {escape(VERDICTS[gap.verdict])}.</p>"
+        f"<p>Four questions decide. Their answers give the verdict: {escape(VERDICT_WORDS[gap.verdict])}.</p>"
         + page.table(("", "", ""), question_rows)
     )
-    quantity_rows = [_quantity_row(q) for q in evidence.quantities]
+    quantity_rows = [_quantity_row(quantity) for quantity in evidence.quantities]
     for quantity in evidence.quantities_beside * evidence.taken_up:
         quantity_rows.append(_quantity_row(replace(quantity, name=f"{quantity.name}, by the named effects")))
     section_html += "<h3>What matters</h3>"
@@ -175,7 +179,7 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     return quantity.name, *wording.bound_numbers(quantity), mark_words
 
 
-def prediction(rollout: Rollout) -> str:
+def prediction_html(rollout: Rollout) -> str:
     """Errors of predictions from measured states, and what they decided."""
     section_html = f"<p>{escape(capitalised(wording.PREDICTION_WORDS[rollout.code]))}.</p>"
     overall_errors = rollout.whole
@@ -201,13 +205,13 @@ def prediction(rollout: Rollout) -> str:
     )
 
 
-def record_differences(between: RecordDifferences) -> str:
+def record_differences_html(between: RecordDifferences) -> str:
     """Estimates of each record for the parameters that differ and for those of the likeliest cause."""
-    section_html = f"<p>{escape(wording.between_records(between))}</p>"
-    compared = [*between.differing, *between.cause]
-    if compared:
+    section_html = f"<p>{escape(wording.between_records_sentence(between))}</p>"
+    comparisons = [*between.differing, *between.cause]
+    if comparisons:
         header = ("parameter", "place", *(f"record {record_title}" for record_title in between.records), "", "p-value")
-        section_html += page.table(header, [_comparison_row(comparison) for comparison in compared])
+        section_html += page.table(header, [_comparison_row(comparison) for comparison in comparisons])
         section_html += (
             "<p>Each record's own value ± 1.96 standard errors beside the mean of all records: tolerances of the rig "
             "are shared and not in them. p-value: how often records of an unchanged machine differ as much; of what "
@@ -221,7 +225,7 @@ def record_differences(between: RecordDifferences) -> str:
     return section_html
 
 
-def unknown_force(unknown: UnmeasuredForce) -> str:
+def unknown_force_html(unknown: UnmeasuredForce) -> str:
     """Unmeasured force: a sentence and a table."""
     description = unknown.sentence[:1].upper() + unknown.sentence[1:]
     rows: list[tuple[str, str]] = [("what", _KINDS[unknown.kind])]
@@ -242,7 +246,7 @@ def unknown_force(unknown: UnmeasuredForce) -> str:
     rows.append(("size", f"{number(unknown.rms_n, 3)} {force_unit} rms"))
     if unknown.amplitude_n is not None:
         rows.append(("amplitude", f"{number(unknown.amplitude_n, 3)} {force_unit}"))
-    rows.append(("when", WHEN[unknown.when]))
+    rows.append(("when", WHEN_WORDS[unknown.when]))
     if unknown.against != "none":
         rows.append(("grows with", unknown.against))
     if unknown.law:
@@ -259,16 +263,16 @@ def unknown_force(unknown: UnmeasuredForce) -> str:
     return section_html
 
 
-def location(attribution: Attribution) -> str:
+def location_html(attribution: Attribution) -> str:
     """Location of the mismatch: the largest share by each way of dividing the record, and all shares."""
     divisions: dict[str, Mapping[str, float]] = {
         "channel": attribution.channels,
         "linear or contact": attribution.parts,
         "modal equation": attribution.modal_equations,
         "station": {
-            f"{body_name}, {position_m:g} m": s
+            f"{body_name}, {position_m:g} m": station_share
             for body_name, share_by_station in attribution.positions_m.items()
-            for position_m, s in share_by_station.items()
+            for position_m, station_share in share_by_station.items()
         },
         "band": _shares_by_range(attribution.band_hz, "Hz"),
         "contact state": attribution.contact_state,
@@ -292,9 +296,9 @@ def location(attribution: Attribution) -> str:
     )
 
 
-def notes(gap: Gap) -> str:
+def failed_analyses_html(gap: Gap) -> str:
     """Side analyses that could not be made; the verdict does not rest on them."""
-    return "".join(f"<p>{escape(note)}</p>" for note in wording.not_computed(gap))
+    return "".join(f"<p>{escape(note)}</p>" for note in wording.failed_analysis_sentences(gap))
 
 
 def _share_words(unexplained: UnexplainedShares) -> list[str]:
@@ -339,4 +343,4 @@ def _growth_percent(modulus_growth: Value) -> str:
 
 
 def _shares_by_range(interval_shares: Sequence[Share], range_unit: str) -> dict[str, float]:
-    return {f"{s.begin:.3g} to {s.end:.3g} {range_unit}": s.share for s in interval_shares}
+    return {f"{share.begin:.3g} to {share.end:.3g} {range_unit}": share.share for share in interval_shares}

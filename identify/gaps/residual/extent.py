@@ -21,9 +21,9 @@ from rig.model.sensing import PASSBAND
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-TAPER_S = 0.5
+FADE_S = 0.5
 """Length of the fade at either end of a record. Set by hand."""
-OMITTED_S, OMITTED_SHARE = 4.5, 0.45
+OMITTED_EDGE_S, OMITTED_SHARE = 4.5, 0.45
 """Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it. Set
 by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
@@ -38,14 +38,14 @@ SIGNAL_RATIO, CORNER_SHARE = 100.0, 0.25
 """Mean power of a sensor over that of its noise from which a half octave is integrated; and the highest corner of the
 integration, as a share of the lowest natural frequency. Set by hand: noise in a law's argument biases the law, motion
 that is missing in it hardly does (errors in variables of the classical kind and of Berkson's)."""
-REACH = 1.6
+BAND_REACH = 1.6
 """Highest frequency of the diagnosis, as a multiple of the force's highest frequency. Set by hand: impacts excite
 beyond the force."""
 POWER_REACH, POWER_SHARE = 2.0, 0.9
 """Its bound, as a multiple of the frequency below which this share of the force's power lies: that of a hammer falls
 slowly with frequency. Set by hand: above 1.6/0.9, so it binds for blows alone, whose power falls slowly: 0.31 kHz of
 half-sines of 5 ms, not 0.88."""
-SHORTEST_S, SHORTEST_UNCUT_S = 10.0, 1.0
+SHORTEST_RECORD_S, SHORTEST_UNCUT_S = 10.0, 1.0
 """Shortest record; the second for one that counts from its first sample and is not integrated. Set by hand."""
 DECAYED_SHARE, LEAST_COUNTED_S = 0.03, 4.0
 """Share of the loudest second's acceleration below which a record ends, and the least time that counts: accelerometers
@@ -62,13 +62,15 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
     motion_sensors = body_sensors(recording.rig)
     if not motion_sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    max_or_min = max if np.any(recording.forces_n) else min
-    quantity = read_quantity(recording.rig) or max_or_min(motion_sensors, key=lambda s: s.measures.order).quantity
+    highest_or_lowest = max if np.any(recording.forces_n) else min
+    quantity = (
+        read_quantity(recording.rig) or highest_or_lowest(motion_sensors, key=lambda s: s.measures.order).quantity
+    )
     return tuple(sensor for sensor in motion_sensors if sensor.quantity == quantity)
 
 
 @dataclass(frozen=True)
-class Beginning:
+class RecordBeginning:
     """Start of a record, and whether its signals are integrated.
 
     zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
@@ -96,33 +98,37 @@ class Beginning:
     @property
     def omitted_s(self) -> tuple[float, float]:
         """Seconds omitted at the start and at the end."""
-        rings_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
+        is_ringing_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
         omitted_end_s = (
-            min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings_on else OMITTED_FADES * self.fade_length_s
+            min(OMITTED_EDGE_S, OMITTED_SHARE * self.duration_s)
+            if is_ringing_on
+            else OMITTED_FADES * self.fade_length_s
         )
         if self.starts_quiet:
             return 0.0, omitted_end_s
         if self.counts_from_blow:
             return RELEASE_S * self.floats_in_contacts, omitted_end_s
-        return omitted_end_s if self.all_free else OMITTED_S, omitted_end_s
+        return omitted_end_s if self.all_free else OMITTED_EDGE_S, omitted_end_s
 
 
-def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
+def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> RecordBeginning:
     """Start of a recording as given sensors show it."""
     rig, rate_hz = recording.rig, recording.rig.sample_rate_hz
-    zero_known = all(s.measures.order == 0 for s in sensors)
+    zero_known = all(sensor.measures.order == 0 for sensor in sensors)
     has_contacts = bool(rig.contacts)
-    integrates = has_contacts and not zero_known
-    excitation_start_sample = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate_hz)
+    is_integrated = has_contacts and not zero_known
+    excitation_start_sample = excitation_start(
+        recording.forces_n, (recording.values_of(sensor) for sensor in sensors), rate_hz
+    )
     samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
-    counts_from_blow = not np.any(recording.forces_n) and not integrates
-    fade_length_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
-    return Beginning(
+    counts_from_blow = not np.any(recording.forces_n) and not is_integrated
+    fade_length_s = 2 * FADE_S if zero_known and not counts_from_blow else FADE_S
+    return RecordBeginning(
         zero_known=zero_known,
         has_contacts=has_contacts,
-        integrates=integrates,
+        integrates=is_integrated,
         counts_from_blow=counts_from_blow,
-        all_free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
+        all_free=zero_known and all(is_free(rig, body.name) for body in rig.bodies),
         floats_in_contacts=floats_in_contacts(rig),
         excitation_start_sample=excitation_start_sample,
         quiet_samples=samples_before if samples_before > QUIET_S * rate_hz else 0,
@@ -131,10 +137,10 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     )
 
 
-def check_length(recording: Recording, beginning: Beginning) -> None:
+def check_length(recording: Recording, beginning: RecordBeginning) -> None:
     """Check a record's length; raises RigError if it is too short."""
     is_uncut = not beginning.has_contacts and (beginning.starts_quiet or beginning.counts_from_blow)
-    shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_S
+    shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_RECORD_S
     if recording.duration_s < shortest_s:
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {shortest_s:g} s, better "
@@ -153,10 +159,10 @@ def high_hz_of(
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate_hz)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
-        excited_hz = REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
+        excited_hz = BAND_REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
-        signals = np.stack([recording.values_of(s) for s in sensors])
-        excited_hz = REACH * (
+        signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+        excited_hz = BAND_REACH * (
             highest_vibrating_hz(signals, rate_hz, noise_densities)
             if recording.rig.contacts
             else highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
@@ -173,7 +179,9 @@ def high_hz_of(
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1])
+        min(
+            BAND_REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1]
+        )
         for force_n in forces_n
         if np.any(force_n)
     )
@@ -197,9 +205,9 @@ def noise_corner_hz(
         lowest_natural_hz = min(lowest_natural_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
     lines_hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
     while (next_corner_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_natural_hz:
-        in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
-        if not in_half_octave.any() or np.any(
-            signal_power[:, in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
+        is_in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
+        if not is_in_half_octave.any() or np.any(
+            signal_power[:, is_in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
         ):
             break
         corner_hz = float(next_corner_hz)
@@ -209,23 +217,27 @@ def noise_corner_hz(
 def is_free(rig: Rig, body_name: str) -> bool:
     """True if a body is an unsupported mass."""
     body = rig.body(body_name)
-    support_stations = [s.station for s in rig.springs] + [
-        s for contact in rig.contacts for s in contact_stations(contact)
+    support_stations = [spring.station for spring in rig.springs] + [
+        station for contact in rig.contacts for station in contact_stations(contact)
     ]
-    return body.is_mass and bool(body.rigid_modes) and all(s.body != body_name for s in support_stations)
+    return (
+        body.is_mass
+        and bool(body.rigid_modes)
+        and all(support_station.body != body_name for support_station in support_stations)
+    )
 
 
 def floats_in_contacts(rig: Rig) -> bool:
     """True if contacts alone hold an elastic body."""
-    return bool(rig.contacts) and any(b.rigid_modes and not b.is_mass for b in rig.bodies)
+    return bool(rig.contacts) and any(body.rigid_modes and not body.is_mass for body in rig.bodies)
 
 
-def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
+def end_of_motion_s(sensor_accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
     """End of the last second with motion, s; inf for the whole record. Raises RigError if the sensors show none."""
-    second_samples = max(1, round(min(1.0, accelerations.shape[1] / rate_hz / 4) * rate_hz))
-    second_count = accelerations.shape[1] // second_samples
+    second_samples = max(1, round(min(1.0, sensor_accelerations.shape[1] / rate_hz / 4) * rate_hz))
+    second_count = sensor_accelerations.shape[1] // second_samples
     power_by_second = (
-        (accelerations[:, : second_count * second_samples] ** 2)
+        (sensor_accelerations[:, : second_count * second_samples] ** 2)
         .sum(axis=0)
         .reshape(second_count, second_samples)
         .mean(axis=1)
@@ -264,9 +276,9 @@ def sensor_densities(
     for sensor in sensors:
         signal = recording.values_of(sensor)
         if quiet_samples:
-            hz, power = periodogram(signal[:quiet_samples], rate_hz, "hann")
-            in_band = (hz > 0) & (hz < PASSBAND * rate_hz)
-            noise_density = float(np.sqrt(np.median(power[in_band]) / np.log(2)))
+            line_hz, power_density = periodogram(signal[:quiet_samples], rate_hz, "hann")
+            is_in_band = (line_hz > 0) & (line_hz < PASSBAND * rate_hz)
+            noise_density = float(np.sqrt(np.median(power_density[is_in_band]) / np.log(2)))
         else:
             noise_density, is_certain = spectrogram_noise_density(signal, rate_hz)
             noise_density = noise_density if is_certain or is_free_decay else min(noise_density, sensor.noise_density)

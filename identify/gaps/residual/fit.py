@@ -16,14 +16,14 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.gaps.residual.law import Sides
-from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Column, Linearization, Residual, derivative, residual_of
+from identify.gaps.residual.law import PullSides
+from identify.gaps.residual.nuisance import PULL_LIMIT
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, derivative, residual_of
 from identify.signals.gauss_newton import Step, gauss_newton
 from rig.errors import RigError
 from rig.model.description import Rig
 
-MAX_STEPS, MAX_SIDES = 12, 4
+MAX_STEPS, MAX_SIDE_ROUNDS = 12, 4
 """Gauss-Newton steps at most, and times at most that a step is solved again because a contact's tolerance crosses its
 limit in it. Numerical."""
 DERIVATIVE_STEP = 1e-3
@@ -40,11 +40,11 @@ NEGLIGIBLE_SHARE = 0.1
 """Share of the negligible decrease below which a step is not evaluated. Set by hand."""
 
 Values = Float[np.ndarray, " parameters"]
-Build = Callable[[Values], Rig]
+BuildRig = Callable[[Values], Rig]
 
 
 @dataclass(frozen=True)
-class Fit:
+class ParameterFit:
     """Parameters of least cost, and their covariance for 1 / `Record.sample_ratio` as many independent samples."""
 
     values: Float[np.ndarray, " parameters"]
@@ -79,7 +79,7 @@ class NormalEquations:
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class EliminatedContact:
     """Unknowns of one contact, eliminated from the normal equations of the nuisance parameters.
 
     With J the contact residual's columns by its unknowns and r the residual: nuisance_columns are its columns N by the
@@ -105,7 +105,7 @@ class ReducedEquations:
     residual: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
-    eliminated_contacts: tuple[Eliminated, ...]
+    eliminated_contacts: tuple[EliminatedContact, ...]
 
     def with_lines(self) -> "ReducedEquations":
         """Equations whose gradient includes the outstanding lines, for effects that may explain them."""
@@ -115,31 +115,31 @@ class ReducedEquations:
         )
         return replace(self, residual=residual, gradient=self.gradient + gradient_of_lines)
 
-    def with_columns(self, columns: list[Column]) -> NormalEquations:
+    def with_columns(self, columns: list[ResidualColumn]) -> NormalEquations:
         """Normal equations of the nuisance parameters, followed by one parameter for each column."""
-        count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
+        effects_at, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
-        matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear_columns = np.array([c[0].ravel() for c in columns]).reshape(
+        matrix[:effects_at, :effects_at], gradient[:effects_at] = self.matrix, self.gradient
+        linear_columns = np.array([column[0].ravel() for column in columns]).reshape(
             len(columns), self.residual.linear_residual.size
         )
-        matrix[:count, count:] = self.linearization.columns.products(linear_columns)
-        matrix[count:, count:] = linear_columns @ linear_columns.T
-        gradient[count:] = linear_columns @ self.residual.linear_without_lines.ravel()
+        matrix[:effects_at, effects_at:] = self.linearization.columns.products(linear_columns)
+        matrix[effects_at:, effects_at:] = linear_columns @ linear_columns.T
+        gradient[effects_at:] = linear_columns @ self.residual.linear_without_lines.ravel()
         unknown_solutions = []
         for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
             unknowns_by_column = contact.columns.T @ contact_columns
             solved = eliminated.unknowns_solver.solve(unknowns_by_column)
-            matrix[:count, count:] += (
+            matrix[:effects_at, effects_at:] += (
                 eliminated.nuisance_columns.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved
             )
-            matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
-            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
+            matrix[effects_at:, effects_at:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
+            gradient[effects_at:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
             unknown_solutions.append(
                 (eliminated.unknowns_step, np.concatenate([eliminated.solved_by_nuisance, solved], axis=1))
             )
-        matrix[count:, :count] = matrix[:count, count:].T
+        matrix[effects_at:, :effects_at] = matrix[:effects_at, effects_at:].T
         cost_decrease_by_contacts = float(
             sum(e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts)
         )
@@ -147,7 +147,7 @@ class ReducedEquations:
 
 
 def reduced_equations(
-    linearization: Linearization, residual: Residual, sides: Sequence[Sides] | None = None
+    linearization: Linearization, residual: Residual, sides: Sequence[PullSides] | None = None
 ) -> ReducedEquations:
     """Normal equations of the nuisance parameters, with their unit normal priors weighted by `sample_ratio`.
 
@@ -162,13 +162,13 @@ def reduced_equations(
         contact_sides = contact.sides_after() if sides is None else sides[j]
         columns, straight_residual = (contact.columns_beyond(contact_sides), contact.residual_beyond(contact_sides))
         solver, by_nuisance = (splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j))
-        own_gradient, unknowns_by_nuisance = (columns.T @ straight_residual, columns.T @ by_nuisance)
-        solved_by_nuisance = solver.solve(unknowns_by_nuisance)
-        matrix = matrix + by_nuisance.T @ by_nuisance - unknowns_by_nuisance.T @ solved_by_nuisance
-        gradient = gradient + by_nuisance.T @ contact.residual - solved_by_nuisance.T @ own_gradient
+        own_gradient, cross_products = (columns.T @ straight_residual, columns.T @ by_nuisance)
+        solved_products = solver.solve(cross_products)
+        matrix = matrix + by_nuisance.T @ by_nuisance - cross_products.T @ solved_products
+        gradient = gradient + by_nuisance.T @ contact.residual - solved_products.T @ own_gradient
         own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight_residual @ straight_residual))
         eliminated.append(
-            Eliminated(solver, by_nuisance, unknowns_by_nuisance, solved_by_nuisance, own_gradient, own_step, cost_fall)
+            EliminatedContact(solver, by_nuisance, cross_products, solved_products, own_gradient, own_step, cost_fall)
         )
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
@@ -182,7 +182,7 @@ def contact_jacobian(
     forces_n = columns.contact_n[:, contact_index].astype(float)
     moves_contact = np.any(columns.eta_m[:, contact_index], axis=1)
     moved_m = columns.finer_eta_m[moves_contact, contact_index]
-    forces_n[columns.moving[moves_contact]] -= contact.tangent.force_change_n(moved_m)
+    forces_n[columns.moving_indices[moves_contact]] -= contact.tangent.force_change_n(moved_m)
     jacobian = np.zeros((contact.residual.size, len(columns.parameters)))
     jacobian[: weights.size] = weights[:, None] * forces_n.T
     return jacobian
@@ -195,7 +195,7 @@ def contact_columns(
     contact, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
     columns = np.zeros((contact.residual.size, column_count))
     columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
-    first_tolerance = nuisance_count + sum(c.pulls.size for c in residual.contacts[:contact_index])
+    first_tolerance = nuisance_count + sum(contact.pulls.size for contact in residual.contacts[:contact_index])
     sample_count = contact.observation.weights.size
     columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
         :sample_count, contact.observation.tolerance_slice
@@ -205,28 +205,30 @@ def contact_columns(
 
 def fit(
     linearization: Linearization,
-    build_rig: Build,
+    build_rig: BuildRig,
     values: Values,
     steps: Values,
     bounds: tuple[Values, Values],
-    initial: Residual | None = None,
+    start_residual: Residual | None = None,
     max_steps: int = MAX_STEPS,
-) -> Fit:
+) -> ParameterFit:
     """Minimise the cost over parameters within bounds, from `values`; `steps` scale the differences for derivatives.
 
-    `initial` gives the nuisance parameters and contact unknowns to start from.
+    `start_residual` gives the nuisance parameters and contact unknowns to start from.
     """
-    nuisance, unknowns = (
-        (initial.nuisance_pulls, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
+    initial_pulls, initial_unknowns = (
+        (start_residual.nuisance_pulls, tuple(contact.unknowns for contact in start_residual.contacts))
+        if start_residual
+        else (None, None)
     )
-    if nuisance is not None and linearization.tuning.pulls and not nuisance.any():
-        nuisance = None  # the modes' parameters start at the values that the record's modes give
-    start_point = _Point(values, residual_of(linearization, build_rig(values), nuisance, unknowns))
+    if initial_pulls is not None and linearization.tuning.pulls and not initial_pulls.any():
+        initial_pulls = None  # the modes' parameters start at the values that the record's modes give
+    start_point = _Point(values, residual_of(linearization, build_rig(values), initial_pulls, initial_unknowns))
     step_from = partial(_step, linearization, build_rig, steps, bounds)
     best_point, last_step = gauss_newton(start_point, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
     if linearization.record.measured_modes:  # within a sharp mode's width the nuisance columns change already
         last_step = step_from(start_point)
-    return Fit(best_point.values, last_step.covariance, best_point.residual)
+    return ParameterFit(best_point.values, last_step.covariance, best_point.residual)
 
 
 @dataclass(frozen=True)
@@ -249,17 +251,17 @@ def _negligible_decrease(point: _Point) -> float:
 
 
 def _step(
-    linearization: Linearization, build_rig: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
+    linearization: Linearization, build_rig: BuildRig, steps: Values, bounds: tuple[Values, Values], point: _Point
 ) -> _Step:
     """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
     values, residual, nuisance_count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
     columns = [_step_column(linearization, build_rig, values, s, residual) for s in np.eye(values.size) * inward_steps]
     scaled_bounds = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
-    least_step = np.concatenate([-LIMIT - residual.nuisance_pulls, scaled_bounds[0]])
-    greatest_step = np.concatenate([LIMIT - residual.nuisance_pulls, scaled_bounds[1]])
+    least_step = np.concatenate([-PULL_LIMIT - residual.nuisance_pulls, scaled_bounds[0]])
+    greatest_step = np.concatenate([PULL_LIMIT - residual.nuisance_pulls, scaled_bounds[1]])
     sides = [contact.sides_after() for contact in residual.contacts]
-    for _ in range(MAX_SIDES):
+    for _ in range(MAX_SIDE_ROUNDS):
         equations = reduced_equations(linearization, residual, sides).with_columns(columns)
         ridge = np.r_[np.zeros(nuisance_count), 1e-9 * np.diag(equations.matrix)[nuisance_count:] + 1e-300]
         full_step = bounded_minimum(equations.matrix + np.diag(ridge), equations.gradient, least_step, greatest_step)
@@ -268,22 +270,17 @@ def _step(
         if all(np.array_equal(*pair) for pair in zip(sides_before, sides, strict=True)):
             break
 
-    def point_after(share: float) -> _Point | None:
-        step = share * full_step
+    def point_after(step_share: float) -> _Point | None:
+        step = step_share * full_step
         stepped_values = np.clip(values + step[nuisance_count:] * inward_steps, *bounds)
         step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
-            c.unknowns + share * u
-            for c, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
+            contact.unknowns + step_share * change
+            for contact, change in zip(residual.contacts, equations.unknown_steps(step / step_share), strict=True)
         ]
         try:
-            rig = build_rig(stepped_values)
-            return _Point(
-                stepped_values,
-                residual_of(
-                    linearization, rig, residual.nuisance_pulls + step[:nuisance_count], tuple(unknowns), base=residual
-                ),
-            )
+            rig, pulls = build_rig(stepped_values), residual.nuisance_pulls + step[:nuisance_count]
+            return _Point(stepped_values, residual_of(linearization, rig, pulls, tuple(unknowns), reusable=residual))
         except RigError:  # no such rig
             return None
 
@@ -293,8 +290,8 @@ def _step(
 
 
 def _step_column(
-    linearization: Linearization, build_rig: Build, values: Values, step: Values, residual: Residual
-) -> Column:
+    linearization: Linearization, build_rig: BuildRig, values: Values, step: Values, residual: Residual
+) -> ResidualColumn:
     """Decrease of the residuals by a step; where sharp modes ring, by extrapolation, 2 d(step) - d(2 step) / 2.
 
     A shift by a fraction of a resonance's width is nonlinear, and nuisance parameters cannot absorb its curvature.
@@ -322,10 +319,10 @@ def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
 def bounded_minimum(
     matrix: Float[np.ndarray, "n n"],
     gradient: Float[np.ndarray, " n"],
-    low: Float[np.ndarray, " n"],
-    high: Float[np.ndarray, " n"],
+    lower_bounds: Float[np.ndarray, " n"],
+    upper_bounds: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """Minimise x'Mx/2 - g'x over low <= x <= high.
+    """Minimise x'Mx/2 - g'x over lower_bounds <= x <= upper_bounds.
 
     Raises RigError if M or g is not finite, or if M is singular beyond single-precision rounding.
     """
@@ -333,10 +330,12 @@ def bounded_minimum(
         raise RigError(
             "rig.json's contacts or modes are beyond any that this recording can be compared with; check its numbers"
         )
-    factor = _cholesky(matrix)
-    target = solve_triangular(factor, gradient, lower=True)
-    low = np.minimum(low, 0.0) - BOUND_SLACK
-    return np.asarray(lsq_linear(factor.T, target, (low, np.maximum(high, 0.0) + BOUND_SLACK), "bvls").x)
+    cholesky = _cholesky(matrix)
+    whitened_gradient = solve_triangular(cholesky, gradient, lower=True)
+    lower_bounds = np.minimum(lower_bounds, 0.0) - BOUND_SLACK
+    return np.asarray(
+        lsq_linear(cholesky.T, whitened_gradient, (lower_bounds, np.maximum(upper_bounds, 0.0) + BOUND_SLACK), "bvls").x
+    )
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -39,8 +39,8 @@ def free_motion_of(
     if not record.counts_from_blow:
         return ()
     sampling = None if floats_in_contacts(record.rig) else record.sampling
-    sensors_by_name = {s.name: s for s in rig.sensors}
-    sensor_stations = [sensors_by_name[s.name].station for s in record.sensors]
+    sensors_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    sensor_stations = [sensors_by_name[sensor.name].station for sensor in record.sensors]
     all_free_modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
     free_modes_to_fit, mass_modes = _split_by_state(record, rig, all_free_modes, responses)
     if free_modes_to_fit:
@@ -80,9 +80,13 @@ def _split_by_state(
     free_modes_to_fit, mass_modes = [], []
     for free_mode in all_free_modes:
         body = responses[free_mode.body_index].body
-        body_sensors = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
-        if body_sensors:
-            first_sensor, gain_by_sensor = body_sensors[0], {s.name: s.gain for s in rig.sensors}
+        body_sensor_indices = (
+            [sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+            if body.is_mass
+            else []
+        )
+        if body_sensor_indices:
+            first_sensor, gain_by_sensor = body_sensor_indices[0], {sensor.name: sensor.gain for sensor in rig.sensors}
             modal_per_signal = record.sample_rate_hz / (
                 gain_by_sensor[record.sensors[first_sensor].name] * free_mode.shape[first_sensor]
             )

@@ -18,28 +18,28 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, FittedMotion, Results, Signal
-from identify.gaps.residual.tangent import Tangent
+from identify.gaps.residual.tangent import LawTangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
 EXCESS_WEIGHT = 100.0
-"""Extra weight of a contact tolerance's excess beyond `LIMIT` standard deviations: something else is wrong. Set by
+"""Extra weight of a contact tolerance's excess beyond `PULL_LIMIT` standard deviations: something else is wrong. Set by
 hand: a soft bound."""
 LEAST_CLEARANCE_FACTOR = 1e-9
 """Least factor on a clearance, in place of zero: a stop that is not there stays infinitely far away. Set by hand."""
 DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
 """Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
 
-Sides = Float[np.ndarray, " pulls"]
-"""Sides of a contact's pulls: 0 within `LIMIT`, -1 or 1 beyond it."""
+PullSides = Float[np.ndarray, " pulls"]
+"""Sides of a contact's pulls: 0 within `PULL_LIMIT`, -1 or 1 beyond it."""
 
 
 def initial_unknowns(
-    signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
+    contact_signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
 
@@ -48,9 +48,10 @@ def initial_unknowns(
     unknowns = np.zeros(observation.drift_spline.knots + len(observation.law_prior_deviations) * len(law.laws))
     first_law, (lower_m, upper_m) = law.laws[0], law.clearances_m
     eta_m, velocity_m_per_s, time_s = (
-        x[:: signals.decimation] for x in (signals.eta_m, signals.eta_rate_m_per_s, signals.time_s)
+        signal[:: contact_signals.decimation]
+        for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)
     )
-    elastic_n = signals.force_n - law.force_n(
+    elastic_n = contact_signals.force_n - law.force_n(
         np.zeros_like(eta_m), velocity_m_per_s
     )  # less what acts in the open contact too
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
@@ -103,7 +104,7 @@ class ContactResidual:
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
     the same places. adjusted_law has the first two of these. residual is the force less the law at a motion, in
-    standard deviations, followed by the residuals of the priors, those of the pulls' excess beyond `LIMIT` last.
+    standard deviations, followed by the residuals of the priors, those of the pulls' excess beyond `PULL_LIMIT` last.
     """
 
     observation: ContactObservation
@@ -136,8 +137,8 @@ class ContactResidual:
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
 
-        takes_time = _takes_time(self.adjusted_law)
-        return self.signals.low_passed(slope_rows, self.motion, takes_time, self.signals.slope_rate_multiple)
+        depends_on_time = _depends_on_time(self.adjusted_law)
+        return self.signals.low_passed(slope_rows, self.motion, depends_on_time, self.signals.slope_rate_multiple)
 
     @cached_property
     def slopes(self) -> Float[np.ndarray, "4 laws times"]:
@@ -146,9 +147,9 @@ class ContactResidual:
         return decimated(self._finer_slopes, self.signals.slope_rate_multiple)
 
     @cached_property
-    def tangent(self) -> Tangent:
+    def tangent(self) -> LawTangent:
         """Tangent stiffness of all laws together."""
-        return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
+        return LawTangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         """Tangent stiffness of each law at a relative displacement, N/m."""
@@ -178,9 +179,10 @@ class ContactResidual:
         increases_s = self.pulls[2::3] * damping_deviation_s
         return tuple(
             changed(
-                adjusted, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m))
+                adjusted_law,
+                damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m)),
             )
-            for adjusted, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, increases_s, strict=True)
+            for adjusted_law, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, increases_s, strict=True)
         )
 
     @property
@@ -188,7 +190,7 @@ class ContactResidual:
         """Slow part of the relative displacement that integration loses, m."""
         return np.asarray(self.observation.drift_spline.value @ self.unknowns[: self.observation.drift_spline.knots])
 
-    def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> Sides:
+    def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
         """Sides of the pulls, after a step of the unknowns."""
         return np.sign(_limit_excess((self.unknowns + step)[self.observation.tolerance_slice]))
 
@@ -197,7 +199,7 @@ class ContactResidual:
         """Decrease of the residual per unit of each unknown, rows x unknowns."""
         return self.columns_beyond(self.sides_after())
 
-    def columns_beyond(self, sides: Sides) -> csr_matrix:
+    def columns_beyond(self, sides: PullSides) -> csr_matrix:
         """Columns where the pulls' excess is straight, as on given sides."""
         prior_diagonal = np.diag(self.observation.prior_weight * np.ones(sides.size))
         prior_rows = np.concatenate([prior_diagonal, EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
@@ -205,10 +207,10 @@ class ContactResidual:
             [self._force_columns, block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")], "csr"
         )
 
-    def residual_beyond(self, sides: Sides) -> Float[np.ndarray, " rows"]:
+    def residual_beyond(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
         """Residual with the same straight excess."""
         residual = self.residual.copy()
-        straight_excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
+        straight_excess = np.where(sides != 0, self.pulls - sides * PULL_LIMIT, 0.0)
         residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * straight_excess
         return residual
 
@@ -287,12 +289,13 @@ def contact_residual(
         signed_laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
         return np.asarray(
             sum(
-                sign * force_with_damping_n(single_law, damping_increase, sign * eta, sign * eta_rate, *time_s)
-                for sign, single_law, damping_increase in signed_laws
+                signal_sign
+                * force_with_damping_n(single_law, damping_increase, signal_sign * eta, signal_sign * eta_rate, *time_s)
+                for signal_sign, single_law, damping_increase in signed_laws
             )
         )
 
-    law_force_n = signals.low_passed(force_n, motion, _takes_time(adjusted_law))
+    law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
     residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     return ContactResidual(
@@ -323,18 +326,18 @@ def force_increase_n(
     law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **increases: float
 ) -> Signal:
     """Increase of the force as fields that it is proportional to grow by these amounts."""
-    increased_law = changed(law, **{name: getattr(law, name) + by for name, by in increases.items()})
+    increased_law = changed(law, **{name: getattr(law, name) + increase for name, increase in increases.items()})
     return increased_law.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
-def _takes_time(law: GroupLaw) -> bool:
+def _depends_on_time(law: GroupLaw) -> bool:
     """True if the law wears, and so depends on the time."""
     return any(single_law.wear_m_per_s for single_law in law.laws)
 
 
 def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
-    """Excess of pulls beyond `LIMIT`, zero within it."""
-    return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
+    """Excess of pulls beyond `PULL_LIMIT`, zero within it."""
+    return np.asarray(pulls - np.clip(pulls, -PULL_LIMIT, PULL_LIMIT))
 
 
 def _at_sample_rate(slow_motion: Float[np.ndarray, " times"], decimation: int) -> Float[np.ndarray, " samples"]:

@@ -26,7 +26,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_means, band_of_lines, measured_levels, posterior_level, second_levels
 
-NOISE_LIMIT = 0.5
+NOISE_SHARE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
 displacements differentiated twice show noise alone above some hundred Hz."""
 SIGNIFICANT_EXCESS = 3.0
@@ -51,7 +51,7 @@ class NominalVariances:
     @property
     def has_signal(self) -> Bool[np.ndarray, "bands sensors"]:
         """Mask of bands and sensors with less than half of their power from noise."""
-        return self.noise_variance < NOISE_LIMIT * self.acceleration_power
+        return self.noise_variance < NOISE_SHARE_LIMIT * self.acceleration_power
 
 
 def nominal_variances_of(linearization: Linearization) -> NominalVariances:
@@ -76,15 +76,15 @@ class Misfit:
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
     variance_correction accounts for variances that change within a band (`scales.measured_levels`).
     contact_level_by_second is the mean square of each contact's residual relative to the nominal variance,
-    contact_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is `lines.cost_of_lines`,
-    independent_samples the number of independent samples.
+    contact_excess_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is
+    `lines.cost_of_lines`, independent_samples the number of independent samples.
     """
 
     nominal_variances: NominalVariances
     variance_by_second: Float[np.ndarray, "seconds bands sensors"]
     variance_correction: Float[np.ndarray, "bands sensors"]
     contact_level_by_second: Float[np.ndarray, "seconds contacts"]
-    contact_n2: Float[np.ndarray, "seconds contacts"]
+    contact_excess_n2: Float[np.ndarray, "seconds contacts"]
     force_n2: Float[np.ndarray, "seconds contacts"]
     pulls: Float[np.ndarray, " pulls"]
     drift_cost: float
@@ -154,8 +154,8 @@ class Misfit:
     @cached_property
     def excess_variance(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
-        reference = self.nominal_variances
-        return np.asarray((self.measured_variance - reference.noise_variance) * reference.has_signal)
+        nominal_variances = self.nominal_variances
+        return np.asarray((self.measured_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
 
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
@@ -178,9 +178,9 @@ class Misfit:
         line_counts = self.nominal_variances.line_counts[:, None]
         is_significant = self.excess_variance > SIGNIFICANT_EXCESS * self.measured_variance / np.sqrt(line_counts)
         significant_power = float(np.sum(line_counts * self.excess_variance * is_significant))
-        other_power = float(np.sum(line_counts * self.excess_variance * ~is_significant))
+        insignificant_power = float(np.sum(line_counts * self.excess_variance * ~is_significant))
         motion_power = max(self.power_by_band.sum(), 1e-300)
-        return float(np.sqrt((significant_power + max(other_power, 0.0)) / motion_power))
+        return float(np.sqrt((significant_power + max(insignificant_power, 0.0)) / motion_power))
 
     @property
     def power_by_band(self) -> Float[np.ndarray, " bands"]:
@@ -191,15 +191,15 @@ class Misfit:
     def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Square of `motion_share` for each second; negative where a second is quieter than the noise."""
         motion_power = max(self.power_by_band.sum(), 1e-300)
-        excess_power = (
+        excess_power_by_second = (
             self.variance_by_second * self.variance_correction - self.nominal_variances.noise_variance
         ) * self.nominal_variances.has_signal
-        return np.einsum("sbi,b->s", excess_power, self.nominal_variances.line_counts) / motion_power
+        return np.einsum("sbi,b->s", excess_power_by_second, self.nominal_variances.line_counts) / motion_power
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
         """Unexplained share of each contact force's root mean square, beyond noise."""
-        excess_n2 = np.maximum(self.contact_n2.mean(axis=0), 0.0)
+        excess_n2 = np.maximum(self.contact_excess_n2.mean(axis=0), 0.0)
         return np.asarray(np.sqrt(excess_n2 / np.maximum(self.force_n2.mean(axis=0), 1e-300)))
 
     def resampled(self, second_indices: Int[np.ndarray, " seconds"]) -> "Misfit":
@@ -208,7 +208,7 @@ class Misfit:
             self,
             variance_by_second=self.variance_by_second[second_indices],
             contact_level_by_second=self.contact_level_by_second[second_indices],
-            contact_n2=self.contact_n2[second_indices],
+            contact_excess_n2=self.contact_excess_n2[second_indices],
             force_n2=self.force_n2[second_indices],
         )
 
@@ -243,7 +243,7 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
         )
         / expected_variance,
         contact_level_by_second=contact_rows[:, 0].T,
-        contact_n2=contact_rows[:, 1].T,
+        contact_excess_n2=contact_rows[:, 1].T,
         force_n2=contact_rows[:, 2].T,
         pulls=residual.pulls,
         drift_cost=drift_cost / record.sample_ratio,

@@ -56,7 +56,7 @@ ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, 
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearModel:
     """Linear model of a rig, fitted to a record.
 
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
@@ -101,7 +101,7 @@ class Linear:
     @cached_property
     def missed_accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations of a free motion that the sensors miss."""
-        return sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(self.sensor_response))
+        return sum((mode.missed_acceleration for mode in self.free_modes), np.zeros_like(self.sensor_response))
 
     @cached_property
     def base(self) -> BaseSpectra | None:
@@ -192,7 +192,7 @@ class Linear:
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
         rig = following_motion(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
 
@@ -208,7 +208,7 @@ def linear_model(
     model_error: float | Float[np.ndarray, "sensors lines"],
     cache: ResponseCache | None = None,
     mode_factors: ModeFactors | None = None,
-) -> Linear:
+) -> LinearModel:
     """Linear model of a rig that has the record's sensors and contacts.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
@@ -220,7 +220,7 @@ def linear_model(
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
         responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
-    responses = tuple(r.damped_by(linear_dampers(record, rig)) for r in responses)
+    responses = tuple(response.damped_by(linear_dampers(record, rig)) for response in responses)
     displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
     model = _linear_model(record, rig, responses, model_error, motion)
@@ -242,7 +242,7 @@ def _linear_model(
     responses: tuple[Response, ...],
     model_error: float | Float[np.ndarray, "sensors lines"],
     motion: SensedMotion,
-) -> Linear:
+) -> LinearModel:
     """Linear model whose forces on the ground follow this motion at the sensors."""
     sensor_response = sensor_response_of(record, rig)
     sensor_stations = sensor_stations_of(record, rig)
@@ -286,7 +286,7 @@ def _linear_model(
     )
     input_estimates, log_determinant = estimated_inputs(signal_per_input, scaled_signals, contact_count)
     residual = input_residual(signal_per_input, input_estimates, scaled_signals)
-    return Linear(
+    return LinearModel(
         record=record,
         rig=rig,
         responses=responses,
@@ -304,7 +304,7 @@ def _linear_model(
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors_by_name, omega = {s.name: s for s in rig.sensors}, record.omega
+    sensors_by_name, omega = {sensor.name: sensor for sensor in rig.sensors}, record.omega
     sensor_response = np.empty((len(record.sensors), omega.size), dtype=complex)
     for response_row, sensor in zip(sensor_response, record.sensors, strict=True):
         response_row[:] = sensors_by_name[sensor.name].response(omega)
@@ -313,8 +313,8 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
 
 def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
-    sensors_by_name = {s.name: s for s in rig.sensors}
-    return [sensors_by_name[s.name].station for s in record.sensors]
+    sensors_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return [sensors_by_name[sensor.name].station for sensor in record.sensors]
 
 
 def _across_weights(
@@ -326,15 +326,15 @@ def _across_weights(
 
 
 def ground_spring_correction(
-    record: Record, model: Linear, displacement_changes: Complex[np.ndarray, "sensors lines"]
+    record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    sensor_stations: list[Station | None] = [s.station for s in record.sensors]
+    sensor_stations: list[Station | None] = [sensor.station for sensor in record.sensors]
     return -delivered_by(model, sensor_stations, model.ground_force_changes(displacement_changes))
 
 
 def delivered_by(
-    model: Linear,
+    model: LinearModel,
     sensor_stations: list[Station | None],
     forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
 ) -> Complex[np.ndarray, "sensors lines"]:

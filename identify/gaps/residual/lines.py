@@ -6,10 +6,10 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.signal import find_peaks, zoom_fft
 from scipy.signal.windows import hann
 
-NEIGHBOURS, OUTSTANDING = (3, 8), 100.0
+NEIGHBOUR_LINES, OUTSTANDING_RATIO = (3, 8), 100.0
 """Neighbours of a line, the third to the eighth on either side, and the multiple of their median power above which it
 stands out: a Hann window separates them, and a resonance of 1 % damping at 8 Hz raises them all. Set by hand."""
-REFINEMENT = 32
+REFINEMENT_STEPS = 32
 """Refinement of the frequency grid of a line: a tone off by half a step keeps 0.1 % of its power."""
 
 FORCE_LINE_REACH = 2
@@ -20,7 +20,7 @@ Rows = Float[np.ndarray, "rows times"]
 
 
 def cost_of_lines(residual_rows: Rows, direction_count: int, repeats_per_sample: float = 0.0) -> float:
-    """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
+    """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING_RATIO median power of the neighbours)).
 
     A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
     forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
@@ -37,12 +37,12 @@ def cost_of_lines(residual_rows: Rows, direction_count: int, repeats_per_sample:
 def outstanding_frequencies(residual_rows: Rows, repeats_per_sample: float = 0.0) -> tuple[float, ...]:
     """Frequencies, per sample, of lines that stand out in any row, without those of a repeating force."""
     sample_count = residual_rows.shape[1]
-    frequencies: list[float] = []
+    frequencies_per_sample: list[float] = []
     for line_index in np.flatnonzero(np.any(_outstanding_ratio(residual_rows, repeats_per_sample) > 1, axis=0)):
         refined_frequency = _refined_frequency(residual_rows, line_index / sample_count, 1 / sample_count)
-        if all(abs(refined_frequency - frequency) > 1 / sample_count for frequency in frequencies):
-            frequencies.append(refined_frequency)
-    return tuple(frequencies)
+        if all(abs(refined_frequency - frequency) > 1 / sample_count for frequency in frequencies_per_sample):
+            frequencies_per_sample.append(refined_frequency)
+    return tuple(frequencies_per_sample)
 
 
 def without_lines(residual_rows: Rows, frequencies: tuple[float, ...]) -> Rows:
@@ -64,9 +64,9 @@ def sharpest_frequencies(
     of a repeating force are left out.
     """
     sample_count = residual_rows.shape[1]
-    power = np.sum(np.abs(np.fft.rfft(residual_rows * hann(sample_count), 4 * sample_count)) ** 2, axis=0)
-    median_power = median_filter(power, max(3, round(bandwidth * 4 * sample_count)))
-    power_ratio = power / np.maximum(median_power, 1e-12 * power.max())
+    line_power = np.sum(np.abs(np.fft.rfft(residual_rows * hann(sample_count), 4 * sample_count)) ** 2, axis=0)
+    median_power = median_filter(line_power, max(3, round(bandwidth * 4 * sample_count)))
+    power_ratio = line_power / np.maximum(median_power, 1e-12 * line_power.max())
     power_ratio[_force_lines(np.arange(power_ratio.size) / 4, sample_count, repeats_per_sample)] = 0.0
     peak_indices, _ = find_peaks(power_ratio, distance=4)
     sharpest_indices = peak_indices[np.argsort(-power_ratio[peak_indices])[:line_count]]
@@ -89,24 +89,25 @@ def _force_lines(
 
 
 def _outstanding_ratio(residual_rows: Rows, repeats_per_sample: float) -> Float[np.ndarray, "rows lines"]:
-    """Power of each peak over OUTSTANDING times its neighbours'; zero off peaks, at the ends, on the force's lines."""
-    power = np.abs(np.fft.rfft(residual_rows * hann(residual_rows.shape[1]))) ** 2
-    is_peak = power == maximum_filter1d(power, 2 * NEIGHBOURS[0] - 1, axis=1)
-    is_peak[:, : NEIGHBOURS[1]] = is_peak[:, -NEIGHBOURS[1] :] = False
+    """Power of each peak over OUTSTANDING_RATIO times its neighbours'; zero off peaks, at ends, on a force's lines."""
+    line_power = np.abs(np.fft.rfft(residual_rows * hann(residual_rows.shape[1]))) ** 2
+    is_peak = line_power == maximum_filter1d(line_power, 2 * NEIGHBOUR_LINES[0] - 1, axis=1)
+    is_peak[:, : NEIGHBOUR_LINES[1]] = is_peak[:, -NEIGHBOUR_LINES[1] :] = False
     is_peak[:, _force_lines(np.arange(float(is_peak.shape[1])), residual_rows.shape[1], repeats_per_sample)] = False
     peak_rows, peak_lines = np.nonzero(is_peak)
-    neighbour_offsets = np.arange(NEIGHBOURS[0], NEIGHBOURS[1] + 1)
+    neighbour_offsets = np.arange(NEIGHBOUR_LINES[0], NEIGHBOUR_LINES[1] + 1)
     neighbour_power = np.median(
-        power[peak_rows[:, None], peak_lines[:, None] + np.concatenate([-neighbour_offsets, neighbour_offsets])], axis=1
+        line_power[peak_rows[:, None], peak_lines[:, None] + np.concatenate([-neighbour_offsets, neighbour_offsets])],
+        axis=1,
     )
-    outstanding_ratio = np.zeros_like(power)
-    outstanding_ratio[is_peak] = power[is_peak] / np.maximum(OUTSTANDING * neighbour_power, 1e-300)
+    outstanding_ratio = np.zeros_like(line_power)
+    outstanding_ratio[is_peak] = line_power[is_peak] / np.maximum(OUTSTANDING_RATIO * neighbour_power, 1e-300)
     return outstanding_ratio
 
 
-def _refined_frequency(residual_rows: Rows, frequency: float, spacing: float) -> float:
-    """Frequency of largest power of all rows within `spacing` of a frequency; per sample."""
-    frequency_grid = frequency + spacing * np.linspace(-1, 1, 2 * REFINEMENT + 1)
+def _refined_frequency(residual_rows: Rows, frequency: float, line_spacing: float) -> float:
+    """Frequency of largest power of all rows within `line_spacing` of a frequency; per sample."""
+    frequency_grid = frequency + line_spacing * np.linspace(-1, 1, 2 * REFINEMENT_STEPS + 1)
     spectra = zoom_fft(
         residual_rows * hann(residual_rows.shape[1]),
         frequency_grid[[0, -1]],

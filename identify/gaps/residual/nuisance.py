@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import Linear, ground_spring_correction
+from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import following_motion, has_ground_forces
 from identify.linear.free_motion import state_changes, tuning_derivative
@@ -29,7 +29,7 @@ from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
 
-LIMIT = 6.0
+PULL_LIMIT = 6.0
 """Bound of every nuisance parameter in standard deviations: beyond it, something else is wrong. Derived: a normal
 variable exceeds it once in 5e8."""
 MODE_REACH = 1.3
@@ -40,18 +40,18 @@ MODAL_KINDS = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
 
 
 @dataclass(frozen=True)
-class Columns:
+class NuisanceColumns:
     """Decrease of the linear residual, the contact forces and the relative displacements per nuisance parameter.
 
-    Each parameter is in its standard deviations. Relative displacements, of the parameters at the indices `moving`
-    alone, are spectra and, as `Record.in_finer_time`, over time. Arrays are in single precision,
-    except for records of sharp modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
+    Each parameter is in its standard deviations. Relative displacements, of the parameters at `moving_indices` alone,
+    are spectra and, as `Record.in_finer_time`, over time. Arrays are in single precision, except for records of sharp
+    modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
     """
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
     contact_n: Float[np.ndarray, "nuisances contacts times"]
-    moving: Int[np.ndarray, " moving"]
+    moving_indices: Int[np.ndarray, " moving"]
     eta_m: Complex[np.ndarray, "moving contacts lines"]
     finer_eta_m: Float[np.ndarray, "moving contacts finer"]
 
@@ -69,7 +69,7 @@ class Columns:
         return (self.flat_residual @ flat_residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
-def columns_of(record: Record, model: Linear) -> Columns:
+def columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     """Columns of all parameters whose tolerance is above zero."""
     body_names = [response.body.name for response in model.responses]
     initial_state_changes = state_changes(
@@ -85,7 +85,7 @@ def columns_of(record: Record, model: Linear) -> Columns:
         (nuisance_count, len(model.residual), sample_count), np.float64 if record.measured_modes else np.float32
     )
     contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
-    moving, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
+    moving_indices, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
     projection = model.projection if record.measured_modes else model.projection.in_single_precision()
     for change_index, change in enumerate(changes):
         projected_signals, contact_force_change = _projected_change(record, model, projection, change)
@@ -94,20 +94,20 @@ def columns_of(record: Record, model: Linear) -> Columns:
         if change.displacements is not None:
             eta_change_m = relative_displacements(record, model, change.displacements, change.sensors)
             if np.any(eta_change_m):
-                moving.append(change_index)
+                moving_indices.append(change_index)
                 eta_columns_m.append(eta_change_m.astype(np.complex64))
-    eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving), contact_count, record.omega.size)
-    return Columns(
-        tuple(c.parameter for c in changes),
+    eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving_indices), contact_count, record.omega.size)
+    return NuisanceColumns(
+        tuple(change.parameter for change in changes),
         residual_columns,
         contact_columns_n,
-        np.array(moving, dtype=int),
+        np.array(moving_indices, dtype=int),
         eta_m,
         record.in_finer_time(eta_m),
     )
 
 
-def _free_motion_change(record: Record, model: Linear, change: Change) -> Change:
+def _free_motion_change(record: Record, model: LinearModel, change: Change) -> Change:
     """Change of a mode's frequency or damping in a record with measured modes, by its sampled free motion up to the
     faded end; any other change as it is."""
     parameter, tolerances = change.parameter, record.tolerances
@@ -132,7 +132,7 @@ def _free_motion_change(record: Record, model: Linear, change: Change) -> Change
 
 
 def _projected_change(
-    record: Record, model: Linear, projection: Projection, change: Change
+    record: Record, model: LinearModel, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     change = _with_damper_feedback(record, model, change)
@@ -143,12 +143,12 @@ def _projected_change(
     return projection.applied_to(signal_change + ground_spring_correction(record, model, displacement_change))
 
 
-def _with_damper_feedback(record: Record, model: Linear, change: Change) -> Change:
+def _with_damper_feedback(record: Record, model: LinearModel, change: Change) -> Change:
     """Change of a body's modes with what its dampers do against it; any other change as it is."""
-    response = next((r for r in model.responses if r.body.name == change.parameter.owner), None)
+    response = next((response for response in model.responses if response.body.name == change.parameter.owner), None)
     if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
         return change
-    shapes = response.shapes([record.sensors[i].station for i in change.sensors])
+    shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in change.sensors])
     observed_count = min(shapes.shape)
     modal_accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_accelerations[:observed_count] = np.linalg.pinv(shapes[:, :observed_count]) @ (
@@ -158,7 +158,7 @@ def _with_damper_feedback(record: Record, model: Linear, change: Change) -> Chan
     return dataclasses.replace(change, signals=change.signals + model.sensor_response[change.sensors] * feedback)
 
 
-def _observed_motion(record: Record, model: Linear) -> ObservedSignals:
+def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
     signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
     return ObservedSignals(
@@ -186,15 +186,21 @@ def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " so
     return elastic_indices[natural_hz[elastic_indices] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
 
 
-def _modal_accelerations(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
+def _modal_accelerations(record: Record, model: LinearModel) -> list[Complex[np.ndarray, "modes lines"]]:
     """Modal accelerations of each body: the modelled ones, corrected by the unexplained part of its sensors."""
     unexplained_accelerations = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
     modal_accelerations = []
     for response, modal_acceleration in zip(model.responses, model.modal_accelerations, strict=True):
-        body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        body_sensors = [
+            sensor_index
+            for sensor_index, sensor in enumerate(record.sensors)
+            if sensor.station.body == response.body.name
+        ]
         if body_sensors:
             determined_count = min(len(body_sensors), response.mode_count)
-            shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :determined_count]
+            shapes = response.shapes([record.sensors[body_sensor_index].station for body_sensor_index in body_sensors])[
+                :, :determined_count
+            ]
             modal_acceleration[:determined_count] += np.linalg.pinv(shapes) @ unexplained_accelerations[body_sensors]
         modal_accelerations.append(modal_acceleration)
     return modal_accelerations
@@ -212,12 +218,14 @@ def apply_nuisance(
     fraction of its width is nonlinear. Without contacts the modes of every body are also scaled together; `tuned_modes`
     scales them one by one.
     """
-    mass_names = {b.name for b in rig.bodies if b.is_mass}
-    tuned_names = {b.name for b in rig.bodies if b.is_mass or not rig.contacts}
+    mass_names = {body.name for body in rig.bodies if body.is_mass}
+    tuned_names = {body.name for body in rig.bodies if body.is_mass or not rig.contacts}
     applied_kinds = {
         Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     }
-    applied_kinds |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in mass_names}
+    applied_kinds |= {
+        Nuisance(NuisanceKind.GAIN, sensor.name) for sensor in rig.sensors if sensor.station.body in mass_names
+    }
     applied_pulls = np.where([parameter in applied_kinds for parameter in nuisance_parameters], pulls, 0.0)
     return with_nuisance(rig, nuisance_parameters, applied_pulls, tolerances), applied_pulls
 
@@ -238,27 +246,29 @@ def with_nuisance(
     def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
         return float(max(0.1, 1 + tolerance * pull_by_parameter.get(Nuisance(kind, owner), 0.0)))
 
-    def body(nominal: Body) -> Body:
-        scaled_body = nominal.scale_mass(factor(NuisanceKind.MASS, nominal.name, tolerances.mass))
-        tuned_body = scaled_body.scale_frequencies(factor(NuisanceKind.FREQUENCY, nominal.name, tolerances.frequency))
-        return tuned_body.scale_damping(factor(NuisanceKind.DAMPING, nominal.name, tolerances.damping))
+    def body_with_pulls(nominal_body: Body) -> Body:
+        scaled_body = nominal_body.scale_mass(factor(NuisanceKind.MASS, nominal_body.name, tolerances.mass))
+        tuned_body = scaled_body.scale_frequencies(
+            factor(NuisanceKind.FREQUENCY, nominal_body.name, tolerances.frequency)
+        )
+        return tuned_body.scale_damping(factor(NuisanceKind.DAMPING, nominal_body.name, tolerances.damping))
 
-    def sensor(nominal: Sensor) -> Sensor:
-        sensor_tolerances = tolerances.of_sensor(nominal.name)
+    def sensor_with_pulls(nominal_sensor: Sensor) -> Sensor:
+        sensor_tolerances = tolerances.of_sensor(nominal_sensor.name)
         delay_change_s = sensor_tolerances.delay_s * pull_by_parameter.get(
-            Nuisance(NuisanceKind.DELAY, nominal.name), 0.0
+            Nuisance(NuisanceKind.DELAY, nominal_sensor.name), 0.0
         )
         return replace(
-            nominal,
-            gain=nominal.gain * factor(NuisanceKind.GAIN, nominal.name, sensor_tolerances.gain),
-            delay_s=nominal.delay_s + delay_change_s,
+            nominal_sensor,
+            gain=nominal_sensor.gain * factor(NuisanceKind.GAIN, nominal_sensor.name, sensor_tolerances.gain),
+            delay_s=nominal_sensor.delay_s + delay_change_s,
         )
 
     force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
-        bodies=tuple(body(b) for b in rig.bodies),
-        sensors=tuple(sensor(s) for s in rig.sensors),
+        bodies=tuple(body_with_pulls(body) for body in rig.bodies),
+        sensors=tuple(sensor_with_pulls(sensor) for sensor in rig.sensors),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
 
@@ -282,13 +292,19 @@ def residual_scale(record: Record) -> float:
 
 def relative_displacements(
     record: Record,
-    model: Linear,
+    model: LinearModel,
     displacements: Complex[np.ndarray, "some lines"],
     sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements at the contacts from displacements of some of the sensors there."""
-    sensor_stations = [s.station for s in record.sensors]
+    sensor_stations = [sensor.station for sensor in record.sensors]
     contact_signs = np.array(
-        [[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in sensor_stations] for c in model.rig.contacts]
+        [
+            [
+                (sensor_station == contact.at) * 1.0 - (sensor_station == contact.against) * 1.0
+                for sensor_station in sensor_stations
+            ]
+            for contact in model.rig.contacts
+        ]
     )
     return real_product(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)

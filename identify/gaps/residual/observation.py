@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d
 
-from identify.gaps.residual.linear import Linear
+from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
@@ -66,17 +66,17 @@ class ContactSignals:
     finer_motions: FinerMotions = field(repr=False)
 
     def low_passed(
-        self, law_function: Callable[..., Results], motion: FittedMotion, takes_time: bool, rate_multiple: int = 1
+        self, law_function: Callable[..., Results], motion: FittedMotion, depends_on_time: bool, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
         """Law of a motion, and of the time if it takes that, low-passed to `rate_multiple` times the force's rate."""
 
-        def finer() -> list[Results]:
-            signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if takes_time else [])]
+        def finer_signals() -> list[Results]:
+            signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if depends_on_time else [])]
             return list(finer_batches(np.stack(signals), self.sample_rate_hz))
 
         low_passed_results = evaluated_on(
             law_function,
-            self.finer_motions.get((motion, takes_time), finer),
+            self.finer_motions.get((motion, depends_on_time), finer_signals),
             motion.eta_m.size,
             self.sample_rate_hz,
             self.decimation,
@@ -85,7 +85,7 @@ class ContactSignals:
         return low_passed_results[..., : (self.force_n.size - 1) * rate_multiple + 1]
 
 
-def contact_signals_of(record: Record, model: Linear, finer_motions: FinerMotions) -> tuple[ContactSignals, ...]:
+def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerMotions) -> tuple[ContactSignals, ...]:
     """Signals of every contact by a linear model: the data that its law has to explain."""
     eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
@@ -136,7 +136,7 @@ class ContactObservation:
 
 
 def contact_observations(
-    record: Record, model: Linear, laws: Sequence[GroupLaw], residual_levels: Sequence[float]
+    record: Record, model: LinearModel, laws: Sequence[GroupLaw], residual_levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
     """Observations of a record's contacts by the linear model and the laws of the nominal rig.
 

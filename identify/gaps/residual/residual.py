@@ -11,10 +11,10 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.gaps.residual.law import ContactResidual, contact_motion, contact_residual, initial_unknowns
-from identify.gaps.residual.linear import Linear, linear_model, sensor_response_of
+from identify.gaps.residual.linear import LinearModel, linear_model, sensor_response_of
 from identify.gaps.residual.lines import outstanding_frequencies, without_lines
 from identify.gaps.residual.nuisance import (
-    Columns,
+    NuisanceColumns,
     apply_nuisance,
     columns_of,
     relative_displacements,
@@ -38,7 +38,7 @@ from identify.linear.nuisance import Nuisance
 from identify.signals.recent_values import RecentValues
 from rig.model.description import Rig
 
-Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
+ResidualColumn = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
 """Decrease of the linear residual and of each contact's residual."""
 
 
@@ -47,10 +47,10 @@ class SearchCache:
 
     def __init__(self, record: Record) -> None:
         self.responses = ResponseCache(record.omega, 2 * len(record.rig.bodies))
-        self._columns = RecentValues[Columns](2)
+        self._columns = RecentValues[NuisanceColumns](2)
         self.finer_motions = FinerMotions(len(record.rig.contacts))
 
-    def columns(self, model: Linear) -> Columns:
+    def columns(self, model: LinearModel) -> NuisanceColumns:
         return self._columns.get(model, lambda: columns_of(model.record, model))
 
 
@@ -65,7 +65,7 @@ class Linearization:
     record: Record
     rig: Rig
     scales: Scales
-    model: Linear
+    model: LinearModel
     observations: tuple[ContactObservation, ...]
     applied_nuisance: Float[np.ndarray, " nuisances"] | None
     tuning: TunedModes
@@ -85,8 +85,8 @@ class Linearization:
     def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
         """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
-        applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
-        return applied + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else applied
+        pulls = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
+        return pulls + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else pulls
 
     @cached_property
     def column_gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
@@ -103,7 +103,7 @@ class Linearization:
         return outstanding_frequencies(residual, self.record.repeats_per_sample)
 
     @property
-    def columns(self) -> Columns:
+    def columns(self) -> NuisanceColumns:
         """Columns of the nuisance parameters, recomputed if the cache has dropped them."""
         return self.cache.columns(self.model)
 
@@ -118,7 +118,7 @@ class Residual:
     """
 
     rig: Rig
-    model: Linear
+    model: LinearModel
     signals: tuple[ContactSignals, ...]
     linear_before_nuisance: Float[np.ndarray, "rows times"]
     linear_residual: Float[np.ndarray, "rows times"]
@@ -131,12 +131,12 @@ class Residual:
     @property
     def residual_count(self) -> int:
         """Number of residuals, which is the expected cost of noise alone."""
-        return int(self.linear_residual.size + sum(c.residual.size for c in self.contacts))
+        return int(self.linear_residual.size + sum(contact.residual.size for contact in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance_pulls, *(c.pulls for c in self.contacts)])
+        return np.concatenate([self.nuisance_pulls, *(contact.pulls for contact in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
@@ -162,7 +162,7 @@ class Residual:
     def cost(self) -> float:
         return (
             float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance_pulls @ self.nuisance_pulls)
-            + sum(c.cost for c in self.contacts)
+            + sum(contact.cost for contact in self.contacts)
             + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         )
 
@@ -180,7 +180,7 @@ def linearized(
     `scales` and `observations` of another linearisation of the record keep their costs comparable.
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
-    expansion_rig, applied = (
+    expansion_rig, applied_pulls = (
         apply_nuisance(rig, residual.parameters, residual.nuisance_pulls, record.tolerances)
         if residual
         else (rig, None)
@@ -190,7 +190,7 @@ def linearized(
     )
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
     observations = observations or contact_observations(record, model, group_laws(expansion_rig), scales.variances)
-    return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
+    return Linearization(record, rig, scales, model, observations, applied_pulls, mode_tuning, cache)
 
 
 def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
@@ -205,11 +205,11 @@ def scales_at(linearization: Linearization, residual: Residual) -> Scales:
     )
 
 
-def linear_of(linearization: Linearization, rig: Rig) -> Linear:
+def linear_of(linearization: Linearization, rig: Rig) -> LinearModel:
     """Linear model of a rig with the nuisance parameters that the linearisation applies."""
-    record, applied = linearization.record, linearization.applied_nuisance
-    if applied is not None and applied.any():
-        rig, _ = apply_nuisance(rig, linearization.columns.parameters, applied, record.tolerances)
+    record, applied_pulls = linearization.record, linearization.applied_nuisance
+    if applied_pulls is not None and applied_pulls.any():
+        rig, _ = apply_nuisance(rig, linearization.columns.parameters, applied_pulls, record.tolerances)
     scales, cache = linearization.scales, linearization.cache
     return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuning.factors)
 
@@ -219,17 +219,16 @@ def residual_of(
     rig: Rig,
     nuisance_pulls: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
-    base: Residual | None = None,
+    reusable: Residual | None = None,
 ) -> Residual:
     """Residual of a rig at given nuisance parameters and contact unknowns, without any fit.
 
-    Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
-    linearisation whose unchanged parts are reused.
+    Defaults: those of the linearisation, and `initial_unknowns`. Unchanged parts of `reusable`, one of it, are reused.
     """
     record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
-    if base is not None and same_but_laws(base.rig, rig):
-        model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)
+    if reusable is not None and same_but_laws(reusable.rig, rig):
+        model, signals, linear_at_expansion = (reusable.model, reusable.signals, reusable.linear_before_nuisance)
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         signals = contact_signals_of(record, model, linearization.cache.finer_motions)
@@ -239,30 +238,32 @@ def residual_of(
         contacts_and_laws = zip(signals, observations, laws, strict=True)
         unknowns = tuple(initial_unknowns(*inputs, record.rate_hz) for inputs in contacts_and_laws)
     nuisance_change = nuisance_pulls - linearization.expansion_point
-    reused = base if base is not None and model is base.model and nuisance_pulls is base.nuisance_pulls else None
-    linear = reused.linear_residual if reused else linear_at_expansion
+    is_reused = reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls
+    reused = reusable if is_reused else None
+    linear_residual = reused.linear_residual if reused else linear_at_expansion
     if nuisance_change.any() and not reused:
-        linear = linear_at_expansion - columns.residual_decrease(nuisance_change)
-    linear_without_lines = reused.linear_without_lines if reused else linear
+        linear_residual = linear_at_expansion - columns.residual_decrease(nuisance_change)
+    linear_without_lines = reused.linear_without_lines if reused else linear_residual
     if not reused and not rig.tones:
-        linear_without_lines = without_lines(linear, linearization.line_frequencies)
+        linear_without_lines = without_lines(linear_residual, linearization.line_frequencies)
     previous = reused.contacts if reused else ()
-    same_motion = bool(previous) and all(c.unknowns is u for c, u in zip(previous, unknowns, strict=True))
+    same_motion = bool(previous) and all(c.unknowns is unknown for c, unknown in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any() and not same_motion:
-        added_eta_m = record.sampled(np.tensordot(-nuisance_change[columns.moving], columns.eta_m, 1), upper_band=False)
+        eta_decrease_m = np.tensordot(nuisance_change[columns.moving_indices], columns.eta_m, 1)
+        added_eta_m = record.sampled(-eta_decrease_m, upper_band=False)
     drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
-        law, coupled = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
-        if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
+        law, coupled_contacts = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
+        if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled_contacts):
             return previous[j]
         if same_motion:
             return contact_residual(signals[j], observations[j], law, unknowns[j], previous[j].motion)
-        added_n = -nuisance_change @ columns.contact_n[:, j]
-        added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
-        motion = contact_motion(signals[j], observations[j], unknowns[j], added_n, added_eta_m[j])
+        added_force_n = -nuisance_change @ columns.contact_n[:, j]
+        added_force_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled_contacts)
+        motion = contact_motion(signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
         return contact_residual(signals[j], observations[j], law, unknowns[j], motion)
 
     return Residual(
@@ -270,7 +271,7 @@ def residual_of(
         model=model,
         signals=signals,
         linear_before_nuisance=linear_at_expansion,
-        linear_residual=linear,
+        linear_residual=linear_residual,
         linear_without_lines=linear_without_lines,
         contacts=tuple(contact(j) for j in range(len(laws))),
         nuisance_pulls=nuisance_pulls,
@@ -279,7 +280,7 @@ def residual_of(
     )
 
 
-def derivative(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
+def derivative(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
     """Decrease of the linear and the contact residuals from a residual's rig to a slightly changed one.
 
     A changed law is evaluated. A changed linear model changes contact forces and relative displacements, through the
@@ -288,8 +289,8 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     """
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
-        unknowns = tuple(c.unknowns for c in residual.contacts)
-        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, base=residual)
+        unknowns = tuple(contact.unknowns for contact in residual.contacts)
+        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, reusable=residual)
         contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         return residual.linear_residual - changed.linear_residual, contact_decreases
     if same_but_sensors(residual.rig, changed_rig):
@@ -309,7 +310,7 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     return residual_in_time(record, linear_decrease), contact_decreases
 
 
-def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
+def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
     """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
     record, model = linearization.record, residual.model
     change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1

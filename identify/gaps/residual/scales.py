@@ -17,7 +17,7 @@ from scipy.signal.windows import hann
 
 from identify.gaps.residual.record import Record
 
-BAND_HZ = 2.0
+BAND_WIDTH_HZ = 2.0
 """Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s. Derived:
 30 s * 2 Hz * 2 = 120 real values tell a variance to 13 %."""
 SEGMENT_S = 1.0
@@ -55,7 +55,7 @@ def second_levels(
     )
     window = hann(segment_samples, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    lines_per_band = max(1, round(BAND_HZ * segment_samples / record.rate_hz))
+    lines_per_band = max(1, round(BAND_WIDTH_HZ * segment_samples / record.rate_hz))
     band_count = power.shape[2] // lines_per_band
     level_by_cell = (
         power[:, :, : band_count * lines_per_band]
@@ -80,7 +80,7 @@ def measured_levels(
     residual_power = np.abs(np.fft.rfft(sensor_residuals * hann(sensor_residuals.shape[1], sym=False))) ** 2
     residual_lines_hz = np.arange(residual_power.shape[1]) * record.rate_hz / sensor_residuals.shape[1]
     record_lines_hz = record.omega / (2 * np.pi)
-    band_of_line = np.minimum(residual_lines_hz / BAND_HZ, band_count - 1).astype(int)
+    band_of_line = np.minimum(residual_lines_hz / BAND_WIDTH_HZ, band_count - 1).astype(int)
     weighted_variances = np.empty((band_count, len(sensor_residuals)))
     for sensor_index, (sensor_power, sensor_deviation) in enumerate(zip(residual_power, error_deviation, strict=True)):
         line_variance = np.interp(residual_lines_hz, record_lines_hz, sensor_deviation**2)
@@ -104,7 +104,7 @@ def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Fl
 
 def band_of_lines(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
     """Index of the band of each line."""
-    return np.minimum(record.omega / (2 * np.pi * BAND_HZ), band_count - 1).astype(int)
+    return np.minimum(record.omega / (2 * np.pi * BAND_WIDTH_HZ), band_count - 1).astype(int)
 
 
 def band_means(

@@ -45,7 +45,7 @@ class BaseSpectra:
 
     def in_rig(self, rig: Rig, omega: Float[np.ndarray, " lines"]) -> "BaseSpectra":
         """Motion behind these signals by the sensor's gain, delay and high-pass in a rig."""
-        sensor = next(s for s in rig.base_sensors if s.name == self.sensor.name)
+        sensor = next(base_sensor for base_sensor in rig.base_sensors if base_sensor.name == self.sensor.name)
         response = sensor.response(omega)
         return with_fields(
             self,
@@ -71,7 +71,7 @@ def check_base(rig: Rig) -> None:
     """Check what measures a shaken base; raises RigError with what the diagnosis takes."""
     if not rig.base_sensors:
         return
-    if forces := [s for s in rig.forces if not rig.is_on_ground(s)]:
+    if forces := [force for force in rig.forces if not rig.is_on_ground(force)]:
         raise RigError(
             f"identify gap takes a base that alone shakes a rig, and {rig.name!r} has a force on {forces[0].body!r} "
             f"beside {rig.base_sensors[0].name!r} on the ground; record without that force and leave force_at out, or "
@@ -91,13 +91,17 @@ def _quantities(sensors: tuple[Sensor, ...]) -> str:
 
 def body_sensors(rig: Rig) -> tuple[Sensor, ...]:
     """Sensors of motion on bodies."""
-    return tuple(s for s in rig.sensors if s.measures.translates and s not in rig.base_sensors)
+    return tuple(sensor for sensor in rig.sensors if sensor.measures.translates and sensor not in rig.base_sensors)
 
 
 def read_quantity(rig: Rig) -> str | None:
     """Quantity by which base and bodies are read; None if they have none in common."""
-    on_ground, on_bodies = ({s.quantity for s in sensors} for sensors in (rig.base_sensors, body_sensors(rig)))
-    return next((quantity for quantity in READ_QUANTITIES if quantity in on_ground & on_bodies), None)
+    quantities_on_ground, quantities_on_bodies = (
+        {sensor.quantity for sensor in sensors} for sensors in (rig.base_sensors, body_sensors(rig))
+    )
+    return next(
+        (quantity for quantity in READ_QUANTITIES if quantity in quantities_on_ground & quantities_on_bodies), None
+    )
 
 
 def base_sensor(rig: Rig) -> Sensor:

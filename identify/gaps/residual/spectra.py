@@ -15,9 +15,9 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.contacts.separation import drift_of
 from identify.gaps.residual.extent import (
+    BAND_REACH,
     LEAST_COUNTED_S,
-    REACH,
-    Beginning,
+    RecordBeginning,
     beginning_of,
     check_length,
     end_of_motion_s,
@@ -31,7 +31,7 @@ from identify.gaps.residual.extent import (
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
-from identify.gaps.residual.transform import Transform, transform_of
+from identify.gaps.residual.transform import RecordTransform, transform_of
 from identify.linear.joined import group_rig_of
 from identify.signals.drift import Drift
 from identify.signals.kinematics import CORNER_HZ, integrated, kinematics
@@ -72,44 +72,48 @@ def record_of(
     noise_densities = sensor_densities(recording, sensors, beginning.quiet_samples)
     high_hz = high_hz_of(recording, sensors, noise_densities, tolerances)
     decay_modes: tuple[MeasuredMode, ...] = ()
-    if beginning.counts_from_blow and not (rig.contacts and any(b.is_mass or b.rigid_modes for b in rig.bodies)):
+    if beginning.counts_from_blow and not (
+        rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
+    ):
         decay_modes = measured_modes(
-            np.stack([recording.values_of(s) for s in sensors]), rate_hz, high_hz, noise_densities
+            np.stack([recording.values_of(sensor) for sensor in sensors]), rate_hz, high_hz, noise_densities
         )
-        high_hz = min(high_hz, REACH * max((m.frequency_hz for m in decay_modes), default=np.inf))
+        high_hz = min(
+            high_hz, BAND_REACH * max((decay_mode.frequency_hz for decay_mode in decay_modes), default=np.inf)
+        )
     decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
-    transform = transform_of(recording, beginning, decimation)
-    omega = transform.omega
-    sensor_spectra, eta_above_band = _spectra(recording, transform, joined_rig, sensors)
+    record_transform = transform_of(recording, beginning, decimation)
+    omega = record_transform.omega
+    sensor_spectra, eta_above_band = _spectra(recording, record_transform, joined_rig, sensors)
     noise_per_line = sample_count * noise_densities**2 * rate_hz / 2
-    integrates_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
+    is_integrated_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
     corner_hz = (
-        noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if integrates_alone else CORNER_HZ
+        noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if is_integrated_alone else CORNER_HZ
     )
-    to_acceleration, to_displacement = (
-        np.stack([integrated(omega, target_order - s.measures.order, corner_hz) for s in sensors])
+    factor_to_acceleration, factor_to_displacement = (
+        np.stack([integrated(omega, target_order - sensor.measures.order, corner_hz) for sensor in sensors])
         for target_order in (2, 0)
     )
     velocity_correction, acceleration_signals = _window_corrections(
-        recording, transform, sensors, omega, beginning.zero_known
+        recording, record_transform, sensors, omega, beginning.zero_known
     )
-    acceleration_signals += sensor_spectra * to_acceleration
-    base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
+    acceleration_signals += sensor_spectra * factor_to_acceleration
+    base, base_correction = _base_spectra(recording, record_transform, beginning, corner_hz)
     period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
-    acceleration_factor = np.stack([omega ** (2 - s.measures.order) for s in sensors])
+    acceleration_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
         zero_known=beginning.zero_known,
         sample_rate_hz=rate_hz,
-        transform_length=transform.padded_length,
+        transform_length=record_transform.padded_length,
         sample_count=sample_count,
-        decimation=transform.decimation,
-        window=transform.window,
+        decimation=record_transform.decimation,
+        window=record_transform.window,
         omega=omega,
-        force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
+        force_spectra=record_transform.spectrum(recording.forces_n)[:, : omega.size],
         acceleration_signals=acceleration_signals,
-        displacement_signals=sensor_spectra * to_displacement,
+        displacement_signals=sensor_spectra * factor_to_displacement,
         base=base,
         velocity_correction=velocity_correction - base_correction,
         force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
@@ -117,7 +121,9 @@ def record_of(
         * acceleration_factor**2
         * (_unsettled_noise_factors(rig, sensors, omega) if beginning.counts_from_blow else 1.0),
         smoothed_power=_smoothed_power(
-            acceleration_signals, np.stack([_static_acceleration_ratio(rig, s, omega) for s in sensors]), transform
+            acceleration_signals,
+            np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors]),
+            record_transform,
         ),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
@@ -126,10 +132,14 @@ def record_of(
         period_s=None if period_samples is None else period_samples / rate_hz,
         tolerances=tolerances,
         counts_from_blow=beginning.counts_from_blow,
-        first_states=np.array([_first_state(recording.values_of(s), rate_hz) for s in sensors]),
+        first_states=np.array([_first_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
         measured_modes=decay_modes,
         counted_slice=_counted_samples(
-            sample_count, transform, beginning, acceleration_signals, counted_part.end_s if counted_part else None
+            sample_count,
+            record_transform,
+            beginning,
+            acceleration_signals,
+            counted_part.end_s if counted_part else None,
         ),
         responses_windowed=not rig.contacts,
     )
@@ -144,7 +154,11 @@ def _first_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float
 
 
 def _drifts(
-    recording: Recording, joined_rig: Rig, sensors: tuple[Sensor, ...], tolerances: Tolerances, beginning: Beginning
+    recording: Recording,
+    joined_rig: Rig,
+    sensors: tuple[Sensor, ...],
+    tolerances: Tolerances,
+    beginning: RecordBeginning,
 ) -> tuple[Drift | None, ...]:
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
@@ -158,7 +172,7 @@ def _drifts(
 
 
 def _spectra(
-    recording: Recording, transform: Transform, joined_rig: Rig, sensors: tuple[Sensor, ...]
+    recording: Recording, transform: RecordTransform, joined_rig: Rig, sensors: tuple[Sensor, ...]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
     """Spectrum of each sensor on the lines, and the measured relative displacements beyond them."""
     omega_above_band = transform.omega_above_band
@@ -203,7 +217,7 @@ def _unsettled_noise_factors(
 def _smoothed_power(
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     acceleration_ratio: Float[np.ndarray, "sensors lines"],
-    transform: Transform,
+    transform: RecordTransform,
 ) -> Float[np.ndarray, "sensors lines"]:
     """Mean square of the accelerations per line, smoothed after division by their fall per force."""
     smoothing_lines = max(1, round(SMOOTHED_HZ * transform.padded_length / transform.sample_rate_hz))
@@ -215,7 +229,7 @@ def _smoothed_power(
 
 def _window_corrections(
     recording: Recording,
-    transform: Transform,
+    transform: RecordTransform,
     sensors: tuple[Sensor, ...],
     omega: Float[np.ndarray, " lines"],
     zero_known: bool,
@@ -233,7 +247,7 @@ def _window_corrections(
 
 
 def _base_spectra(
-    recording: Recording, transform: Transform, beginning: Beginning, corner_hz: float
+    recording: Recording, transform: RecordTransform, beginning: RecordBeginning, corner_hz: float
 ) -> tuple[BaseSpectra | None, Complex[np.ndarray, "sensors lines"] | float]:
     """Spectra of a measured base, and its part in the velocity corrections of the sensors; None, 0 without one."""
     if not recording.rig.base_sensors:
@@ -246,7 +260,7 @@ def _base_spectra(
     sensed_acceleration = spectrum * integrated(omega, 2 - order, corner_hz)
     (noise_density,) = sensor_densities(recording, (sensor,), beginning.quiet_samples)
     noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
-    is_corrected = np.array([beginning.zero_known and is_free(rig, s.station.body) for s in sensors])
+    is_corrected = np.array([beginning.zero_known and is_free(rig, sensor.station.body) for sensor in sensors])
     base = BaseSpectra(
         sensor,
         sensed_acceleration + beginning.zero_known * acceleration_correction,
@@ -259,8 +273,8 @@ def _base_spectra(
 
 def _counted_samples(
     sample_count: int,
-    transform: Transform,
-    beginning: Beginning,
+    transform: RecordTransform,
+    beginning: RecordBeginning,
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     counted_until_s: float | None,
 ) -> slice:
@@ -291,13 +305,13 @@ def _add_eta_above_band(
     omega_above_band: Float[np.ndarray, " lines"],
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
-    for j, contact in enumerate(rig.contacts):
+    for contact_index, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):
-                in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-                eta_above[j] += (
+                is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+                eta_above[contact_index] += (
                     sign
-                    * in_passband
+                    * is_in_passband
                     * sensor_spectrum
                     * integrated(omega_above_band, -sensor.measures.order, CORNER_HZ)
                 )

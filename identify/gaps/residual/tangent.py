@@ -23,7 +23,7 @@ MARGIN_SAMPLES = 32
 
 
 @dataclass(frozen=True)
-class Tangent:
+class LawTangent:
     """Tangent stiffness T of a law, N/m, at `rate_multiple` times the rate of the force."""
 
     stiffness_n_per_m: Float[np.ndarray, " finer"]
@@ -65,7 +65,7 @@ def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Fl
     support_samples = np.diff(spline_columns.indptr)
     first_samples = spline_columns.indices[spline_columns.indptr[:-1]] - MARGIN_SAMPLES
     window_samples = next_fast_len(int(support_samples.max()) + 2 * MARGIN_SAMPLES, real=True)
-    splines = np.zeros((len(support_samples), window_samples))
+    windowed_splines = np.zeros((len(support_samples), window_samples))
     spline_of_entry = np.repeat(np.arange(len(support_samples)), support_samples)
-    splines[spline_of_entry, spline_columns.indices - first_samples[spline_of_entry]] = spline_columns.data
-    return first_samples, splines
+    windowed_splines[spline_of_entry, spline_columns.indices - first_samples[spline_of_entry]] = spline_columns.data
+    return first_samples, windowed_splines

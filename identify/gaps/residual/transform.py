@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len, rfft
 
-from identify.gaps.residual.extent import Beginning
+from identify.gaps.residual.extent import RecordBeginning
 from identify.signals.kinematics import taper
 from rig.model.description import Rig
 from rig.model.modes import modes_of
@@ -18,7 +18,7 @@ mode, within both bounds, so that with two fifths of its damping it falls to 3e-
 
 
 @dataclass(frozen=True)
-class Transform:
+class RecordTransform:
     """Transform of windowed samples, padded to `padded_length`, and the lines for a rate lower by `decimation`."""
 
     sample_rate_hz: float
@@ -66,7 +66,7 @@ class Transform:
         return -slope_spectrum, curvature_spectrum - 2j * self.omega * slope_spectrum
 
 
-def transform_of(recording: Recording, beginning: Beginning, decimation: int) -> Transform:
+def transform_of(recording: Recording, beginning: RecordBeginning, decimation: int) -> RecordTransform:
     """Transform of the lowest lines; the record fades out, and in unless it starts quiet or with a blow."""
     rate_hz, sample_count = recording.rig.sample_rate_hz, recording.samples
     padded_length = decimation * next_fast_len(
@@ -79,7 +79,7 @@ def transform_of(recording: Recording, beginning: Beginning, decimation: int) ->
         window[0] = 0.5  # half a sample: the signal starts there
     elif not beginning.starts_quiet:
         window = window * window[::-1]
-    return Transform(rate_hz, padded_length, decimation, window)
+    return RecordTransform(rate_hz, padded_length, decimation, window)
 
 
 def _ring_down_s(rig: Rig) -> float:

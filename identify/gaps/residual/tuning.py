@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
 from identify.gaps.residual.linear import ModeFactors
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.ringing import MeasuredMode
 from identify.gaps.residual.windowed import has_ground_forces
@@ -98,7 +98,7 @@ def tuned_modes(
                 relative_tolerance = _mode_tolerance(record, matched_mode.body_name, matched_mode.mode_number, kind)
                 if relative_tolerance and not rig.body(matched_mode.body_name).is_mass:
                     pulls[Nuisance(kind, matched_mode.body_name, matched_mode.mode_number)] = float(
-                        np.clip(relative_increase / relative_tolerance, -LIMIT, LIMIT)
+                        np.clip(relative_increase / relative_tolerance, -PULL_LIMIT, PULL_LIMIT)
                     )
     mode_factors = {}
     for body_name in {parameter.owner for parameter in pulls}:

@@ -56,9 +56,9 @@ def known_forces_of(
         else -record.base.in_rig(rig, record.omega).acceleration[None]
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following = [], following_motion(record, rig)
-    if has_ground_forces(following):
-        ground_reactions = ground_forces(record, following, responses, sensor_stations, motion)
+    ground_reactions, following_rig = [], following_motion(record, rig)
+    if has_ground_forces(following_rig):
+        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
     return (
         *zip(rig.forces, measured_forces_n, strict=True),
         *tone_forces,
@@ -71,31 +71,33 @@ def response_to_force(
     record: Record,
     rig: Rig,
     acceleration_per_newton: Complex[np.ndarray, "sensors lines"],
-    force_n: Complex[np.ndarray, " lines"],
+    force_spectrum: Complex[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
-    ringing_within_window = acceleration_per_newton * force_n
-    rings_on = np.array([_rings_on(record, rig, s.station.body) for s in record.sensors])
-    if not rings_on.any():
+    ringing_within_window = acceleration_per_newton * force_spectrum
+    is_ringing_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
+    if not is_ringing_on.any():
         return ringing_within_window
-    derivative_orders = [s.measures.order for s in record.sensors]
+    derivative_orders = [sensor.measures.order for sensor in record.sensors]
     return np.where(
-        rings_on[:, None],
+        is_ringing_on[:, None],
         _windowed_accelerations(
-            record, acceleration_per_newton * _unwindowed_force(record, force_n), derivative_orders
+            record, acceleration_per_newton * _unwindowed_force(record, force_spectrum), derivative_orders
         ),
         ringing_within_window,
     )
 
 
 def modal_response(
-    record: Record, rig: Rig, response: Response, modal_force: Complex[np.ndarray, "modes lines"]
+    record: Record, rig: Rig, response: Response, modal_force_spectra: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     if not _rings_on(record, rig, response.body.name):
-        return response.modal_accelerations(modal_force)
-    derivative_order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
-    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force))
+        return response.modal_accelerations(modal_force_spectra)
+    derivative_order = next(
+        (sensor.measures.order for sensor in record.sensors if sensor.station.body == response.body.name), 2
+    )
+    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
     return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
 
 
@@ -112,18 +114,22 @@ def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]
 def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a held body that rests under static loads: second derivatives of its windowed static
     displacements phi F / omega^2 in each mode."""
-    loads = [x for x in _loads_without_contacts(record, rig) if x.station.body == response.body.name]
+    loads = [
+        static_load
+        for static_load in _loads_without_contacts(record, rig)
+        if static_load.station.body == response.body.name
+    ]
     if not loads or is_free(rig, response.body.name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    modal_load = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
-    displacements = modal_load / (2 * np.pi * response.dynamics.natural_hz) ** 2
+    modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
+    displacements = modal_load_n / (2 * np.pi * response.dynamics.natural_hz) ** 2
     return np.outer(displacements, -(record.omega**2) * record.spectrum(np.ones(record.sample_count)))
 
 
 def _loads_without_contacts(record: Record, rig: Rig) -> list[StaticLoad]:
     """Static loads on bodies without contacts, where the zero of displacements is known."""
-    in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
-    return [load for load in rig.loads if record.zero_known and load.station.body not in in_contact]
+    bodies_in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
+    return [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
 
 
 def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
@@ -221,14 +227,14 @@ def ground_force_derivative(
         )
         padded_samples = record.transform_length // record.decimation
         stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
-        changes = []
+        station_forces = []
         for station, slope, motion_change in zip(stations, slopes, motion_changes, strict=True):
             if slope.size > 1:
                 fine_change = _finer(record, slope.size // padded_samples, motion_change)
-                changes.append((station, -_spectrum_on_lines(record, slope * fine_change)))
+                station_forces.append((station, -_spectrum_on_lines(record, slope * fine_change)))
             else:
-                changes.append((station, -slope * motion_change))
-        return changes
+                station_forces.append((station, -slope * motion_change))
+        return station_forces
 
     return force_changes
 
@@ -236,17 +242,17 @@ def ground_force_derivative(
 def following_motion(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
-    return replace(rig, dampers=tuple(d for d in rig.dampers if not _is_linear(record, rig, d)))
+    return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
     """Dampers that the linear model holds; see `following_motion`."""
-    return [d for d in rig.dampers if _is_linear(record, rig, d)]
+    return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 
 def _is_linear(record: Record, rig: Rig, damper: PointDamper) -> bool:
-    moves_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
-    return not (damper.friction_n or moves_freely)
+    is_moving_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
+    return not (damper.friction_n or is_moving_freely)
 
 
 def has_ground_forces(rig: Rig) -> bool:
@@ -256,11 +262,11 @@ def has_ground_forces(rig: Rig) -> bool:
 
 def needs_every_line(rig: Rig) -> bool:
     """True if forces to the ground are nonlinear, so that they cannot be computed from a selection of lines."""
-    return bool(_cubic_springs(rig)) or any(d.friction_n for d in rig.dampers)
+    return bool(_cubic_springs(rig)) or any(damper.friction_n for damper in rig.dampers)
 
 
 def _cubic_springs(rig: Rig) -> list[PointSpring]:
-    return [s for s in rig.springs if s.cubic_n_per_m3]
+    return [spring for spring in rig.springs if spring.cubic_n_per_m3]
 
 
 def displaced_at(

@@ -42,14 +42,14 @@ BLOCK_S, LEAST_BLOCKS = 1.0, 5
 """Length of the blocks over which windows are averaged, and their least number in a test. Set by hand."""
 VETO_P_VALUE = 0.01
 """One-sided p-value of a veto. Convention."""
-WORSE, BETTER = 0.05, 0.05
+WORSE_LOG_RATIO, BETTER_LOG_RATIO = 0.05, 0.05
 """Least mean log ratios of errors for a veto: by which the corrected rig is worse, or would be better if right. Set by
 hand."""
 SHOWN_SAMPLES = 1000
 """Samples of the example at most. Display."""
 BOOTSTRAP_DRAWS = 400
 """Bootstrap draws. Effort."""
-FREQUENCY_MATCH = 0.2
+MATCHED_FREQUENCY_DIFFERENCE = 0.2
 """Relative difference of frequencies below which a predicted mode is the measured one. Set by hand."""
 
 
@@ -70,14 +70,17 @@ def judge_correction(
         (corrected_fit.corrected_rig, corrected_fit),
     )
     motions = [measured_motion(recording, rig, residual) for rig, residual in rigs_and_residuals]
-    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    start_sample, stop_sample = (
+        max(motion.first_sample for motion in motions),
+        min(motion.stop_sample for motion in motions),
+    )
     rate_hz = recording.rig.sample_rate_hz
     if stop_sample - start_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
-    starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
+    window_starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
     try:
         nominal_errors, fitted_errors, corrected_errors = (
-            prediction_errors(motion, predict, starts, horizon_samples) for motion in motions
+            prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motions
         )
         record = nominal_fit.model.record
         decay_modes = (
@@ -85,26 +88,26 @@ def judge_correction(
         )
     except RigError:
         return Rollout(code="not_simulated")
-    ratios = block_ratios(fitted_errors, corrected_errors, starts, rate_hz)
-    overall, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
-    window_blocks = np.floor((starts + horizon_samples / 2) / rate_hz / BLOCK_S)
+    ratios_by_block = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
+    errors_of_all, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
+    window_blocks = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
     window_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
     return Rollout(
-        code=veto(ratios),
+        code=veto(ratios_by_block),
         horizon_s=horizon_samples / rate_hz,
-        windows=starts.size,
-        whole=overall,
+        windows=window_starts.size,
+        whole=errors_of_all,
         shrunk_95=None
-        if overall.shrunk is None
-        else _shrinkage_interval(*window_rms, overall.null_median, window_blocks),
+        if errors_of_all.shrunk is None
+        else _shrinkage_interval(*window_rms, errors_of_all.null_median, window_blocks),
         within=float(np.median(rms_by_window(fitted_errors))),
-        log_ratio=float(ratios.log_ratios.mean()),
-        log_ratio_error=standard_error(ratios.log_ratios),
-        expected_log_ratio=float(ratios.expected_log_ratios.mean()),
-        falls_short=falls_short(ratios),
+        log_ratio=float(ratios_by_block.log_ratios.mean()),
+        log_ratio_error=standard_error(ratios_by_block.log_ratios),
+        expected_log_ratio=float(ratios_by_block.expected_log_ratios.mean()),
+        falls_short=falls_short(ratios_by_block),
         by_sensor=dict(zip(motions[0].sensor_names, by_sensor, strict=True)),
         decay=decay_modes,
-        example=_example(motions[0], motions[2], predict, starts, nominal_errors),
+        example=_example(motions[0], motions[2], predict, window_starts, nominal_errors),
     )
 
 
@@ -112,20 +115,20 @@ def _example(
     nominal_run: MeasuredMotion,
     corrected_run: MeasuredMotion,
     predict: Predict,
-    starts: Int[np.ndarray, " windows"],
+    window_starts: Int[np.ndarray, " windows"],
     nominal_errors: Windows,
 ) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
     rms_errors = rms_by_window(nominal_errors)
     window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
     sensor_index = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
-    window_start, samples = starts[[window_index]], nominal_errors.shape[2]
+    window_start, samples = window_starts[[window_index]], nominal_errors.shape[2]
     signals_by_rig = [
         measured_and_predicted(motion, predict, window_start, samples) for motion in (nominal_run, corrected_run)
     ]
     shown_samples = slice(-min(samples, SHOWN_SAMPLES), None)
     time_s = (window_start + np.arange(samples)) / nominal_run.sample_rate_hz
-    measured, *predicted = (
+    measured_values, *predicted_values = (
         signals[0, sensor_index, shown_samples]
         for signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     )
@@ -133,9 +136,9 @@ def _example(
         sensor=nominal_run.sensor_names[sensor_index],
         unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor_index], 1)],
         time_s=tuple(time_s[shown_samples].tolist()),
-        measured=tuple(measured.tolist()),
-        nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
-        corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
+        measured=tuple(measured_values.tolist()),
+        nominal=tuple(np.nan_to_num(predicted_values[0]).tolist()),
+        corrected=tuple(np.nan_to_num(predicted_values[1]).tolist()),
     )
 
 
@@ -151,14 +154,17 @@ def _decay_modes(
     rig, rate_hz, highest_hz = nominal_run.rig, nominal_run.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
-    starts = np.array([start_sample])
+    record_start = np.array([start_sample])
     signals_by_rig = [
-        measured_and_predicted(motion, predict, starts, stop_sample - start_sample)
+        measured_and_predicted(motion, predict, record_start, stop_sample - start_sample)
         for motion in (nominal_run, corrected_run)
     ]
     decay_signals = (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     return compared_modes(
-        *(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, mode_limit) for d in decay_signals)
+        *(
+            modes_of_decay(np.nan_to_num(decay_signal[0]), rate_hz, highest_hz, mode_limit)
+            for decay_signal in decay_signals
+        )
     )
 
 
@@ -171,7 +177,10 @@ def compared_modes(
         nearest_mode = min(
             predicted_modes, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
         )
-        if nearest_mode is None or abs(nearest_mode.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
+        if (
+            nearest_mode is None
+            or abs(nearest_mode.frequency_hz / mode.frequency_hz - 1) > MATCHED_FREQUENCY_DIFFERENCE
+        ):
             return None
         return nearest_mode.frequency_hz, nearest_mode.damping_ratio
 
@@ -194,18 +203,18 @@ class BlockRatios:
 
 
 def block_ratios(
-    nominal_errors: Windows, corrected_errors: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
+    nominal_errors: Windows, corrected_errors: Windows, window_starts: Int[np.ndarray, " windows"], rate_hz: float
 ) -> BlockRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
     block_samples = min(nominal_errors.shape[2], round(BLOCK_S * rate_hz))
     block_starts = range(0, nominal_errors.shape[2] - block_samples // 2, block_samples)
     mean_squares = np.stack(
         [
-            [np.mean(e[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
-            for e in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
+            [np.mean(window_errors[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
+            for window_errors in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
         ]
     )
-    middle_s = (starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
+    middle_s = (window_starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
     least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
@@ -214,17 +223,18 @@ def block_ratios(
 
 
 def _means_by_block(
-    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
+    window_values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
     """Mean of the values in each block."""
-    return np.array([values[blocks == block_number].mean() for block_number in np.unique(blocks)])
+    return np.array([window_values[blocks == block_number].mean() for block_number in np.unique(blocks)])
 
 
 def veto(ratios_by_block: BlockRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
     log_ratios = ratios_by_block.log_ratios
     t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    return "worse" if log_ratios.mean() > max(WORSE, t_quantile * standard_error(log_ratios)) else "not_vetoed"
+    least_worse = max(WORSE_LOG_RATIO, t_quantile * standard_error(log_ratios))
+    return "worse" if log_ratios.mean() > least_worse else "not_vetoed"
 
 
 def falls_short(blocks: BlockRatios) -> bool:
@@ -234,9 +244,9 @@ def falls_short(blocks: BlockRatios) -> bool:
     """
     log_ratios, shortfalls = (blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios)
     t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    falls_behind = shortfalls.mean() > t_quantile * standard_error(shortfalls)
-    differs = blocks.expected_log_ratios.mean() < -BETTER and falls_behind
-    return bool(differs and log_ratios.mean() > -t_quantile * standard_error(log_ratios))
+    is_behind = shortfalls.mean() > t_quantile * standard_error(shortfalls)
+    is_different = blocks.expected_log_ratios.mean() < -BETTER_LOG_RATIO and is_behind
+    return bool(is_different and log_ratios.mean() > -t_quantile * standard_error(log_ratios))
 
 
 def log_ratio_of(
@@ -246,7 +256,10 @@ def log_ratio_of(
     motions = [
         measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
     ]
-    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    start_sample, stop_sample = (
+        max(motion.first_sample for motion in motions),
+        min(motion.stop_sample for motion in motions),
+    )
     starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
     nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
     return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
@@ -256,7 +269,7 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     """Rollout with the veto `no_improvement` if it falls short of simulated machines that have the named effects.
 
     `simulated_log_ratios` are the means of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
-    The veto needs a log ratio above Student's prediction limit of theirs, and a limit that lies below -BETTER / 2.
+    The veto needs a log ratio above Student's prediction limit of theirs, and a limit below -BETTER_LOG_RATIO / 2.
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
@@ -267,7 +280,7 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
             np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count), rollout.log_ratio_error or 0.0
         )
     )
-    improves = mean_log_ratio + margin < -BETTER / 2
+    improves = mean_log_ratio + margin < -BETTER_LOG_RATIO / 2
     return (
         replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean_log_ratio + margin else rollout
     )
@@ -281,15 +294,17 @@ def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
     return float(np.sqrt(squares / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
 
 
-def null_bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float]]:
+def null_bounds(null_runs: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
-    null_rows = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
-    medians = np.median([null.within[k] for null, k in null_rows], axis=0)
-    logs, null_count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
+    null_rows = [(null, null.samples.index(horizon_samples)) for null in null_runs if horizon_samples in null.samples]
+    null_medians = np.median([null.within[k] for null, k in null_rows], axis=0)
+    log_errors, null_count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
     limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
-    upper_limits = np.exp(logs.mean(axis=0) + limit_deviations * logs.std(axis=0, ddof=min(1, null_count - 1)))
-    return list(zip(medians.tolist(), upper_limits.tolist(), strict=True))
+    upper_limits = np.exp(
+        log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, null_count - 1))
+    )
+    return list(zip(null_medians.tolist(), upper_limits.tolist(), strict=True))
 
 
 def _errors_by_sensor(
@@ -301,10 +316,10 @@ def _errors_by_sensor(
             nominal=nominal_median,
             corrected=corrected_median,
             null_median=median,
-            null_95=limit,
-            shrunk=None if nominal_median <= limit else shrunk_share(nominal_median, corrected_median, median),
+            null_95=upper_limit,
+            shrunk=None if nominal_median <= upper_limit else shrunk_share(nominal_median, corrected_median, median),
         )
-        for nominal_median, corrected_median, (median, limit) in zip(
+        for nominal_median, corrected_median, (median, upper_limit) in zip(
             median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
         )
     ]
@@ -322,14 +337,14 @@ def _shrinkage_interval(
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
+    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)])
     resamples = [
         np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
         for _ in range(BOOTSTRAP_DRAWS)
     ]
     shrunk_shares = [
-        shrunk_share(float(np.median(nominal[windows])), float(np.median(corrected[windows])), null_error)
-        for windows in resamples
+        shrunk_share(float(np.median(nominal[drawn_windows])), float(np.median(corrected[drawn_windows])), null_error)
+        for drawn_windows in resamples
     ]
     lower_share, upper_share = np.quantile(shrunk_shares, [0.025, 0.975])
     return float(lower_share), float(upper_share)

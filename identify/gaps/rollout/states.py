@@ -2,9 +2,9 @@
 
 The sensors determine as many of each body's lowest modes as it has stations. Velocities are as accurate as the
 channels. Displacements are not: for a mode at 50 Hz that moves by 0.8 mm, errors of gains and positions leave 0.2 mm,
-as the rigid and lowest modes move by centimetres. Two sources are therefore combined by frequency: above `CROSSOVER` of
-a mode's natural frequency its displacement is that by the sensors, below it is the response to the measured force F and
-the separated contact forces f with the accelerance A = -omega^2 / D,
+as the rigid and lowest modes move by centimetres. Two sources are therefore combined by frequency: above
+`CROSSOVER_RATIO` of a mode's natural frequency its displacement is that by the sensors, below it is the response to the
+measured force F and the separated contact forces f with the accelerance A = -omega^2 / D,
 
     Q = W Q_sensors + (1 - W) A (phi_F F - phi_C f) / (i omega)^2
 
@@ -28,10 +28,10 @@ from rig.model.description import Body, Rig, Station
 from rig.model.modes import Modes, modes_of
 from rig.recording import Recording
 
-CROSSOVER = 0.3
+CROSSOVER_RATIO = 0.3
 """Crossover from the displacement by forces to that by sensors, as a share of a mode's natural frequency. 0.15 to 0.7
 make no difference."""
-FORCE_ERROR, SENSOR_ERROR = 1e-2, 3e-3
+FORCE_ERROR_SHARE, SENSOR_ERROR_SHARE = 1e-2, 3e-3
 """Relative errors of a mode's displacement by forces, and of a station's displacement by its sensor."""
 SOFTEST_HZ = 0.05
 """Frequency at which free modes are taken to be held when slow motion is shared out among the modes."""
@@ -83,9 +83,9 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     sensed_coordinates_m = inverse_shapes @ displacement_m
     coordinates_m = _complete_displacements(sensed_coordinates_m, station_modes, record)
     mode_errors_m = np.sqrt(
-        inverse_shapes**2 @ (SENSOR_ERROR * _rms_by_row(displacement_m[:, first_sample:stop_sample])) ** 2
+        inverse_shapes**2 @ (SENSOR_ERROR_SHARE * _rms_by_row(displacement_m[:, first_sample:stop_sample])) ** 2
     )
-    mode_errors_m[station_modes.is_force_determined] = FORCE_ERROR * _rms_by_row(
+    mode_errors_m[station_modes.is_force_determined] = FORCE_ERROR_SHARE * _rms_by_row(
         coordinates_m[station_modes.is_force_determined, first_sample:stop_sample]
     )
     covariance = mode_errors_m[:, None] ** 2 * station_modes.contact_shapes.T
@@ -155,20 +155,20 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
     for body in rig.bodies:
         modes = modes_of(rig, body)
         body_mode_count = min(sum(station.body == body.name for station in stations), body.max_modes)
-        acceleration, high_passed = motion_by_body[body.name]
+        modal_acceleration, high_passed = motion_by_body[body.name]
         natural_hz = modes.frequencies_hz(body_mode_count)
         at_shapes, against_shapes = (
             _shapes_at_stations(body, modes, body_mode_count, end_stations) for end_stations in contact_ends
         )
         is_high_passed = np.isin(np.arange(body_mode_count), high_passed)
-        displacement_spectra = -acceleration[:body_mode_count] / record.omega**2
+        displacement_spectra = -modal_acceleration[:body_mode_count] / record.omega**2
         displacement_spectra[:, 0] = 0.0
         modes_by_body.append(
             (
                 natural_hz,
                 _shapes_at_stations(body, modes, body_mode_count, stations),
                 at_shapes - against_shapes,
-                ~is_high_passed & (CROSSOVER * natural_hz > 2 * CORNER_HZ),
+                ~is_high_passed & (CROSSOVER_RATIO * natural_hz > 2 * CORNER_HZ),
                 displacement_spectra,
             )
         )
@@ -202,11 +202,11 @@ def _complete_displacements(
     completed_m = sensed_m.copy()
     lines_hz = np.fft.rfftfreq(record.transform_length, 1 / record.sample_rate_hz)
     for mode_index in np.flatnonzero(station_modes.is_force_determined):
-        crossover_hz = min(CROSSOVER * station_modes.natural_hz[mode_index], record.highest_hz)
-        high_pass = np.sin(np.pi / 2 * np.clip(2 * lines_hz / crossover_hz - 1, 0, 1)) ** 2
-        spectrum = high_pass * rfft(sensed_m[mode_index], record.transform_length)
+        crossover_hz = min(CROSSOVER_RATIO * station_modes.natural_hz[mode_index], record.highest_hz)
+        high_pass_gain = np.sin(np.pi / 2 * np.clip(2 * lines_hz / crossover_hz - 1, 0, 1)) ** 2
+        spectrum = high_pass_gain * rfft(sensed_m[mode_index], record.transform_length)
         line_count = station_modes.coordinates_by_force_m.shape[1]
-        spectrum[:line_count] += (1 - high_pass[:line_count]) * station_modes.coordinates_by_force_m[mode_index]
+        spectrum[:line_count] += (1 - high_pass_gain[:line_count]) * station_modes.coordinates_by_force_m[mode_index]
         completed_m[mode_index] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
     return completed_m
 

@@ -21,12 +21,12 @@ HORIZON_ERROR = 0.1
 """Median error of null simulations that defines the horizon; ... Convention."""
 LADDER_END_ERROR = 0.15
 """... and the error of a null simulation beyond which longer horizons are not tried. Effort."""
-SHORTEST_HORIZON, WINDOW_GROWTH = 16, 4
+SHORTEST_HORIZON_SAMPLES, WINDOW_GROWTH = 16, 4
 """Samples of the shortest horizon (each next one is longer by sqrt(2)), and the growth of the windows of null
 simulations, which first hold 16 of it. Effort."""
 NULL_WINDOWS = 24
 """Largest number of windows of a null simulation. Effort."""
-LOST_ERROR = 1e3
+DIVERGED_ERROR = 1e3
 """Error assigned to a diverged prediction, and bound of all errors."""
 Windows = Float[np.ndarray, "windows stations times"]
 
@@ -62,7 +62,7 @@ def prediction_errors(
         for sensor_index, derivative_order in enumerate(motion.derivative_orders)
     ]
     relative_errors = (predicted_windows - measured_windows) / np.maximum(sensor_deviations, 1e-300)[:, None]
-    return np.clip(np.nan_to_num(relative_errors, nan=LOST_ERROR), -LOST_ERROR, LOST_ERROR)
+    return np.clip(np.nan_to_num(relative_errors, nan=DIVERGED_ERROR), -DIVERGED_ERROR, DIVERGED_ERROR)
 
 
 def rms_by_window(window_errors: Windows) -> Float[np.ndarray, " windows"]:
@@ -83,7 +83,7 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     """
     motions = [measured_motion(recording, rig, residual) for rig in (residual.rig, residual.corrected_rig)]
     first_sample, available_samples = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
-    horizons, window_samples = horizon_ladder(available_samples), 16 * SHORTEST_HORIZON
+    horizons, window_samples = horizon_ladder(available_samples), 16 * SHORTEST_HORIZON_SAMPLES
     nominal_medians: list[tuple[float, ...]] = []
     fitted_medians: list[tuple[float, ...]] = []
     while len(fitted_medians) < len(horizons) and (not fitted_medians or fitted_medians[-1][0] < LADDER_END_ERROR):
@@ -106,7 +106,7 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
 def horizon_ladder(available_samples: int) -> list[int]:
     """Horizons in samples, growing by sqrt(2), up to the available number."""
     horizons: list[int] = []
-    while (horizon_samples := round(SHORTEST_HORIZON * 2 ** (len(horizons) / 2))) <= available_samples:
+    while (horizon_samples := round(SHORTEST_HORIZON_SAMPLES * 2 ** (len(horizons) / 2))) <= available_samples:
         horizons.append(horizon_samples)
     return horizons
 

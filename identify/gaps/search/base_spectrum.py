@@ -49,15 +49,19 @@ def fit_base_spectrum(
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
     shaken_rig = changed(linearization.rig, base_motion=unit_motion)
-    model = linear_model(record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses)
+    shaken_model = linear_model(
+        record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses
+    )
     contact_count = len(linearization.observations)
-    pattern = model.signal_per_input[contact_count]
-    contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
-    pattern = pattern - np.einsum("isl,il->sl", model.signal_per_input[:contact_count], contact_forces)
+    signal_pattern = shaken_model.signal_per_input[contact_count]
+    contact_forces = linearization.model.projection.applied_to(signal_pattern * linearization.model.error_deviation)[1]
+    signal_pattern = signal_pattern - np.einsum(
+        "isl,il->sl", shaken_model.signal_per_input[:contact_count], contact_forces
+    )
     spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
     sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, pattern / sensor_level)
+    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, signal_pattern / sensor_level)
     remaining_power = (np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power) / max(
         1, len(spectra) - contact_count - 1
     )
@@ -89,7 +93,7 @@ def fit_base_spectrum(
     is_in_band = (lines_hz >= low_hz) & (lines_hz <= high_hz)
     noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
     excess_power = np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern
-    excess_of_pattern = _power_and_size(spectra, pattern)[0] - noise_by_pattern
+    excess_of_pattern = _power_and_size(spectra, signal_pattern)[0] - noise_by_pattern
     if np.sum(excess_of_pattern[is_in_band]) < LEAST_PATTERN_SHARE * np.sum(excess_power[is_in_band]):
         return None
     rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))

@@ -34,36 +34,38 @@ def linearized_about(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Lineariza
     return linearization, fitted_nuisance(linearization, set_fit.residual).residual
 
 
-def search_about(search: Search, set_fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
+def search_about(search: Search, set_fit: FittedHypothesis, remaining_candidates: Sequence[Candidate]) -> Search:
     """Search whose nominal rig is that of a fitted set."""
     set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
-    return Search(search.nominal_variances, *linearized_about(set_fit, set_rig), tuple(candidates))
+    return Search(search.nominal_variances, *linearized_about(set_fit, set_rig), tuple(remaining_candidates))
 
 
 def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Settled set with a tone beside it, where lines stand out of what the set leaves and the tone lowers the cost by
     `MIN_GAIN`: strong effects hide such lines in what the nominal rig leaves."""
-    tones = [candidate for candidate in search.candidates if candidate.kind.grid_screened]
-    if not tones or is_stochastic(best_set.hypothesis) or best_set.hypothesis.misfit.line_cost <= MIN_GAIN:
+    tone_candidates = [candidate for candidate in search.candidates if candidate.kind.grid_screened]
+    if not tone_candidates or is_stochastic(best_set.hypothesis) or best_set.hypothesis.misfit.line_cost <= MIN_GAIN:
         return best_set
-    tone_search = search_about(search, best_set, tones)
+    tone_search = search_about(search, best_set, tone_candidates)
     tone_fits = single_effects(tone_search, tone_search.nominal_fit())
     if not tone_fits:
         return best_set
-    joined = combined(best_set, tone_fits[0])
+    joined_hypothesis = combined(best_set, tone_fits[0])
     start_residual = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(search, joined.candidates, joined.values, start_residual, best_set.linearization)
+    brief_fit = fit_briefly(
+        search, joined_hypothesis.candidates, joined_hypothesis.values, start_residual, best_set.linearization
+    )
     joint_fit = refined(search, brief_fit)
     return joint_fit if best_set.cost - joint_fit.cost > MIN_GAIN else best_set
 
 
 def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
-    base_motions = [c for c in search.candidates if c.kind.stochastic]
-    if not base_motions or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
+    base_candidates = [candidate for candidate in search.candidates if candidate.kind.stochastic]
+    if not base_candidates or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
         return best_set
     base_search = search_about(search, best_set, ())
-    for candidate in base_motions:
+    for candidate in base_candidates:
         base_motion_fit = fit_spectrum(base_search, base_search.nominal_fit(), candidate)
         if base_motion_fit and best_set.cost - base_motion_fit.cost > MIN_GAIN:
             joined_hypothesis = combined(best_set, base_motion_fit)

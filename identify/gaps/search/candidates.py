@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import Linear, delivered_by, sensor_stations_of
+from identify.gaps.residual.linear import LinearModel, delivered_by, sensor_stations_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Column, Linearization, Residual, contact_columns, derivative
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, derivative
 from identify.gaps.residual.windowed import displaced_at, ground_forces
 from identify.linear.joined import contact_groups
 from rig.effects import effects
@@ -21,9 +21,9 @@ from rig.errors import RigError
 from rig.model.description import Rig, Station
 from rig.model.parameters import Parameter, ParameterSet
 
-PLACE_VALUES = 9
+PLACE_GRID_COUNT = 9
 """Trial values of a parameter that is a place or a frequency, not a strength."""
-RATIO_VALUES = 8
+RATIO_GRID_COUNT = 8
 """Trial values of a ratio over its whole range."""
 STEP_SHARE = 0.05
 """Step for derivatives, as a share of what the typical effect adds. Set by hand."""
@@ -51,7 +51,7 @@ class Candidate:
     @property
     def neutral_strength(self) -> float:
         """Strength without the effect."""
-        return next(p.neutral for p in self.parameters if p.neutral is not None)
+        return next(parameter.neutral for parameter in self.parameters if parameter.neutral is not None)
 
     @property
     def typical_values(self) -> Float[np.ndarray, " parameters"]:
@@ -99,27 +99,27 @@ class Candidate:
             elif self.kind.contains:
                 trial_values.append(np.array([typical_value]))
             elif _has_logarithmic_range(parameter):
-                trial_values.append(np.geomspace(*parameter_range, PLACE_VALUES + 2)[1:-1])
+                trial_values.append(np.geomspace(*parameter_range, PLACE_GRID_COUNT + 2)[1:-1])
             else:
-                trial_values.append(np.linspace(*parameter_range, PLACE_VALUES))
+                trial_values.append(np.linspace(*parameter_range, PLACE_GRID_COUNT))
         return [np.array(values) for values in product(*trial_values)]
 
     def trial_strengths(self, addition_multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
-        lowest, highest = (float(bounds[0]) for bounds in self.parameters.bounds)
+        lowest_strength, highest_strength = (float(bounds[0]) for bounds in self.parameters.bounds)
         typical_addition = float(self.typical_values[0]) - self.neutral_strength
         strengths = [
             self.neutral_strength + sign * multiple * typical_addition
             for sign in (1, -1)
             for multiple in addition_multiples
         ]
-        if self.neutral_strength == 1 and lowest > 0 and highest > 4 * lowest:
-            strengths += list(np.geomspace(lowest, highest, RATIO_VALUES))
-        return [float(strength) for strength in strengths if lowest <= strength <= highest]
+        if self.neutral_strength == 1 and lowest_strength > 0 and highest_strength > 4 * lowest_strength:
+            strengths += list(np.geomspace(lowest_strength, highest_strength, RATIO_GRID_COUNT))
+        return [float(strength) for strength in strengths if lowest_strength <= strength <= highest_strength]
 
-    def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
+    def effect(self, parameter_values: Float[np.ndarray, " parameters"]) -> Effect:
         """Typical effect with other values of its parameters."""
-        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(values))
+        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(parameter_values))
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
@@ -127,9 +127,12 @@ class Candidate:
         return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
-def contains(containing: Candidate, contained: Candidate) -> bool:
+def contains(containing_candidate: Candidate, contained_candidate: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return contained.kind.name in containing.kind.contains and contained.place == containing.place
+    return (
+        contained_candidate.kind.name in containing_candidate.kind.contains
+        and contained_candidate.place == containing_candidate.place
+    )
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:
@@ -145,7 +148,7 @@ def scale_of(record: Record, rig: Rig) -> Scale:
     if record.has_force and record.base is None:
         forces_n = record.in_time(record.force_spectra)
     else:
-        sensor_masses_kg = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+        sensor_masses_kg = np.array([rig.body(sensor.station.body).mass_kg for sensor in record.sensors])
         forces_n = record.in_time(sensor_masses_kg[:, None] * record.acceleration_signals) / np.sqrt(
             sensor_masses_kg.size
         )
@@ -201,7 +204,7 @@ def strength_columns(
     residual: Residual,
     candidate: Candidate,
     start_values: Float[np.ndarray, " parameters"],
-) -> list[Column]:
+) -> list[ResidualColumn]:
     """Decrease of the residuals by a step of each strength of a candidate, at the parameters `start_values`.
 
     Raises RigError where no rig has the effect with these parameters.
@@ -233,32 +236,32 @@ def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
     return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
 
 
-def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column | None:
+def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn | None:
     """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
 
     They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
     """
-    record, model, rig = linearization.record, residual.model, residual.rig
+    record, present_model, rig = linearization.record, residual.model, residual.rig
     attachments = attachments_of(rig, changed_rig)
-    if attachments is None or any(b.is_mass for b in rig.bodies):
+    if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
-    attached_forces = _attached_forces(record, model, attachments)
-    linear_decrease, contact_force_decrease_n = model.projection.applied_to(
-        delivered_by(model, sensor_stations_of(record, model.rig), attached_forces)
+    attached_forces = _attached_forces(record, present_model, attachments)
+    linear_decrease, contact_force_decrease_n = present_model.projection.applied_to(
+        delivered_by(present_model, sensor_stations_of(record, present_model.rig), attached_forces)
     )
-    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
+    eta_decrease_m = -present_model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 
 
 def _attached_forces(
-    record: Record, model: Linear, attachments: Rig
+    record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
     sensor_stations = sensor_stations_of(record, model.rig)
     displacements, accelerations = model.displacements, model.accelerations
     attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, model.motion)
-    linear_springs = [s for s in attachments.springs if s.stiffness_n_per_m]
+    linear_springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
     for spring, displacement in zip(
         linear_springs, displaced_at(model.responses, sensor_stations, linear_springs, displacements), strict=True
     ):

@@ -75,9 +75,11 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         **recording.signals,
         "force": replace(force_channels, values=force_channels.values / rig.force_sensor.gain),
     }
-    sensors = tuple(s for s in rig.sensors if s.measures.translates)  # the diagnosis uses no strain gauges
+    motion_sensors = tuple(
+        sensor for sensor in rig.sensors if sensor.measures.translates
+    )  # the diagnosis uses no strain gauges
     separated_rig = msgspec.structs.replace(
-        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors
+        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=motion_sensors
     )
     try:
         separation = separate(replace(recording, rig=separated_rig, signals=corrected_signals), "auto", tolerances)
@@ -108,16 +110,27 @@ def _unmodelled_part(rig: Rig) -> str:
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
     largest_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
-    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count]
-    comparable = [
-        estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, comparable[0].quantity_weights)
+    comparable_estimates = [
+        estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count
+    ]
+    comparable_estimates = [
+        estimate
+        for estimate in comparable_estimates
+        if np.array_equal(estimate.quantity_weights, comparable_estimates[0].quantity_weights)
     ]
     pooled_values, pooled_covariance = _pooled_values(
-        [(item.quantity_values, item.covariance, item.tolerance_covariance) for item in comparable]
+        [
+            (
+                estimate.quantity_values,
+                estimate.covariance,
+                estimate.tolerance_covariance,
+            )
+            for estimate in comparable_estimates
+        ]
     )
-    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
+    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable_estimates], axis=0)
     return replace(
-        comparable[0],
+        comparable_estimates[0],
         quantity_values=pooled_values,
         covariance=pooled_covariance,
         tolerance_covariance=shared_covariance,
@@ -144,7 +157,7 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
 
     Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
     """
-    nominal_rig, values = recordings[0].rig, hypothesis.values
+    nominal_rig, hypothesis_values = recordings[0].rig, hypothesis.values
     law_change = _law_change(hypothesis, nominal_rig)
     if law_change is None:
         return hypothesis
@@ -154,14 +167,14 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
             nominal_rig,
             law_outcomes(recording, hypothesis_rig, tolerances).estimates,
             law_change,
-            values[free_parameters],
+            hypothesis_values[free_parameters],
         )
         for recording in recordings
     )
     determined_solutions = [solution for solution in record_solutions if solution is not None]
     if not determined_solutions:
         return hypothesis
-    fitted_values, covariance = values.copy(), hypothesis.covariance.copy()
+    fitted_values, covariance = hypothesis_values.copy(), hypothesis.covariance.copy()
     covariance[free_parameters] = covariance[:, free_parameters] = 0.0
     pooled_values, covariance[np.ix_(free_parameters, free_parameters)] = _pooled_values(determined_solutions)
     lower_bounds, upper_bounds = hypothesis.parameters.bounds
@@ -182,13 +195,13 @@ class LawChange:
 
 def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
-    step_sizes, values = steps_of(hypothesis.candidates), hypothesis.values
+    step_sizes, hypothesis_values = steps_of(hypothesis.candidates), hypothesis.values
     step_sizes = DERIVATIVE_STEP * np.where(
-        values + step_sizes > hypothesis.parameters.bounds[1], -step_sizes, step_sizes
+        hypothesis_values + step_sizes > hypothesis.parameters.bounds[1], -step_sizes, step_sizes
     )
     law_numbers_by_step = [
-        _law_numbers(hypothesis, nominal_rig, values + value_change)
-        for value_change in (0 * values, *np.diag(step_sizes))
+        _law_numbers(hypothesis, nominal_rig, hypothesis_values + value_change)
+        for value_change in (0 * hypothesis_values, *np.diag(step_sizes))
     ]
     dead_zone_numbers = [numbers for numbers in law_numbers_by_step if numbers is not None]
     if len(dead_zone_numbers) < len(law_numbers_by_step) or not step_sizes.size:
@@ -205,10 +218,12 @@ def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     )
 
 
-def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Float[np.ndarray, "contacts 4"] | None:
+def _law_numbers(
+    hypothesis: Hypothesis, nominal_rig: Rig, hypothesis_values: Values
+) -> Float[np.ndarray, "contacts 4"] | None:
     """Four numbers of every contact's law; None where any other number differs from the nominal law."""
     try:
-        changed_contacts = replace(hypothesis, values=values).applied_to(nominal_rig).contacts
+        changed_contacts = replace(hypothesis, values=hypothesis_values).applied_to(nominal_rig).contacts
     except RigError:
         return None
     contact_pairs = zip(changed_contacts, nominal_rig.contacts, strict=True)
@@ -217,12 +232,14 @@ def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Fl
     return np.array([parameters_of_law(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
 
 
-def numbers_alone_differ(law: ContactLaw, nominal_law: ContactLaw) -> bool:
+def numbers_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) -> bool:
     """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
-    if type(law) is not type(nominal_law) or not law.piecewise_linear:
+    if type(changed_law) is not type(nominal_law) or not changed_law.piecewise_linear:
         return False
     return (
-        msgspec.structs.replace(law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names})
+        msgspec.structs.replace(
+            changed_law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names}
+        )
         == nominal_law
     )
 
@@ -231,14 +248,14 @@ def _solution_of_record(
     nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawChange, free_values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
     """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
-    index_by_contact = {contact.name: j for j, contact in enumerate(nominal_rig.contacts)}
-    derivatives, differences, covariances, tolerance_covariances = [], [], [], []
+    index_by_contact = {contact.name: contact_index for contact_index, contact in enumerate(nominal_rig.contacts)}
+    derivatives, quantity_differences, covariances, tolerance_covariances = [], [], [], []
     for estimate in estimates:
         contact_index = index_by_contact[estimate.contact_name]
         quantity_derivative = estimate.quantity_weights @ law_change.number_derivatives[:, contact_index].T
         is_involved = np.any(quantity_derivative, axis=1)
         derivatives.append(quantity_derivative[is_involved])
-        differences.append(
+        quantity_differences.append(
             (estimate.quantity_values - estimate.quantity_weights @ law_change.law_numbers[contact_index])[is_involved]
         )
         covariances.append(estimate.covariance[np.ix_(is_involved, is_involved)])
@@ -254,7 +271,7 @@ def _solution_of_record(
     covariance = np.linalg.inv(stacked_derivatives.T @ weighted_derivatives)
     kalman_gain = covariance @ weighted_derivatives.T
     return (
-        free_values + kalman_gain @ np.concatenate(differences),
+        free_values + kalman_gain @ np.concatenate(quantity_differences),
         covariance,
         kalman_gain @ tolerance_covariance @ kalman_gain.T,
     )

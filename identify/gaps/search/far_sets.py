@@ -39,7 +39,7 @@ from identify.linear.model import ResponseCache
 from rig.errors import RigError
 from rig.model.description import Rig
 
-FIRST_EFFECTS, PAIRS, FITTED_PAIRS = 3, 4, 2
+FOLLOWED_SINGLES, REFINED_PAIRS, FITTED_PAIRS = 3, 4, 2
 """Effects that are paired with all others, pairs that are minimised, and those that are fitted beside the best effect
 alone. Effort."""
 EVALUATIONS_PER_PARAMETER = 40
@@ -66,30 +66,34 @@ class _Landscape:
     unmodelled_shares: Float[np.ndarray, "sensors lines"]
     cache: ResponseCache
 
-    def cost(self, candidates: tuple[Candidate, ...], values: Values) -> float:
+    def cost(self, candidates: tuple[Candidate, ...], effect_values: Values) -> float:
         """Cost sum ln(1 + |r|^2); infinite where there is no such rig."""
-        lower, upper = parameters_of(candidates).bounds
-        if np.any(values < lower) or np.any(values > upper):
+        lower_bounds, upper_bounds = parameters_of(candidates).bounds
+        if np.any(effect_values < lower_bounds) or np.any(effect_values > upper_bounds):
             return np.inf
         try:
             model = linear_model(
-                self.record, with_effects(self.rig, candidates, values), self.unmodelled_shares, self.cache
+                self.record, with_effects(self.rig, candidates, effect_values), self.unmodelled_shares, self.cache
             )
         except RigError:
             return np.inf
         return float(np.sum(np.log1p(np.abs(model.residual) ** 2)))
 
-    def minimum(self, start: FarSet) -> FarSet:
+    def minimum(self, start_set: FarSet) -> FarSet:
         """Set at the minimum that a simplex reaches."""
-        lower, upper = parameters_of(start.candidates).bounds
-        solution = minimize(
-            lambda shares: self.cost(start.candidates, lower + shares * (upper - lower)),
-            (start.values - lower) / (upper - lower),
+        lower_bounds, upper_bounds = parameters_of(start_set.candidates).bounds
+        simplex_result = minimize(
+            lambda shares: self.cost(start_set.candidates, lower_bounds + shares * (upper_bounds - lower_bounds)),
+            (start_set.values - lower_bounds) / (upper_bounds - lower_bounds),
             method="Nelder-Mead",
-            options={"maxfev": EVALUATIONS_PER_PARAMETER * start.values.size, "xatol": 1e-4, "fatol": 1.0},
+            options={"maxfev": EVALUATIONS_PER_PARAMETER * start_set.values.size, "xatol": 1e-4, "fatol": 1.0},
         )
-        reached = FarSet(start.candidates, lower + solution.x * (upper - lower), float(solution.fun))
-        return min(start, reached, key=_cost_of)
+        reached_set = FarSet(
+            start_set.candidates,
+            lower_bounds + simplex_result.x * (upper_bounds - lower_bounds),
+            float(simplex_result.fun),
+        )
+        return min(start_set, reached_set, key=_cost_of)
 
 
 def far_fits(search: Search) -> list[FittedHypothesis]:
@@ -97,20 +101,25 @@ def far_fits(search: Search) -> list[FittedHypothesis]:
     record, rig = search.linearization.record, search.linearization.rig
     if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
         return []
-    thinned = thinned_record(record)
-    shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
-    landscape = _Landscape(thinned, rig, shares, ResponseCache(thinned.omega))
-    effects = [c for c in search.candidates if _is_linear_effect(c, rig)]
-    singles = sorted((landscape.minimum(s) for c in effects for s in _best_on_grid(landscape, (), c)), key=_cost_of)
-    pairs = [
-        pair
-        for single in singles[:FIRST_EFFECTS]
-        for candidate in effects
-        for pair in _best_on_grid(landscape, (single,), candidate)
+    thin_record = thinned_record(record)
+    unmodelled_shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
+    landscape = _Landscape(thin_record, rig, unmodelled_shares, ResponseCache(thin_record.omega))
+    linear_effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
+    single_sets = sorted(
+        (landscape.minimum(grid_set) for effect in linear_effects for grid_set in _best_on_grid(landscape, (), effect)),
+        key=_cost_of,
+    )
+    pair_sets = [
+        pair_set
+        for single_set in single_sets[:FOLLOWED_SINGLES]
+        for candidate in linear_effects
+        for pair_set in _best_on_grid(landscape, (single_set,), candidate)
     ]
-    minima = sorted((landscape.minimum(pair) for pair in sorted(pairs, key=_cost_of)[:PAIRS]), key=_cost_of)
-    fits = _fits(search, [*minima[:FITTED_PAIRS], *singles[:1]])
-    return sorted(fits, key=lambda fitted: fitted.cost)
+    pair_minima = sorted(
+        (landscape.minimum(pair_set) for pair_set in sorted(pair_sets, key=_cost_of)[:REFINED_PAIRS]), key=_cost_of
+    )
+    fitted_sets = _fits(search, [*pair_minima[:FITTED_PAIRS], *single_sets[:1]])
+    return sorted(fitted_sets, key=lambda fitted: fitted.cost)
 
 
 def _cost_of(far_set: FarSet) -> float:
@@ -122,25 +131,25 @@ def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
     if candidate.kind.stochastic or candidate.kind.grid_screened or "sensor" in candidate.place:
         return False
     try:
-        changed = candidate.applied(rig, candidate.typical_values)
+        changed_rig = candidate.applied(rig, candidate.typical_values)
     except RigError:
         return False
-    return not (same_but_laws(rig, changed) or needs_every_line(changed)) and changed.loads == rig.loads
+    return not (same_but_laws(rig, changed_rig) or needs_every_line(changed_rig)) and changed_rig.loads == rig.loads
 
 
-def _best_on_grid(landscape: _Landscape, present: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
+def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
     """Best set of present effects and a further one on its grid; none where no point of it makes a rig, or where the
     further one stands nowhere and is there already."""
-    candidates = tuple(c for far_set in present for c in far_set.candidates)
+    candidates = tuple(present_candidate for far_set in present_sets for present_candidate in far_set.candidates)
     if candidate in candidates and len(candidate.parameters) == len(candidate.parameters.strengths):
         return
-    values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present)])
-    members = (*candidates, candidate)
-    points = (np.append(values, grid_values) for grid_values in grid_values_of(candidate))
-    costs_and_points = [(landscape.cost(members, point), point) for point in points]
-    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, values))
+    present_values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
+    member_candidates = (*candidates, candidate)
+    value_points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
+    costs_and_points = [(landscape.cost(member_candidates, point), point) for point in value_points]
+    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, present_values))
     if np.isfinite(cost):
-        yield FarSet(members, point, cost)
+        yield FarSet(member_candidates, point, cost)
 
 
 def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
@@ -148,6 +157,6 @@ def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothes
     best_cost = np.inf
     for far_set in far_sets:
         with suppress(RigError):
-            fitted = refined(search, fit_briefly(search, far_set.candidates, far_set.values, None), best_cost)
-            best_cost = min(best_cost, fitted.cost)
-            yield fitted
+            fitted_set = refined(search, fit_briefly(search, far_set.candidates, far_set.values, None), best_cost)
+            best_cost = min(best_cost, fitted_set.cost)
+            yield fitted_set

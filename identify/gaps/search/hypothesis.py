@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from identify.gaps.residual.fit import MAX_STEPS, Build, Values, fit
+from identify.gaps.residual.fit import MAX_STEPS, BuildRig, Values, fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
@@ -25,14 +25,14 @@ from rig.model.parameters import ParameterSet
 MIN_GAIN = 20.0
 """Gain in -2 ln p below which an effect is not fitted: a good third of what the prior of one among some 26 effects at
 some 4 places, and the temperature of the comparison, demand: 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
-FIRST_STEPS, ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
+FIRST_STEPS, REFIT_ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
 """Steps of a first fit; rounds of the following refits at most; gain in -2 ln p, and relative change of the scales,
 below which they have settled. Effort."""
 MAX_EXCESS_COST = 200.0
 """Excess in -2 ln p over the best hypothesis from which one is neither fitted until it settles nor compared on another
 record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
-LIMIT_SHARE = 0.99
-"""Share of `LIMIT` from which a tolerance stands at its limit."""
+PULL_LIMIT_SHARE = 0.99
+"""Share of `PULL_LIMIT` from which a tolerance stands at its limit."""
 STRAINED_PULL = 1.0
 """Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
 that rubs was explained by damping beyond its tolerance, and the friction was placed elsewhere."""
@@ -73,7 +73,7 @@ class Hypothesis:
     @property
     def tolerance_at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
-        return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * LIMIT))
+        return bool(np.any(np.abs(self.misfit.pulls) > PULL_LIMIT_SHARE * PULL_LIMIT))
 
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
         """Values of each effect."""
@@ -108,7 +108,11 @@ def with_effects(rig: Rig, candidates: Sequence[Candidate], effect_values: Value
 
 
 def _values_by_candidate(candidates: Sequence[Candidate], joined_values: Values) -> list[Float[np.ndarray, " _"]]:
-    return np.split(joined_values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
+    return (
+        np.split(joined_values, np.cumsum([len(candidate.parameters) for candidate in candidates])[:-1])
+        if candidates
+        else []
+    )
 
 
 @dataclass(frozen=True)
@@ -176,12 +180,12 @@ def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np
     candidates, rig = initial_fit.hypothesis.candidates, search.linearization.rig
     if any(candidate.kind.stochastic for candidate in candidates):
         return initial_fit
-    round_limit = ROUNDS + extra_relinearizations(rig)
+    round_limit = REFIT_ROUNDS + extra_relinearizations(rig)
     return relinearised(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
 
 
 def fit_from(
-    search: Search, build_rig: Build, candidates: tuple[Candidate, ...], start_values: Values, round_limit: int
+    search: Search, build_rig: BuildRig, candidates: tuple[Candidate, ...], start_values: Values, round_limit: int
 ) -> FittedHypothesis:
     """Fit of effects in the rigs of `build_rig` until it settles, from the fit of another rig."""
     linearization = search.linearization.relinearized(build_rig(start_values), None, search.linearization.scales)
@@ -191,7 +195,7 @@ def fit_from(
 
 
 def relinearised(
-    search: Search, build_rig: Build, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
+    search: Search, build_rig: BuildRig, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Best of successive refits, each linearised at the parameters and with the scales of the one before.
 
@@ -227,13 +231,13 @@ def relinearised(
     return likeliest_fit
 
 
-def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:
+def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> BuildRig:
     return partial(with_effects, search.linearization.rig, candidates)
 
 
 def _gauss_newton(
     search: Search,
-    build_rig: Build,
+    build_rig: BuildRig,
     candidates: tuple[Candidate, ...],
     start_values: Values,
     linearization: Linearization,
@@ -262,13 +266,13 @@ def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
 def _fitted_hypothesis(
     search: Search,
     candidates: tuple[Candidate, ...],
-    values: Float[np.ndarray, " parameters"],
+    effect_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
     residual: Residual,
 ) -> FittedHypothesis:
     hypothesis = Hypothesis(
-        candidates, values, covariance, misfit(linearization.record, search.nominal_variances, residual)
+        candidates, effect_values, covariance, misfit(linearization.record, search.nominal_variances, residual)
     )
     return FittedHypothesis(hypothesis, linearization, residual)
 
@@ -280,9 +284,9 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     base_estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
     if base_estimate is None:
         return None
-    values, standard_errors = base_estimate
+    base_values, standard_errors = base_estimate
     try:
-        shaken_rig = candidate.applied(search.linearization.rig, values)
+        shaken_rig = candidate.applied(search.linearization.rig, base_values)
     except RigError:
         return None
     linearization = search.linearization.relinearized(
@@ -290,12 +294,12 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     )
     linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
-    return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
+    return _fitted_hypothesis(search, (candidate,), base_values, np.diag(standard_errors**2), linearization, residual)
 
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:
     """Residual from which an effect is fitted: all nuisance parameters are reset if one stands at its limit."""
-    if np.max(np.abs(residual.pulls), initial=0.0) < LIMIT - 1e-6:
+    if np.max(np.abs(residual.pulls), initial=0.0) < PULL_LIMIT - 1e-6:
         return residual
     reset_contacts = tuple(replace(contact, unknowns=contact.unknowns_without_pulls) for contact in residual.contacts)
     return replace(residual, nuisance_pulls=np.zeros_like(residual.nuisance_pulls), contacts=reset_contacts)

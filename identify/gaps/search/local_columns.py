@@ -6,57 +6,62 @@ from scipy.signal.windows import hann
 
 from identify.gaps.residual.fit import contact_columns
 from identify.gaps.residual.likelihood import NominalVariances
-from identify.gaps.residual.residual import Column, Linearization, Residual
-from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, band_means
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn
+from identify.gaps.residual.scales import BAND_WIDTH_HZ, SEGMENT_S, band_means
 
 
 class LocalColumns:
     """Columns as `LocalModel` holds them, each reduced as soon as it is made: over time they take twice the memory.
 
-    They begin with those of the tolerances, and have room for `added_count` more. `spectra` and `row_cell` are those of
-    `LocalModel`, `inputs` the rows of inputs with a prior, `count` the number of columns so far.
+    They begin with those of the tolerances, and have room for `added_column_count` more. `spectra` and `row_cell` are
+    those of `LocalModel`, `inputs` the rows of inputs with a prior, `count` the number of columns so far.
     """
 
     def __init__(
-        self, linearization: Linearization, residual: Residual, variances: NominalVariances, added_count: int
+        self, linearization: Linearization, residual: Residual, variances: NominalVariances, added_column_count: int
     ) -> None:
         self.linearization, self.residual = linearization, residual
         sensor_count, (row_count, time_count) = len(linearization.record.sensors), residual.linear_residual.shape
         self.norms, self.row_cell = _scales_and_cells(linearization, variances, time_count)
-        room = residual.pulls.size + added_count
-        self.spectra = np.zeros((room, self.row_cell.size), np.float32)
-        self.inputs = np.zeros((room, (row_count - sensor_count) * time_count), np.float32)
-        for index, linear in enumerate(linearization.columns.residual):
-            self._set_linear(index, linear)
+        column_capacity = residual.pulls.size + added_column_count
+        self.spectra = np.zeros((column_capacity, self.row_cell.size), np.float32)
+        self.inputs = np.zeros((column_capacity, (row_count - sensor_count) * time_count), np.float32)
+        for nuisance_index, linear_decrease in enumerate(linearization.columns.residual):
+            self._set_linear(nuisance_index, linear_decrease)
         self.contacts, self.count = list[list[Float[np.ndarray, " _"]]](), residual.pulls.size
 
-    def append(self, column: Column) -> None:
-        linear, contacts = column
-        self._set_linear(self.count, linear)
-        self.contacts.append(contacts)
+    def append(self, column: ResidualColumn) -> None:
+        linear_decrease, contact_decreases = column
+        self._set_linear(self.count, linear_decrease)
+        self.contacts.append(contact_decreases)
         self.count += 1
 
-    def _set_linear(self, index: int, linear: Float[np.ndarray, "rows times"]) -> None:
-        self.spectra[index] = self.spectrum(linear)
-        self.inputs[index] = linear[len(self.linearization.record.sensors) :].ravel()
+    def _set_linear(self, column_index: int, linear_decrease: Float[np.ndarray, "rows times"]) -> None:
+        self.spectra[column_index] = self.spectrum(linear_decrease)
+        self.inputs[column_index] = linear_decrease[len(self.linearization.record.sensors) :].ravel()
 
-    def spectrum(self, linear: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, " values"]:
+    def spectrum(self, linear_decrease: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, " values"]:
         record = self.linearization.record
-        return _spectra(record.rate_hz, linear[: len(record.sensors)], self.norms)
+        return _spectra(record.rate_hz, linear_decrease[: len(record.sensors)], self.norms)
 
     def contact_rows(self, contact_index: int) -> Float[np.ndarray, "rows columns"]:
         """Columns of one contact's residual, those of its own tolerances among them."""
-        rows = contact_columns(self.linearization, self.residual, contact_index, self.count)
-        for index, decreases in enumerate(self.contacts, self.residual.pulls.size):
-            rows[:, index] = decreases[contact_index]
-        return rows
+        columns_of_contact = contact_columns(self.linearization, self.residual, contact_index, self.count)
+        for column_index, contact_decreases in enumerate(self.contacts, self.residual.pulls.size):
+            columns_of_contact[:, column_index] = contact_decreases[contact_index]
+        return columns_of_contact
 
 
 def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
     """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
     segment_samples = min(round(SEGMENT_S * rate_hz), sample_count)
-    per_band = max(1, round(BAND_HZ * segment_samples / rate_hz))
-    return (segment_samples, sample_count // segment_samples, per_band, (segment_samples // 2 + 1) // per_band)
+    lines_per_band = max(1, round(BAND_WIDTH_HZ * segment_samples / rate_hz))
+    return (
+        segment_samples,
+        sample_count // segment_samples,
+        lines_per_band,
+        (segment_samples // 2 + 1) // lines_per_band,
+    )
 
 
 def _scales_and_cells(
@@ -64,22 +69,28 @@ def _scales_and_cells(
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, per_band, band_count = _segment_counts(record.rate_hz, sample_count)
-    ratio = band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
-    norms = np.sqrt(ratio.T / (segment_count * per_band))
-    row_shape = (sensor_count, segment_count, band_count, per_band, 2)
+    _, segment_count, lines_per_band, band_count = _segment_counts(record.rate_hz, sample_count)
+    variance_ratio = (
+        band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
+    )
+    spectrum_scales = np.sqrt(variance_ratio.T / (segment_count * lines_per_band))
+    row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)
     sensor_index = np.arange(sensor_count)[:, None, None, None, None]
     cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
-    return norms, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
+    return spectrum_scales, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
 
 
 def _spectra(
-    rate_hz: float, signal: Float[np.ndarray, "sensors times"], norms: Float[np.ndarray, "sensors bands"]
+    rate_hz: float, signal: Float[np.ndarray, "sensors times"], spectrum_scales: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment, count, per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
-    window = hann(segment, sym=False)
-    pieces = signal[:, : count * segment].reshape(len(signal), count, segment) * (window / np.sqrt(np.sum(window**2)))
-    lines = np.fft.rfft(pieces, axis=2)[:, :, : band_count * per_band].reshape(len(signal), count, band_count, per_band)
-    lines = lines * norms[:, None, :, None]
-    return np.stack([lines.real, lines.imag], axis=-1).astype(np.float32).ravel()
+    segment_samples, segment_count, lines_per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
+    window = hann(segment_samples, sym=False)
+    segments = signal[:, : segment_count * segment_samples].reshape(len(signal), segment_count, segment_samples) * (
+        window / np.sqrt(np.sum(window**2))
+    )
+    segment_spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * lines_per_band].reshape(
+        len(signal), segment_count, band_count, lines_per_band
+    )
+    segment_spectra = segment_spectra * spectrum_scales[:, None, :, None]
+    return np.stack([segment_spectra.real, segment_spectra.imag], axis=-1).astype(np.float32).ravel()

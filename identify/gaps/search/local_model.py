@@ -28,8 +28,8 @@ from jaxtyping import Float, Int
 
 from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum
 from identify.gaps.residual.likelihood import NominalVariances
-from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
+from identify.gaps.residual.nuisance import PULL_LIMIT
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, derivative
 from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
 from identify.gaps.search.local_columns import LocalColumns
@@ -94,7 +94,7 @@ class LocalModel:
 
     column_spectra holds X and residual_spectrum r: windowed, in nominal standard deviations, real and imaginary
     parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band and sensor.
-    base_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
+    present_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
 
     column_spectra: Float[np.ndarray, "columns rows"]
@@ -109,8 +109,8 @@ class LocalModel:
     theta_min: Theta
     theta_max: Theta
     samples_per_cell: float
-    all_samples: float
-    base_columns: Int[np.ndarray, " selected"]
+    samples_per_contact: float
+    present_columns: Int[np.ndarray, " selected"]
     candidate_terms: tuple[CandidateTerm, ...]
     recent_levels: RecentValues[Levels] = field(default_factory=lambda: RecentValues(2), repr=False)
 
@@ -119,18 +119,21 @@ class LocalModel:
         return self.recent_levels.get(theta.tobytes(), lambda: self._levels_at(theta))
 
     def _levels_at(self, theta: Theta) -> Levels:
-        base_count = self.base_columns.size
-        added = base_count + np.flatnonzero(theta[base_count:])
-        residual = self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
-        residual -= theta[added].astype(np.float32) @ self.column_spectra[added]
+        base_count = self.present_columns.size
+        added_columns = base_count + np.flatnonzero(theta[base_count:])
+        remaining_spectrum = (
+            self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
+        )
+        remaining_spectrum -= theta[added_columns].astype(np.float32) @ self.column_spectra[added_columns]
         levels_of_contacts = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
         levels_of_contacts -= 2 * self.contact_gradients @ theta
-        return np.bincount(self.row_cell, residual.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
+        return np.bincount(self.row_cell, remaining_spectrum.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
 
     def statistic(self, theta: Theta) -> float:
         """Statistic S, up to a constant of the record."""
-        cells, contacts = self.levels(theta)
-        residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.all_samples * np.sum(np.log1p(contacts))
+        cell_levels, contact_levels = self.levels(theta)
+        residual_cost = self.samples_per_cell * np.sum(np.log1p(cell_levels))
+        residual_cost += self.samples_per_contact * np.sum(np.log1p(contact_levels))
         input_cost = theta @ self.input_matrix @ theta - 2 * self.input_slope @ theta
         return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
 
@@ -141,62 +144,70 @@ class LocalModel:
         cell_levels, contact_levels = self.levels(theta)
         cell_weights = self.samples_per_cell / (1 + cell_levels)
         row_weights = np.sqrt(cell_weights[self.row_cell]).astype(np.float32)
-        normal, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
-        for first in range(0, row_weights.size, ROW_BLOCK):
-            rows = slice(first, first + ROW_BLOCK)
-            weighted = self.column_spectra[columns, rows]
-            weighted *= row_weights[rows]
-            normal += weighted @ weighted.T
-            right_side += weighted @ (self.residual_spectrum[rows] * row_weights[rows])
+        normal_matrix, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
+        for first_row in range(0, row_weights.size, ROW_BLOCK):
+            rows = slice(first_row, first_row + ROW_BLOCK)
+            weighted_spectra = self.column_spectra[columns, rows]
+            weighted_spectra *= row_weights[rows]
+            normal_matrix += weighted_spectra @ weighted_spectra.T
+            right_side += weighted_spectra @ (self.residual_spectrum[rows] * row_weights[rows])
         for contact_weight, contact_matrix, contact_gradient in zip(
-            self.all_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
+            self.samples_per_contact / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
-            normal += contact_weight * contact_matrix[np.ix_(columns, columns)]
+            normal_matrix += contact_weight * contact_matrix[np.ix_(columns, columns)]
             right_side += contact_weight * contact_gradient[columns]
         is_tolerance = columns < self.pulls.size
-        normal[is_tolerance, is_tolerance] += 1.0
+        normal_matrix[is_tolerance, is_tolerance] += 1.0
         right_side[is_tolerance] -= self.pulls[columns[is_tolerance]]
-        return normal, right_side
+        return normal_matrix, right_side
 
     def minimum(self, terms: Sequence[CandidateTerm], start_theta: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start_theta`."""
-        free = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
+        free_columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
         theta = np.zeros(len(self.column_spectra))
         if start_theta is not None:
-            theta[free] = start_theta[free]
-        best = Solution(theta, self.statistic(theta))
+            theta[free_columns] = start_theta[free_columns]
+        best_solution = Solution(theta, self.statistic(theta))
         for _ in range(MAJORIZATIONS):
-            normal, right_side = self.normal_equations(best.theta, free)
-            diagonal = np.diag(normal)
-            normal += np.diag(RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max())  # what is not shown stays zero
+            normal_matrix, right_side = self.normal_equations(best_solution.theta, free_columns)
+            diagonal = np.diag(normal_matrix)
+            ridge = RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max()
+            normal_matrix += np.diag(ridge)  # what is not shown stays zero
             theta = np.zeros(len(self.column_spectra))
-            current = best.theta[free]
-            low, high = (self.theta_min[free] - current, self.theta_max[free] - current)
-            step = bounded_minimum(normal, right_side - normal @ current, low, high)
-            theta[free] = current + step
+            current_theta = best_solution.theta[free_columns]
+            least_step = self.theta_min[free_columns] - current_theta
+            greatest_step = self.theta_max[free_columns] - current_theta
+            step = bounded_minimum(normal_matrix, right_side - normal_matrix @ current_theta, least_step, greatest_step)
+            theta[free_columns] = current_theta + step
             solution = Solution(theta, self.statistic(theta))
-            statistic_decrease = best.statistic - solution.statistic
+            statistic_decrease = best_solution.statistic - solution.statistic
             if statistic_decrease > 0:
-                best = solution
+                best_solution = solution
             if statistic_decrease < STATISTIC_TOLERANCE:
                 break
-        return best
+        return best_solution
 
     def promised_decreases(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
         """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
         all_columns = np.arange(len(self.column_spectra))
-        normal, right_side = self.normal_equations(solution.theta, all_columns)
-        slope = right_side - normal @ solution.theta
-        base = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
-        response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[base])
+        normal_matrix, right_side = self.normal_equations(solution.theta, all_columns)
+        slope = right_side - normal_matrix @ solution.theta
+        joined_columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
+        joined_response = np.linalg.solve(
+            normal_matrix[np.ix_(joined_columns, joined_columns)] + 1e-12 * np.eye(joined_columns.size),
+            normal_matrix[joined_columns],
+        )
         decreases = np.zeros(len(self.candidate_terms))
         for term_index, term in enumerate(self.candidate_terms):
             columns = term.column_indices
-            curvature = normal[np.ix_(columns, columns)] - normal[np.ix_(columns, base)] @ response[:, columns]
-            is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal)[columns]
-            if np.any(np.isin(columns, base)) or np.any(is_absorbed):
+            curvature = (
+                normal_matrix[np.ix_(columns, columns)]
+                - normal_matrix[np.ix_(columns, joined_columns)] @ joined_response[:, columns]
+            )
+            is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal_matrix)[columns]
+            if np.any(np.isin(columns, joined_columns)) or np.any(is_absorbed):
                 continue
-            reduced_slope = slope[columns] - response[:, columns].T @ slope[base]
+            reduced_slope = slope[columns] - joined_response[:, columns].T @ slope[joined_columns]
             theta_step = np.clip(np.linalg.solve(curvature, reduced_slope), term.theta_min, term.theta_max)
             decreases[term_index] = 2 * reduced_slope @ theta_step - theta_step @ curvature @ theta_step
         return decreases
@@ -211,7 +222,9 @@ def local_model(
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    candidate_column_count = sum(len(c.start_values()) * len(c.parameters.strengths) for c in candidates)
+    candidate_column_count = sum(
+        len(candidate.start_values()) * len(candidate.parameters.strengths) for candidate in candidates
+    )
     columns = LocalColumns(
         linearization, residual, variances, len(parameters_of(present_set.candidates)) + candidate_column_count
     )
@@ -223,32 +236,47 @@ def local_model(
             with suppress(RigError):  # no such rig
                 new_columns = strength_columns(linearization, residual, candidate, start_values)
                 terms.append(_candidate_term(candidate, start_values, columns.count))
-                for linear, contacts in new_columns:
-                    columns.append((linear.astype(np.float32), [column.astype(np.float32) for column in contacts]))
+                for linear_decrease, contact_decreases in new_columns:
+                    single_precision = [decrease.astype(np.float32) for decrease in contact_decreases]
+                    columns.append((linear_decrease.astype(np.float32), single_precision))
     return _model_of(columns, variances, present_count, tuple(terms), _set_range(present_set))
 
 
-def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first_column: int) -> CandidateTerm:
-    """Term of a candidate at `start`, whose columns begin with `first_column`."""
-    strengths = list(candidate.parameters.strengths)
-    low, high = (
-        (bound[strengths] - start[strengths]) / candidate.step_sizes[strengths] for bound in candidate.parameters.bounds
+def _candidate_term(
+    candidate: Candidate, start_values: Float[np.ndarray, " parameters"], first_column: int
+) -> CandidateTerm:
+    """Term of a candidate at `start_values`, whose columns begin with `first_column`."""
+    strength_indices = list(candidate.parameters.strengths)
+    lower_theta, upper_theta = (
+        (bound[strength_indices] - start_values[strength_indices]) / candidate.step_sizes[strength_indices]
+        for bound in candidate.parameters.bounds
     )
-    columns = first_column + np.arange(len(strengths))
-    return CandidateTerm(candidate, start, tuple(strengths), columns, np.minimum(low, high), np.maximum(low, high))
+    columns = first_column + np.arange(len(strength_indices))
+    return CandidateTerm(
+        candidate,
+        start_values,
+        tuple(strength_indices),
+        columns,
+        np.minimum(lower_theta, upper_theta),
+        np.maximum(lower_theta, upper_theta),
+    )
 
 
 def _present_columns(
     linearization: Linearization, residual: Residual, rig: Rig, present_set: Hypothesis
-) -> Iterator[Column]:
+) -> Iterator[ResidualColumn]:
     """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
-    candidates, values = present_set.candidates, present_set.values
+    candidates, effect_values = present_set.candidates, present_set.values
     build_rig = partial(with_effects, rig, candidates)
     steps = steps_of(candidates)
-    shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
-    for share, step in zip(shares, np.diag(steps), strict=True):
-        linear, contacts = derivative(linearization, build_rig(values + share * step), residual)
-        yield (linear / share, [column / share for column in contacts])
+    signed_shares = np.where(
+        effect_values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP
+    )
+    for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
+        linear_decrease, contact_decreases = derivative(
+            linearization, build_rig(effect_values + signed_share * step), residual
+        )
+        yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 
 
 def _set_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
@@ -266,42 +294,46 @@ def _model_of(
     terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
-    record, residual, size, row_cell = columns.linearization.record, columns.residual, columns.count, columns.row_cell
+    record, residual = columns.linearization.record, columns.residual
+    column_count, row_cell = columns.count, columns.row_cell
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
-    pulls, inputs = residual.pulls, columns.inputs[:size]
-    matrices, gradients, contact_levels = [], [], []
+    pulls, input_rows = residual.pulls, columns.inputs[:column_count]
+    contact_matrices, contact_gradients, contact_levels = [], [], []
     for contact_index, contact in enumerate(residual.contacts):
-        rows = columns.contact_rows(contact_index)
-        normal_matrix, gradient = without_drift(residual, contact_index, rows)
-        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", rows, rows))
+        contact_rows = columns.contact_rows(contact_index)
+        normal_matrix, gradient = without_drift(residual, contact_index, contact_rows)
+        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
         sum_of_squares = float(np.sum(contact.residual[: contact.observation.weights.size] ** 2))
         contact_level = _contact_level(nominal_variances, residual, contact_index)
-        matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
-        gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
+        contact_matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
+        contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
         contact_levels.append(contact_level)
-    low, high = np.full(size, -np.inf), np.full(size, np.inf)
-    low[: pulls.size], high[: pulls.size] = -LIMIT - pulls, LIMIT - pulls
-    low[pulls.size : pulls.size + present_count], high[pulls.size : pulls.size + present_count] = present_range
+    theta_min, theta_max = np.full(column_count, -np.inf), np.full(column_count, np.inf)
+    theta_min[: pulls.size], theta_max[: pulls.size] = -PULL_LIMIT - pulls, PULL_LIMIT - pulls
+    theta_min[pulls.size : pulls.size + present_count], theta_max[pulls.size : pulls.size + present_count] = (
+        present_range
+    )
     for term in terms:
-        low[term.column_indices], high[term.column_indices] = term.theta_min, term.theta_max
-    ratio = record.sample_ratio
+        theta_min[term.column_indices], theta_max[term.column_indices] = term.theta_min, term.theta_max
+    sample_ratio = record.sample_ratio
     band_count = int(row_cell.max()) // sensor_count + 1
-    samples = time_count / ratio
+    independent_samples = time_count / sample_ratio
     return LocalModel(
-        column_spectra=columns.spectra[:size],
+        column_spectra=columns.spectra[:column_count],
         residual_spectrum=columns.spectrum(residual.linear_without_lines),
         row_cell=row_cell,
-        contact_matrices=np.array(matrices).reshape(len(matrices), size, size),
-        contact_gradients=np.array(gradients).reshape(len(gradients), size),
+        contact_matrices=np.array(contact_matrices).reshape(len(contact_matrices), column_count, column_count),
+        contact_gradients=np.array(contact_gradients).reshape(len(contact_gradients), column_count),
         contact_levels=np.array(contact_levels),
-        input_matrix=(inputs @ inputs.T).astype(float) / ratio,
-        input_slope=(inputs @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float) / ratio,
+        input_matrix=(input_rows @ input_rows.T).astype(float) / sample_ratio,
+        input_slope=(input_rows @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float)
+        / sample_ratio,
         pulls=pulls,
-        theta_min=low,
-        theta_max=high,
-        samples_per_cell=samples / band_count,
-        all_samples=samples,
-        base_columns=np.arange(pulls.size + present_count),
+        theta_min=theta_min,
+        theta_max=theta_max,
+        samples_per_cell=independent_samples / band_count,
+        samples_per_contact=independent_samples,
+        present_columns=np.arange(pulls.size + present_count),
         candidate_terms=terms,
     )
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gaps.residual.fit import Fit, fit
+from identify.gaps.residual.fit import ParameterFit, fit
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
@@ -19,8 +19,9 @@ last is the number of linearisations at the stated scales of a rig without conta
 
 def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
-    initial = [linearized(record, rig)]  # let go once it is fitted, as all before the last: they are large
-    nominal_variances = nominal_variances_of(initial[0])
+    # let go once it is fitted, as all before the last: they are large
+    initial_linearizations = [linearized(record, rig)]
+    nominal_variances = nominal_variances_of(initial_linearizations[0])
 
     def fit_in(linearization: Linearization, start_residual: Residual | None) -> _NuisanceFit:
         residual = fitted_nuisance(linearization, start_residual).residual
@@ -30,16 +31,18 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         return fit_in(rescaled(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
 
     def relinearize(previous_fit: _NuisanceFit) -> _NuisanceFit:
-        previous = previous_fit.linearization
-        new_linearization = previous.relinearized(rig, previous_fit.residual, scales=previous.scales)
+        previous_linearization = previous_fit.linearization
+        new_linearization = previous_linearization.relinearized(
+            rig, previous_fit.residual, scales=previous_linearization.scales
+        )
         return fit_in(new_linearization, previous_fit.residual)
 
     def settled(earlier_fit: _NuisanceFit, later_fit: _NuisanceFit) -> bool:
-        cost_fall = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
-        return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_fall > COST_TOLERANCE)
+        cost_decrease = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
+        return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_decrease > COST_TOLERANCE)
 
     nuisance_fit = refit_until_settled(
-        refit_until_settled(fit_in(initial.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
+        refit_until_settled(fit_in(initial_linearizations.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
         refit,
         settled,
         rounds=MAX_ROUNDS,
@@ -55,7 +58,7 @@ class _NuisanceFit:
     misfit: Misfit
 
 
-def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> Fit:
+def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
     no_parameters = np.zeros(0)
     return fit(
@@ -73,9 +76,9 @@ def stated_scale_refits(rig: Rig) -> int:
 
     Their residual is nonlinear near resonances. Single masses have `extra_relinearizations`.
     """
-    return 0 if rig.contacts or any(b.is_mass for b in rig.bodies) else RESONANT_REFITS
+    return 0 if rig.contacts or any(body.is_mass for body in rig.bodies) else RESONANT_REFITS
 
 
 def extra_relinearizations(rig: Rig) -> int:
     """Number of further linearisations for the resonance of a single mass, where the residual is nonlinear."""
-    return 3 if any(b.is_mass for b in rig.bodies) else 0
+    return 3 if any(body.is_mass for body in rig.bodies) else 0

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_columns
 from identify.gaps.residual.likelihood import NominalVariances, misfit
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, derivative
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
@@ -26,14 +26,14 @@ from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
-ROUNDS = 2
+POOLING_ROUNDS = 2
 """Gauss-Newton steps over several records at most."""
 STEP_TOLERANCE = 0.1
 """Change of a parameter, in standard errors, below which the steps end."""
 
 
 @dataclass(frozen=True)
-class Information:
+class RecordInformation:
     """-2 ln p of one record as a quadratic of tolerances and parameters (in units of their steps)."""
 
     tolerance_names: tuple[Hashable, ...]
@@ -48,13 +48,13 @@ class LinearizedRecord:
 
     linearization: Linearization
     residual: Residual
-    tolerance_information: Information
+    tolerance_information: RecordInformation
     tolerance_columns: tuple[Float[np.ndarray, "_ tolerances"], ...]
     cost: float
 
     def with_parameters(
         self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
-    ) -> Information:
+    ) -> RecordInformation:
         """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
         signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
         decreases_by_step = [
@@ -64,8 +64,8 @@ class LinearizedRecord:
             for parameter_index, step in enumerate(np.diag(steps))
         ]
         parameter_columns = [
-            tuple(residual_block / signed_share for residual_block in (linear, *contacts))
-            for (linear, contacts), signed_share in zip(decreases_by_step, signed_shares, strict=True)
+            tuple(residual_block / signed_share for residual_block in (linear_decrease, *contact_decreases))
+            for (linear_decrease, contact_decreases), signed_share in zip(decreases_by_step, signed_shares, strict=True)
         ]
         tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
         tolerance_count = len(tolerance_information.tolerance_names)
@@ -110,8 +110,8 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
             for tolerance_index, parameter in enumerate(linearization.columns.parameters)
         ),
         *(
-            (c.name, tolerance_index)
-            for c, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
+            (joined_contact.name, tolerance_index)
+            for joined_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
             for tolerance_index in range(contact.pulls.size)
         ),
     )
@@ -120,10 +120,10 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
     gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
     columns_by_contact = []
     for contact_index in range(len(residual.contacts)):
-        columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
-        contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
+        residual_columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
+        contact_matrix, contact_gradient = without_drift(residual, contact_index, residual_columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
-        columns_by_contact.append(columns)
+        columns_by_contact.append(residual_columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
     information = _information_at(
         tolerance_names, normal_matrix / sample_ratio, gradient / sample_ratio, residual.pulls, cost
@@ -137,10 +137,10 @@ def _information_at(
     gradient: Float[np.ndarray, " unknowns"],
     expansion_point: Float[np.ndarray, " unknowns"],
     cost_at_point: float,
-) -> Information:
+) -> RecordInformation:
     """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
     pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
-    return Information(
+    return RecordInformation(
         tolerance_names,
         normal_matrix,
         right_side,
@@ -173,7 +173,7 @@ class PooledEstimate:
 
 
 def pooled(
-    record_information: Sequence[Information],
+    information_by_record: Sequence[RecordInformation],
     steps: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
@@ -184,32 +184,32 @@ def pooled(
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
     tolerance_names = list(
-        dict.fromkeys(name for information in record_information for name in information.tolerance_names)
+        dict.fromkeys(name for information in information_by_record for name in information.tolerance_names)
     )
     tolerance_count = len(tolerance_names)
     parameter_count = len(steps)
-    parameter_copies = len(record_information) if differs_by_record else 1
+    parameter_copies = len(information_by_record) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
     prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
-    for record_index, information in enumerate(record_information):
+    for record_index, information in enumerate(information_by_record):
         first_parameter = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
-        unknowns = [
+        unknown_indices = [
             *(tolerance_names.index(name) for name in information.tolerance_names),
             *range(first_parameter, first_parameter + parameter_count),
         ]
-        normal_matrix[np.ix_(unknowns, unknowns)] += information.normal_matrix
-        right_side[unknowns] += information.right_side
+        normal_matrix[np.ix_(unknown_indices, unknown_indices)] += information.normal_matrix
+        right_side[unknown_indices] += information.right_side
     lower_bounds, upper_bounds = (
-        np.append(np.full(tolerance_count, sign * LIMIT), np.tile(bound, parameter_copies))
+        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, parameter_copies))
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
     pooled_unknowns = prior_means + bounded_minimum(
         normal_matrix, right_side - normal_matrix @ prior_means, lower_bounds - prior_means, upper_bounds - prior_means
     )
-    cost = sum(information.constant_cost for information in record_information) + float(
+    cost = sum(information.constant_cost for information in information_by_record) + float(
         pooled_unknowns @ normal_matrix @ pooled_unknowns
         - 2 * right_side @ pooled_unknowns
         + prior_means @ (prior_precisions * prior_means)
@@ -238,13 +238,17 @@ def fitted_together(
     rig, parameter_steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
     build_rig = partial(with_effects, rig, candidates)
 
-    def pooled_about(values: Values) -> _PooledFit:
-        summed_cost, information = 0.0, list[Information]()
+    def pooled_about(expansion_values: Values) -> _PooledFit:
+        summed_cost, information_by_record = 0.0, list[RecordInformation]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
-            record_fit = linearized_record(record, nominal_variances, build_rig(values))
+            record_fit = linearized_record(record, nominal_variances, build_rig(expansion_values))
             summed_cost += record_fit.cost
-            information.append(record_fit.with_parameters(build_rig, values, parameter_steps, bounds[1]))
-        return _PooledFit(values, pooled(information, parameter_steps, bounds, values), summed_cost)
+            information_by_record.append(
+                record_fit.with_parameters(build_rig, expansion_values, parameter_steps, bounds[1])
+            )
+        return _PooledFit(
+            expansion_values, pooled(information_by_record, parameter_steps, bounds, expansion_values), summed_cost
+        )
 
     def refit(earlier_fit: _PooledFit) -> _PooledFit:
         if earlier_fit.has_settled:
@@ -256,7 +260,7 @@ def fitted_together(
         return earlier_fit if later_fit.cost > earlier_fit.cost else later_fit
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=POOLING_ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

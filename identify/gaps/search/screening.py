@@ -20,9 +20,9 @@ from scipy.optimize import least_squares
 from identify.gaps.residual.fit import ReducedEquations, reduced_equations
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.lines import sharpest_frequencies
-from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Column, Linearization, Residual, residual_of, same_but_laws
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_of, same_but_laws
 from identify.gaps.residual.tuning import matched_modes
 from identify.gaps.residual.windowed import needs_every_line
 from identify.gaps.search.candidates import Candidate, strength_columns
@@ -30,12 +30,12 @@ from identify.linear.model import ResponseCache
 from rig.errors import RigError
 from rig.model.description import Rig
 
-STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
+STRENGTH_MULTIPLES = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Trial strengths as multiples of what a typical effect adds, dense enough for every minimum of the linear residual.
 Set by hand."""
 LINE_STRIDE = 16
 """Step between the lines used: these suffice to locate a minimum. Effort."""
-PEAKS, PEAK_BAND_HZ = 1, 2.0
+PEAK_COUNT, PEAK_BAND_HZ = 1, 2.0
 """Number of followed lines, and bandwidth (Hz) above whose other lines they must stand out. Set by hand."""
 FOLLOWED_PLACES, DISTINCT_SHARE = 3, 0.01
 """Number of an effect's places from which minima are sought; share of the range below which two minima are one."""
@@ -62,7 +62,7 @@ def score_screening(
     equations = reduced_equations(linearization, residual)
     peaks_hz, equations_with_lines = [], equations
     if any(candidate.kind.grid_screened for candidate in candidates):
-        peaks_hz = peak_frequencies_hz(linearization, residual, PEAKS).tolist()
+        peaks_hz = peak_frequencies_hz(linearization, residual, PEAK_COUNT).tolist()
         equations_with_lines = equations.with_lines()
     screened_candidates = []
     for candidate in candidates:
@@ -95,14 +95,14 @@ def _strength_gains(
     strength_indices, residual = candidate.parameters.strengths, equations.residual
     screened_starts = [ScreenedCandidate(candidate, 0.0, candidate.typical_values)]
     possible_starts: list[Float[np.ndarray, " parameters"]] = []
-    strength_decreases: list[Column] = []
+    strength_decreases: list[ResidualColumn] = []
     for start_values in candidate.start_values(peaks_hz):
         with suppress(RigError):  # no such rig
             strength_decreases += strength_columns(linearization, residual, candidate, start_values)
             possible_starts.append(start_values)
     normal_equations = equations.with_columns(strength_decreases)
     nuisance_count = len(equations.gradient)
-    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < LIMIT - 1e-6)
+    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
     nuisance_response = np.linalg.solve(
         normal_equations.matrix[np.ix_(free_nuisance, free_nuisance)],
         normal_equations.matrix[free_nuisance, nuisance_count:],
@@ -156,15 +156,15 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     """
     if needs_every_line(linearization.rig):
         return []
-    thinned = thinned_record(linearization.record)
+    thin_record = thinned_record(linearization.record)
     unmodelled_shares = linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE]
-    response_cache = ResponseCache(thinned.omega)
+    response_cache = ResponseCache(thin_record.omega)
 
-    def cost(rig: Rig) -> float:
-        model = linear_model(thinned, rig, unmodelled_shares, response_cache)
+    def linear_cost(rig: Rig) -> float:
+        model = linear_model(thin_record, rig, unmodelled_shares, response_cache)
         return LINE_STRIDE * float(np.sum(np.abs(model.residual) ** 2))
 
-    nominal_cost = cost(linearization.rig)
+    nominal_cost = linear_cost(linearization.rig)
     screened_candidates = []
     for candidate in candidates:
         changed_rig = candidate.applied(linearization.rig, candidate.typical_values)
@@ -175,7 +175,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         costs_and_values = []
         for grid_values in grid_values_of(candidate):
             try:
-                costs_and_values.append((cost(candidate.applied(linearization.rig, grid_values)), grid_values))
+                costs_and_values.append((linear_cost(candidate.applied(linearization.rig, grid_values)), grid_values))
             except RigError:
                 continue
         if costs_and_values:
@@ -206,16 +206,18 @@ def law_screening(
     for candidate in candidates:
         start_values = candidate.start_values()[0]
         best_trial = ScreenedCandidate(candidate, 0.0, start_values)
-        for strength in candidate.trial_strengths(STRENGTHS):
+        for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             trial_values = np.append(strength, start_values[1:])
             with suppress(RigError):  # no such law
                 trial_rig = candidate.applied(linearization.rig, trial_values)
                 nuisance_pulls = law_free_residual.nuisance_pulls
                 trial_residual = residual_of(
-                    linearization, trial_rig, nuisance_pulls, contact_unknowns, base=law_free_residual
+                    linearization, trial_rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
                 )
-                trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), trial_values)
-                best_trial = max(best_trial, trial, key=lambda item: item.cost_decrease)
+                screened_trial = ScreenedCandidate(
+                    candidate, nominal_scatter - _log_scatter(trial_residual), trial_values
+                )
+                best_trial = max(best_trial, screened_trial, key=lambda item: item.cost_decrease)
         screened_candidates.append(best_trial)
     return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
 
@@ -227,7 +229,7 @@ def _log_scatter(residual: Residual) -> float:
 def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
     """Parameter values on the grid of strengths within the bounds, at every place."""
     for place_values in candidate.start_values():
-        for strength in candidate.trial_strengths(STRENGTHS):
+        for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             grid_values = place_values.copy()
             grid_values[0] = strength
             yield grid_values
@@ -304,31 +306,31 @@ def _cost_minima(
     Few modes may fit one mass at one place as well as another elsewhere; the mode shapes at the sensors decide later.
     """
 
-    def mismatch(effect_values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " mismatch"]:
+    def mismatch_at(effect_values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " mismatch"]:
         return mode_mismatch(record, candidate.applied(rig, effect_values))
 
     lower_bounds, upper_bounds = candidate.parameters.bounds
     best_of_places = []
     for place_values in candidate.start_values():
         costs_and_values = []
-        for strength in candidate.trial_strengths(STRENGTHS):
+        for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             start_values = np.append(strength, place_values[1:])
             with suppress(RigError):
-                costs_and_values.append((float(np.sum(mismatch(start_values) ** 2)), start_values))
+                costs_and_values.append((float(np.sum(mismatch_at(start_values) ** 2)), start_values))
         best_of_places += [min(costs_and_values, key=_cost_of_minimum)] if costs_and_values else []
     distinct_minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
     solver_options = {"diff_step": RELATIVE_STEP, "x_scale": upper_bounds - lower_bounds, "max_nfev": MAX_EVALUATIONS}
     for place_best in sorted(best_of_places, key=_cost_of_minimum)[:FOLLOWED_PLACES]:
-        minimum = place_best
+        cost_and_values = place_best
         with suppress(RigError, ValueError):
             start_values = np.clip(place_best[1], lower_bounds, upper_bounds)
             solution = least_squares(
-                mismatch, start_values, bounds=(lower_bounds, upper_bounds), method="dogbox", **solver_options
+                mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), method="dogbox", **solver_options
             )
-            minimum = 2 * float(solution.cost), solution.x
-        distances = [np.abs(minimum[1] - values) for _, values in distinct_minima]
+            cost_and_values = 2 * float(solution.cost), solution.x
+        distances = [np.abs(cost_and_values[1] - minimum_values) for _, minimum_values in distinct_minima]
         if all(np.any(distance > DISTINCT_SHARE * (upper_bounds - lower_bounds)) for distance in distances):
-            distinct_minima.append(minimum)
+            distinct_minima.append(cost_and_values)
     return distinct_minima
 
 

@@ -29,14 +29,14 @@ from identify.gaps.search.screening import (
 )
 from rig.errors import RigError
 
-BY_SCORE, BY_GRID, BY_LAW_SCORE, BY_LAW, BY_MODES = 3, 2, 2, 1, 5
+FITS_BY_SCORE, FITS_BY_GRID, FITS_BY_LAW_SCORE, FITS_BY_LAW, FITS_BY_MODES = 3, 2, 2, 1, 5
 """Numbers of candidates of each screening that are fitted for a few steps. Effort."""
 MAX_REFINED, RIVAL_GAIN = 3, 0.5
 """Number of these that are refined, and share of the best one's gain that they must reach. Effort."""
 
 
-def _cost_of_fit(fitted: FittedHypothesis) -> float:
-    return fitted.cost
+def _cost_of_fit(fitted_hypothesis: FittedHypothesis) -> float:
+    return fitted_hypothesis.cost
 
 
 class _BestFits:
@@ -86,15 +86,24 @@ def _screened_fits(
     """Brief fits of the candidates of which the screenings promise most."""
     linearization = search.linearization
     screened_and_starts: Iterator[tuple[ScreenedCandidate, Residual | None]] = chain(
-        ((s, residual) for s in _score_screened(linearization, residual, time_fitted, nominal_fit, BY_SCORE)),
         (
-            (s, law_free_residual)
-            for s in _worth_fitting(
-                linearization, score_screening(linearization, law_free_residual, law_effects), BY_LAW_SCORE
+            (screened, residual)
+            for screened in _score_screened(linearization, residual, time_fitted, nominal_fit, FITS_BY_SCORE)
+        ),
+        (
+            (screened, law_free_residual)
+            for screened in _worth_fitting(
+                linearization, score_screening(linearization, law_free_residual, law_effects), FITS_BY_LAW_SCORE
             )
         ),
-        ((s, None) for s in _worth_fitting(linearization, grid_screening(linearization, time_fitted), BY_GRID)),
-        ((s, None) for s in mode_screening(linearization.record, linearization.rig, time_fitted)[:BY_MODES]),
+        (
+            (screened, None)
+            for screened in _worth_fitting(linearization, grid_screening(linearization, time_fitted), FITS_BY_GRID)
+        ),
+        (
+            (screened, None)
+            for screened in mode_screening(linearization.record, linearization.rig, time_fitted)[:FITS_BY_MODES]
+        ),
     )
     for screened_candidate, start_residual in screened_and_starts:
         with suppress(RigError):
@@ -107,7 +116,7 @@ def _law_fits(
     """Fits of contact laws that the contact residual promises, far from where the scales of the nominal law hold."""
     linearization = search.linearization
     for screened_candidate in _worth_fitting(
-        linearization, law_screening(linearization, law_free_residual, law_effects), BY_LAW
+        linearization, law_screening(linearization, law_free_residual, law_effects), FITS_BY_LAW
     ):
         with suppress(RigError):
             yield fit_effects(
@@ -175,10 +184,10 @@ def _score_screened(
         for screened_candidate in screened_candidates
         if not screened_candidate.candidate.kind.grid_screened
     ]
-    promising = _worth_fitting(linearization, screened_without_tones, fit_count) or (
+    promising_candidates = _worth_fitting(linearization, screened_without_tones, fit_count) or (
         screened_without_tones[:1] if nominal_fit.hypothesis.is_incomplete else []
     )
-    return promising + (screened_tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
+    return promising_candidates + (screened_tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 
 
 def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
@@ -189,11 +198,11 @@ def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis)
 
 
 def _refined_all(
-    search: Search, rivals: Iterable[FittedHypothesis], best_cost: float = np.inf
+    search: Search, rival_fits: Iterable[FittedHypothesis], best_cost: float = np.inf
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
-    for rival_fit in sorted(rivals, key=_cost_of_fit):
+    for rival_fit in sorted(rival_fits, key=_cost_of_fit):
         refined_fits.append(refined(search, rival_fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
     return sorted(refined_fits, key=_cost_of_fit)

@@ -53,7 +53,7 @@ LARGEST_SET = 8
 """Effects of a set at most. Set by hand."""
 MAX_EQUAL_EFFECTS = 2
 """Effects of one kind on one body at most. Set by hand."""
-ROUNDS = 4
+SELECTION_ROUNDS = 4
 """Refinements at most. Effort."""
 MIN_REFINED_GAIN = 3.0
 """Decrease of S below which a refined set is dropped: odds of e^(3/12) on this record. Set by hand."""
@@ -95,13 +95,19 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     likeliest_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest_fit)))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, likeliest_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
-    return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
+    return sorted(
+        {ranked.effect_names: ranked for ranked in reversed(hypotheses)}.values(),
+        key=lambda hypothesis: hypothesis.cost,
+    )
 
 
 def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
-        start_set, lambda fitted: refined_set(search, fitted), lambda before, after: before is after, rounds=ROUNDS
+        start_set,
+        lambda fitted: refined_set(search, fitted),
+        lambda before, after: before is after,
+        rounds=SELECTION_ROUNDS,
     )
 
 
@@ -120,10 +126,10 @@ def _with_single_effects(
         dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess_cost)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
         is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SIZE
-    starts = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []
-    if not starts:
+    start_fits = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []
+    if not start_fits:
         return best_set, []
-    likeliest = min(starts, key=lambda fitted: fitted.cost)
+    likeliest = min(start_fits, key=lambda fitted: fitted.cost)
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
     is_base_motion = is_stochastic(likeliest.hypothesis)
@@ -132,7 +138,9 @@ def _with_single_effects(
 
 def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
-    shaken_search = search_about(search, base_motion, [c for c in search.candidates if not c.kind.stochastic])
+    shaken_search = search_about(
+        search, base_motion, [candidate for candidate in search.candidates if not candidate.kind.stochastic]
+    )
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
@@ -161,12 +169,16 @@ def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Lineariz
     """Local model about a fitted set, with every further candidate that its rig can have."""
     rig = set_fit.hypothesis.applied_to(search.linearization.rig)
     linearization, residual = linearized_about(set_fit, rig)
-    further = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
+    further_candidates = [
+        candidate
+        for candidate in search.candidates
+        if not (candidate.kind.stochastic or candidate.kind.grid_screened) and is_possible(candidate, rig)
+    ]
     nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
         linearization,
         residual,
-        local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further),
+        local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further_candidates),
     )
 
 
@@ -180,14 +192,18 @@ def _brief_fit_with(
 ) -> FittedHypothesis | None:
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
-    members = (*present_set.candidates, *added_candidates)
+    member_candidates = (*present_set.candidates, *added_candidates)
     start_values = (*present_set.values_by_candidate(), *added_values)
-    kept_members = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
+    kept_member_indices = [
+        member_index
+        for member_index, member in enumerate(member_candidates)
+        if not any(contains(other_member, member) for other_member in member_candidates)
+    ]
     try:
         return fit_briefly(
             search,
-            tuple(members[k] for k in kept_members),
-            np.concatenate([start_values[k] for k in kept_members]),
+            tuple(member_candidates[member_index] for member_index in kept_member_indices),
+            np.concatenate([start_values[member_index] for member_index in kept_member_indices]),
             reset_saturated_nuisance(residual),
             linearization,
         )
@@ -197,36 +213,38 @@ def _brief_fit_with(
 
 def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
     """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
-    chosen: list[CandidateTerm] = []
-    solution = model.minimum(chosen)
-    hints: tuple[tuple[Candidate, Values], ...] = ()
-    while len(present_set.candidates) + len(chosen) < LARGEST_SET:
-        promising_terms = _promising_terms(model, chosen, present_set, solution)
-        trials = [(model.minimum([*chosen, term], solution.theta), term) for term in promising_terms]
-        if not trials:
+    chosen_terms: list[CandidateTerm] = []
+    solution = model.minimum(chosen_terms)
+    hint_candidates: tuple[tuple[Candidate, Values], ...] = ()
+    while len(present_set.candidates) + len(chosen_terms) < LARGEST_SET:
+        promising_terms = _promising_terms(model, chosen_terms, present_set, solution)
+        solutions_and_terms = [(model.minimum([*chosen_terms, term], solution.theta), term) for term in promising_terms]
+        if not solutions_and_terms:
             break
-        best_trial, term = min(trials, key=lambda pair: pair[0].statistic)
-        if solution.statistic - best_trial.statistic < MIN_GAIN:
-            hints = _hint_values(trials, solution)
+        best_solution, term = min(solutions_and_terms, key=lambda pair: pair[0].statistic)
+        if solution.statistic - best_solution.statistic < MIN_GAIN:
+            hint_candidates = _hint_values(solutions_and_terms, solution)
             break
-        dominates = solution.statistic - best_trial.statistic > MAX_EXCESS_COST
-        chosen, solution = _without_superfluous(model, [*chosen, term], best_trial)
-        if dominates:  # the local model does not hold that far: fit first, then select further
+        is_dominant = solution.statistic - best_solution.statistic > MAX_EXCESS_COST
+        chosen_terms, solution = _without_superfluous(model, [*chosen_terms, term], best_solution)
+        if is_dominant:  # the local model does not hold that far: fit first, then select further
             break
     return Selection(
-        tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
+        tuple(term.candidate for term in chosen_terms),
+        tuple(term.values(solution.theta) for term in chosen_terms),
+        hint_candidates,
     )
 
 
 def _hint_values(
-    trials: Sequence[tuple[Solution, CandidateTerm]], current: Solution
+    solutions_and_terms: Sequence[tuple[Solution, CandidateTerm]], current_solution: Solution
 ) -> tuple[tuple[Candidate, Values], ...]:
     """Best candidates that gain `HINT_GAIN`, each at one place."""
-    ranked_trials = sorted(trials, key=lambda pair: pair[0].statistic)
+    ranked_solutions = sorted(solutions_and_terms, key=lambda pair: pair[0].statistic)
     values_by_hint = {
         term.candidate.name: (term.candidate, term.values(solution.theta))
-        for solution, term in reversed(ranked_trials)
-        if current.statistic - solution.statistic > HINT_GAIN
+        for solution, term in reversed(ranked_solutions)
+        if current_solution.statistic - solution.statistic > HINT_GAIN
     }
     return tuple(reversed(values_by_hint.values()))[:MAX_HINTS]
 
@@ -240,27 +258,27 @@ def _promising_terms(
     promising_terms: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
         term = model.candidate_terms[term_index]
-        same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
+        same_effects = [candidate for candidate in selected_candidates if candidate.name == term.candidate.name]
         largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strength_indices) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
         place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)
-        is_contained = any(contains(c, term.candidate) for c in selected_candidates)
+        is_contained = any(contains(candidate, term.candidate) for candidate in selected_candidates)
         if not is_contained and len(same_effects) < largest_equal_count and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
 
 
 def _without_superfluous(
-    model: LocalModel, chosen: list[CandidateTerm], solution: Solution
+    model: LocalModel, chosen_terms: list[CandidateTerm], solution: Solution
 ) -> tuple[list[CandidateTerm], Solution]:
     """Set without the members that the others have made superfluous, and its solution."""
-    for term in chosen[:-1]:
-        remaining_terms = [other_term for other_term in chosen if other_term is not term]
+    for term in chosen_terms[:-1]:
+        remaining_terms = [other_term for other_term in chosen_terms if other_term is not term]
         reduced_solution = model.minimum(remaining_terms, solution.theta)
         if reduced_solution.statistic - solution.statistic < MIN_GAIN:
-            chosen, solution = remaining_terms, reduced_solution
-    return chosen, solution
+            chosen_terms, solution = remaining_terms, reduced_solution
+    return chosen_terms, solution
 
 
 def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
@@ -273,19 +291,19 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     if not candidates or is_stochastic(best_set.hypothesis):
         return best_set, []
     member_indices = range(len(candidates))
-    costs: list[float] = []
+    costs_without_member: list[float] = []
     variant_hypotheses: list[Hypothesis] = []
     for member_index in member_indices:
-        reduced_fit = _subset_fit(search, best_set, [i for i in member_indices if i != member_index])
+        reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
-        costs.append(reduced_fit.cost)
+        costs_without_member.append(reduced_fit.cost)
         variant_hypotheses.append(reduced_fit.hypothesis)
         if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
             variant_hypotheses.append(alternative_fit.hypothesis)
-    by_importance = np.argsort(costs)  # the least important first
+    members_by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
-        retained_members = sorted(by_importance[dropped_count:].tolist())
+        retained_members = sorted(members_by_importance[dropped_count:].tolist())
         variant_hypotheses.append(_subset_fit(search, best_set, retained_members).hypothesis)
     return best_set, variant_hypotheses
 
@@ -297,24 +315,32 @@ def _look_alike_fit(
     linearization, residual, model = _local_model_of(search, reduced_fit)
     without_member = model.minimum([])
     terms = _promising_terms(model, [], reduced_fit.hypothesis, without_member)
-    trials = [(model.minimum([t], without_member.theta), t) for t in terms if t.candidate.name != member.name]
-    if not trials:
+    solutions_and_terms = [
+        (model.minimum([term], without_member.theta), term) for term in terms if term.candidate.name != member.name
+    ]
+    if not solutions_and_terms:
         return None
-    solution, term = min(trials, key=lambda pair: pair[0].statistic)
+    solution, term = min(solutions_and_terms, key=lambda pair: pair[0].statistic)
     del model
-    values = (term.values(solution.theta),)
-    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
+    term_values = (term.values(solution.theta),)
+    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), term_values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:
         return None
     return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best_set: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
-    if not members:
+    if not member_indices:
         return search.nominal_fit()
-    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    subset = tuple(candidates[k] for k in members)
-    start = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best_set.linearization)
+    candidates, values_by_member = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
+    subset_candidates = tuple(candidates[member_index] for member_index in member_indices)
+    start_residual = reset_saturated_nuisance(best_set.residual)
+    brief_fit = fit_briefly(
+        search,
+        subset_candidates,
+        np.concatenate([values_by_member[member_index] for member_index in member_indices]),
+        start_residual,
+        best_set.linearization,
+    )
     return refined(search, brief_fit, best_set.cost)

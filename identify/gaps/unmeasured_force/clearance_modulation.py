@@ -16,7 +16,7 @@ from identify.gaps.residual.residual import Residual
 from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
-LOWEST_HZ = 0.2
+LOWEST_MODULATION_HZ = 0.2
 """Lowest frequency of a harmonic change of the clearance. Set by hand."""
 PRESSED_SHARE = 0.5
 """A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest. Set by
@@ -84,12 +84,12 @@ def _contact_modulation(
     resolution_hz = 1 / (pressed_times_s[-1] - pressed_times_s[0])
     lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.rate_hz)
     trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    harmonic_fits = [
+    fits_by_frequency = [
         _fitted_harmonic(pressed_times_s, clearance_change_m, frequency_trial_hz)
         for frequency_trial_hz in trial_hz
         if frequency_trial_hz > 0
     ]
-    variance_share, amplitude_m, frequency_hz = max(harmonic_fits)
+    variance_share, amplitude_m, frequency_hz = max(fits_by_frequency)
     return ClearanceModulation(contact_name, amplitude_m, frequency_hz, variance_share)
 
 
@@ -108,7 +108,7 @@ def _periodogram(
     padded_samples = next_fast_len(3 * is_pressed.size, real=True)
     mask_spectrum = rfft(is_pressed.astype(float), padded_samples)
     change_spectrum = rfft(centred_change_m, padded_samples)
-    line_indices = np.arange(int(np.ceil(LOWEST_HZ * padded_samples / rate_hz)), padded_samples // 4)
+    line_indices = np.arange(int(np.ceil(LOWEST_MODULATION_HZ * padded_samples / rate_hz)), padded_samples // 4)
     pressed_count = float(mask_spectrum[0].real)
     mask_at_double = mask_spectrum[2 * line_indices]
     change_at_lines = change_spectrum[line_indices]

@@ -12,7 +12,7 @@ from identify.gaps.unmeasured_force.force_laws import ForceLaw
 from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.gaps.unmeasured_force.time_history import OVERSAMPLING, ForceHistory, explained_share, force_history
-from identify.gaps.unmeasured_force.whitened_record import BAND_HZ, WhitenedRecord
+from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
 from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 
@@ -20,10 +20,10 @@ LAW_SEARCH_SHARE = 0.2
 """Explained share from which a law is searched; null simulations explain one direction of ten. Set by hand."""
 LAW_GAIN_SHARE = 0.7
 """Share of the free force's gain from which a law is named. Set by hand."""
-IN_BAND = 0.9
+BAND_POWER_SHARE = 0.9
 """Share of the power within the stated band; share in contact, and correlation with time, from which they are stated.
 Set by hand."""
-CELLS, PARTS = 24, 8
+MOTION_CELLS, TIME_INTERVALS = 24, 8
 """Cells of the drawn surface along either axis, and intervals of the time. Display."""
 GROWTH_RATIO = 1.5
 """Ratio of the last to the first interval of the time above which a force grows. Set by hand."""
@@ -52,14 +52,14 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     force_law = (
         shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located_force) > LAW_SEARCH_SHARE else None
     )
-    place, *against = candidate.stations
+    place, *opposing_stations = candidate.stations
     timing = _time_pattern(history)
     time_pattern: When = "always" if force_law is not None else timing.pattern
     place_text = f"on the {place.body} near {place.position_m:.2f} m"
-    if against:
+    if opposing_stations:
         place_text = (
-            f"between the {place.body} near {place.position_m:.2f} m and the {against[0].body} near "
-            f"{against[0].position_m:.2f} m"
+            f"between the {place.body} near {place.position_m:.2f} m and the {opposing_stations[0].body} near "
+            f"{opposing_stations[0].position_m:.2f} m"
         )
     tone_law = force_law if force_law is not None and force_law.form.is_tone else None
     return UnmeasuredForce(
@@ -68,8 +68,8 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         body=place.body,
         position_m=place.position_m,
         position_error_m=located_force.position_error_m,
-        against_body=against[0].body if against else None,
-        against_position_m=against[0].position_m if against else None,
+        against_body=opposing_stations[0].body if opposing_stations else None,
+        against_position_m=opposing_stations[0].position_m if opposing_stations else None,
         same_place=force_fit.same_place,
         frequency_hz=tone_law.parameter_value if tone_law else None,
         band_hz=force_size.band_hz,
@@ -109,8 +109,8 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a modulus that changes over the record."""
     force_size, located_force = _force_size(force_fit.on_fit), force_fit.on_fit
     growth_by_body = {
-        body_name: Value(change, error, "1")
-        for body_name, change, error in zip(
+        body_name: Value(relative_change, change_error, "1")
+        for body_name, relative_change, change_error in zip(
             located_force.force_place.body_names,
             located_force.modulus_growth,
             located_force.modulus_growth_errors,
@@ -118,7 +118,8 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         )
     }
     change_texts = " and ".join(
-        f"that of the {body_name} by {100 * change.value:+.2g} %" for body_name, change in growth_by_body.items()
+        f"that of the {body_name} by {100 * relative_change.value:+.2g} %"
+        for body_name, relative_change in growth_by_body.items()
     )
     return UnmeasuredForce(
         sentence=f"a stiffness that changes over the record: {change_texts}",
@@ -135,7 +136,7 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 
 
 @dataclass(frozen=True)
-class _Size:
+class _ForceSize:
     """One-sided spectral density by band (centres in Hz), rms, and the band with most of the power."""
 
     spectrum_hz: tuple[float, ...]
@@ -144,18 +145,18 @@ class _Size:
     band_hz: tuple[float, float]
 
 
-def _force_size(located_force: LocatedForce) -> _Size:
+def _force_size(located_force: LocatedForce) -> _ForceSize:
     whitened, record = located_force.whitened_record, located_force.whitened_record.record
     spectral_density = (
         2
-        * located_force.with_force.force_spectrum
+        * located_force.fit_with_force.force_spectrum
         * 2
         / (whitened.reals_per_line * record.transform_length * record.sample_rate_hz)
     )
     band_power = spectral_density * whitened.band_sizes
-    band_number = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_HZ))
-    return _Size(
-        spectrum_hz=tuple(((band_number + 0.5) * BAND_HZ).tolist()),
+    band_number = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_WIDTH_HZ))
+    return _ForceSize(
+        spectrum_hz=tuple(((band_number + 0.5) * BAND_WIDTH_HZ).tolist()),
         spectral_density=tuple(spectral_density.tolist()),
         rms_value=float(np.sqrt(np.sum(band_power) * record.sample_rate_hz / record.transform_length)),
         band_hz=_power_band_hz(whitened, band_power),
@@ -163,11 +164,13 @@ def _force_size(located_force: LocatedForce) -> _Size:
 
 
 def _power_band_hz(whitened: WhitenedRecord, band_power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
-    """Limits (Hz) that hold `IN_BAND` of the power, with equal parts below and above; all lines if it is zero."""
+    """Limits (Hz) that hold `BAND_POWER_SHARE` of the power, equal parts below and above; all lines if it is zero."""
     if not np.any(band_power):
         return float(whitened.line_omegas[0] / (2 * np.pi)), float(whitened.line_omegas[-1] / (2 * np.pi))
     cumulative_power = np.cumsum(band_power) / max(float(np.sum(band_power)), 1e-300)
-    first_band, second_band = np.searchsorted(cumulative_power, [(1 - IN_BAND) / 2, (1 + IN_BAND) / 2])
+    first_band, second_band = np.searchsorted(
+        cumulative_power, [(1 - BAND_POWER_SHARE) / 2, (1 + BAND_POWER_SHARE) / 2]
+    )
     band_edge_lines, last_band = np.append(whitened.band_starts, whitened.line_omegas.size), cumulative_power.size - 1
     lowest_omega = whitened.line_omegas[band_edge_lines[min(first_band, last_band)]]
     highest_omega = whitened.line_omegas[band_edge_lines[min(second_band, last_band) + 1] - 1]
@@ -175,7 +178,7 @@ def _power_band_hz(whitened: WhitenedRecord, band_power: Float[np.ndarray, " ban
 
 
 @dataclass(frozen=True)
-class _Timing:
+class _ForceTiming:
     """Time pattern of a force: rms_by_interval and before_excitation_ratio go to `UnmeasuredForce`.
 
     in_contact_share is the part of its sum of squares while a contact is closed; zero if one nearly always is.
@@ -187,16 +190,16 @@ class _Timing:
 
     @property
     def pattern(self) -> When:
-        if self.in_contact_share > IN_BAND:
+        if self.in_contact_share > BAND_POWER_SHARE:
             return "in contact"
         if min(self.rms_by_interval) > 0:
             correlation = float(np.corrcoef(np.arange(len(self.rms_by_interval)), np.array(self.rms_by_interval))[0, 1])
-            if correlation > IN_BAND and self.rms_by_interval[-1] > GROWTH_RATIO * self.rms_by_interval[0]:
+            if correlation > BAND_POWER_SHARE and self.rms_by_interval[-1] > GROWTH_RATIO * self.rms_by_interval[0]:
                 return "growing with time"
         return "always"
 
 
-def _time_pattern(history: ForceHistory) -> _Timing:
+def _time_pattern(history: ForceHistory) -> _ForceTiming:
     whitened = history.located_force.whitened_record
     record, model = whitened.record, whitened.model
     force_n = history.force_n[record.counted_slice]
@@ -207,17 +210,17 @@ def _time_pattern(history: ForceHistory) -> _Timing:
     ):
         is_any_closed |= is_closed(contact_n, open_error_n)
     closed_share = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
-    starts_quiet = np.mean(~is_excited) * force_squares.size >= QUIET_S * record.rate_hz
-    return _Timing(
+    is_quiet_at_start = np.mean(~is_excited) * force_squares.size >= QUIET_S * record.rate_hz
+    return _ForceTiming(
         in_contact_share=closed_share if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
         rms_by_interval=tuple(
             float(np.sqrt(np.mean(interval_squares)))
-            for interval_squares in np.array_split(force_squares[is_excited], PARTS)
+            for interval_squares in np.array_split(force_squares[is_excited], TIME_INTERVALS)
         ),
         before_excitation_ratio=float(
             np.sqrt(np.mean(force_squares[~is_excited]) / max(float(np.mean(force_squares[is_excited])), 1e-300))
         )
-        if starts_quiet
+        if is_quiet_at_start
         else 0.0,
     )
 
@@ -228,7 +231,7 @@ def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
     displacement_m = history.displacement_m[::OVERSAMPLING][is_ungated]
     velocity_m_per_s = history.velocity_m_per_s[::OVERSAMPLING][is_ungated]
     force_sums, displacement_edges, velocity_edges = np.histogram2d(
-        displacement_m, velocity_m_per_s, bins=CELLS, weights=-history.force_n[is_ungated]
+        displacement_m, velocity_m_per_s, bins=MOTION_CELLS, weights=-history.force_n[is_ungated]
     )
     samples_per_cell = np.histogram2d(displacement_m, velocity_m_per_s, bins=(displacement_edges, velocity_edges))[0]
     mean_forces_n = force_sums / np.maximum(samples_per_cell, 1)
@@ -243,20 +246,20 @@ def _amplitude_n(tone: ForceLaw) -> float:
     return math.hypot(*tone.coefficients)
 
 
-def _sentence(force_law: ForceLaw | None, size: _Size, timing: _Timing, place_text: str) -> str:
+def _sentence(force_law: ForceLaw | None, force_size: _ForceSize, timing: _ForceTiming, place_text: str) -> str:
     """Phrase such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
     if force_law is None:
-        low, high = size.band_hz
+        low_hz, high_hz = force_size.band_hz
         timing_text = {
             "always": "",
             "in contact": ", while contacts are closed",
             "growing with time": ", growing with time",
         }
-        noun = (
+        force_noun = (
             "a random force" if timing.before_excitation_ratio > RANDOM_RATIO else "a force that follows no law tried,"
         )
         return (
-            f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms_value:.2g} N rms, "
+            f"{force_noun} from {low_hz:.3g} to {high_hz:.3g} Hz, {force_size.rms_value:.2g} N rms, "
             f"{place_text}{timing_text[timing.pattern]}"
         )
     if force_law.form.is_tone:

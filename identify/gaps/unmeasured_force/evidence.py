@@ -69,16 +69,16 @@ def nuisance_equations(
 def evidence_without_force(whitened: WhitenedRecord) -> ForceEvidence:
     """Evidence of the record by nuisance parameters and noise alone: S = 0."""
     values_per_band = whitened.band_sizes * whitened.row_count
-    noise_is_fixed = whitened.row_count == 1
+    is_noise_fixed = whitened.row_count == 1
     theta = np.zeros(len(whitened.nuisance_parameters))
-    noise_variance = np.ones(values_per_band.size) if noise_is_fixed else whitened.residual_squares / values_per_band
+    noise_variance = np.ones(values_per_band.size) if is_noise_fixed else whitened.residual_squares / values_per_band
     for _ in range(3 * ROUNDS):
         theta = _solve_positive_definite(*nuisance_equations(whitened, noise_variance))
-        if not noise_is_fixed:
+        if not is_noise_fixed:
             noise_variance = residual_squares(whitened, theta) / values_per_band
-    squares = residual_squares(whitened, theta)
+    squares_by_band = residual_squares(whitened, theta)
     criterion = whitened.reals_per_line * float(
-        np.sum(values_per_band * np.log(noise_variance) + squares / noise_variance)
+        np.sum(values_per_band * np.log(noise_variance) + squares_by_band / noise_variance)
     )
     criterion = criterion + _nuisance_penalty(whitened, theta)
     zeros_by_line = np.zeros(whitened.whitened_residual.shape[0])
@@ -99,24 +99,24 @@ def evidence_with_force(
     `cleared_residual` is r - D theta at the theta of `start_evidence`, which then stays fixed: fast, for screening.
     `spectrum_shape` is a spectrum S up to a factor; without one S is free in every band.
     """
-    nuisance_held = cleared_residual is not None
+    is_nuisance_held = cleared_residual is not None
     reals_per_line = whitened.reals_per_line
-    to_lines = whitened.at_each_line
+    at_lines = whitened.at_each_line
     response_norm = np.linalg.norm(response, axis=1)
-    direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
+    response_direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
     whole_projection = np.einsum(
-        "lr,lr->l", direction, whitened.whitened_residual if cleared_residual is None else cleared_residual
+        "lr,lr->l", response_direction, whitened.whitened_residual if cleared_residual is None else cleared_residual
     )
     projected_columns = (
         np.zeros((len(whitened.nuisance_parameters), 0))
-        if nuisance_held
-        else _project_columns(direction, whitened.nuisance_columns)
+        if is_nuisance_held
+        else _project_columns(response_direction, whitened.nuisance_columns)
     )
     theta, noise_variance = start_evidence.theta, start_evidence.noise_variance
     force_spectrum = start_evidence.force_spectrum if np.any(start_evidence.force_spectrum) else None
     response_squares = response_norm**2
-    for round_number in range(1 if nuisance_held else ROUNDS):
-        projection = whole_projection if nuisance_held else whole_projection - theta @ projected_columns
+    for round_number in range(1 if is_nuisance_held else ROUNDS):
+        projection = whole_projection if is_nuisance_held else whole_projection - theta @ projected_columns
         unexplained_squares, projection_power = residual_squares(whitened, theta), np.abs(projection) ** 2
         noise_variance, force_spectrum = _score_variances(
             whitened,
@@ -127,10 +127,10 @@ def evidence_with_force(
             force_spectrum,
             spectrum_shape,
         )
-        if nuisance_held or round_number == ROUNDS - 1:
+        if is_nuisance_held or round_number == ROUNDS - 1:
             break
-        weight_loss = to_lines(1 / noise_variance) - 1 / (
-            to_lines(noise_variance) + to_lines(force_spectrum) * response_squares
+        weight_loss = at_lines(1 / noise_variance) - 1 / (
+            at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
         )
         normal_matrix, right_side = nuisance_equations(whitened, noise_variance)
         lost_columns = real_pairs(weight_loss * projected_columns)
@@ -138,7 +138,7 @@ def evidence_with_force(
         right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
         theta = _solve_positive_definite(normal_matrix, right_side)
     assert force_spectrum is not None
-    line_variance = to_lines(noise_variance) + to_lines(force_spectrum) * response_squares
+    line_variance = at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
     projection_power = np.abs(projection) ** 2
     unexplained_squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
     criterion = reals_per_line * float(
@@ -196,36 +196,36 @@ def _score_variances(
     total_squares is |r - D theta|^2 by band and projection_power |t|^2 by line; without a spectrum, S starts from the
     excess of |t|^2 over s.
     """
-    to_lines = whitened.at_each_line
+    at_lines = whitened.at_each_line
     unexplained_squares = np.maximum(total_squares - _band_sums(whitened, projection_power), 0.0)
     unexplained_count = whitened.band_sizes * (whitened.row_count - 1)
-    noise_is_fixed = whitened.row_count == 1
+    is_noise_fixed = whitened.row_count == 1
     if force_spectrum is None:
         noise_variance = (
             noise_variance
-            if noise_is_fixed
+            if is_noise_fixed
             else np.maximum(unexplained_squares / unexplained_count, VARIANCE_FLOOR * noise_variance)
         )
         excess_power = _band_sums(whitened, projection_power) - noise_variance * whitened.band_sizes
         force_spectrum = np.maximum(excess_power, 0.0) / np.maximum(_band_sums(whitened, response_squares), 1e-300)
     for _ in range(SCORINGS):
-        if not noise_is_fixed:
-            line_weights = 1 / (to_lines(noise_variance) + to_lines(force_spectrum) * response_squares) ** 2
+        if not is_noise_fixed:
+            line_weights = 1 / (at_lines(noise_variance) + at_lines(force_spectrum) * response_squares) ** 2
             excess_power = _band_sums(
-                whitened, line_weights * (projection_power - to_lines(force_spectrum) * response_squares)
+                whitened, line_weights * (projection_power - at_lines(force_spectrum) * response_squares)
             )
-            numerator = unexplained_squares / noise_variance**2 + excess_power
-            denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
-            noise_variance = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise_variance)
-        line_weights = response_squares / (to_lines(noise_variance) + to_lines(force_spectrum) * response_squares) ** 2
+            score_numerator = unexplained_squares / noise_variance**2 + excess_power
+            score_denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
+            noise_variance = np.maximum(score_numerator / score_denominator, VARIANCE_FLOOR * noise_variance)
+        line_weights = response_squares / (at_lines(noise_variance) + at_lines(force_spectrum) * response_squares) ** 2
         if spectrum_shape is None:
-            numerator = _band_sums(whitened, line_weights * (projection_power - to_lines(noise_variance)))
-            force_spectrum = np.maximum(numerator, 0.0) / np.maximum(
+            score_numerator = _band_sums(whitened, line_weights * (projection_power - at_lines(noise_variance)))
+            force_spectrum = np.maximum(score_numerator, 0.0) / np.maximum(
                 _band_sums(whitened, line_weights * response_squares), 1e-300
             )
         else:
-            line_shape = to_lines(spectrum_shape)
-            shape_factor = np.sum(line_weights * line_shape * (projection_power - to_lines(noise_variance))) / max(
+            line_shape = at_lines(spectrum_shape)
+            shape_factor = np.sum(line_weights * line_shape * (projection_power - at_lines(noise_variance))) / max(
                 float(np.sum(line_weights * response_squares * line_shape**2)), 1e-300
             )
             force_spectrum = max(float(shape_factor), 0.0) * spectrum_shape

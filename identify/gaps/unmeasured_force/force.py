@@ -13,7 +13,7 @@ from identify.gaps.unmeasured_force.time_history import force_spectrum
 from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 from rig.model.description import Rig
 
-SAME_M = 0.05
+SAME_PLACE_M = 0.05
 """Two records show the same place if their positions differ by no more than this, or five standard errors."""
 
 
@@ -46,8 +46,8 @@ class UnmeasuredForceFit:
             for body_name, body_growth in zip(candidate.body_names, self.at_fit_place.modulus_growth, strict=True):
                 accelerations += body_growth * drift_accelerations(whitened, body_name)
         elif candidate.kind == "sensor":
-            accelerations[[s.name for s in whitened.record.sensors].index(candidate.sensor_name)] = force_spectrum(
-                self.at_fit_place
+            accelerations[[sensor.name for sensor in whitened.record.sensors].index(candidate.sensor_name)] = (
+                force_spectrum(self.at_fit_place)
             )
         else:
             for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):
@@ -79,16 +79,20 @@ def _fit_at_place(
             else locate_force(whitened_validation, expected_place=candidate)
         )
     spectrum_shape = np.zeros(whitened_validation.band_starts.size)
-    band_count = min(spectrum_shape.size, on_fit.with_force.force_spectrum.size)
-    spectrum_shape[:band_count] = on_fit.with_force.force_spectrum[:band_count]
-    without_force, response = on_validation.without_force, response_of(whitened_validation, candidate)
-    with_force = evidence_with_force(whitened_validation, response, without_force, spectrum_shape=spectrum_shape)
-    criterion_decrease = without_force.criterion - with_force.criterion
-    return LocatedForce(candidate, criterion_decrease, 0.0, without_force, with_force, whitened_validation, response)
+    band_count = min(spectrum_shape.size, on_fit.fit_with_force.force_spectrum.size)
+    spectrum_shape[:band_count] = on_fit.fit_with_force.force_spectrum[:band_count]
+    fit_without_force, response = on_validation.fit_without_force, response_of(whitened_validation, candidate)
+    fit_with_force = evidence_with_force(
+        whitened_validation, response, fit_without_force, spectrum_shape=spectrum_shape
+    )
+    criterion_decrease = fit_without_force.criterion - fit_with_force.criterion
+    return LocatedForce(
+        candidate, criterion_decrease, 0.0, fit_without_force, fit_with_force, whitened_validation, response
+    )
 
 
 def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:
-    """True if two records show the same kind at the same place, within the larger of `SAME_M` and five errors."""
+    """True if two records show the same kind at the same place, within the larger of `SAME_PLACE_M` and five errors."""
     first_place, second_place = first_force.force_place, second_force.force_place
     if (first_place.kind, first_place.sensor_name, first_place.body_names) != (
         second_place.kind,
@@ -96,7 +100,7 @@ def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:
         second_place.body_names,
     ):
         return False
-    tolerance_m = max(SAME_M, 5 * float(np.hypot(first_force.position_error_m, second_force.position_error_m)))
+    tolerance_m = max(SAME_PLACE_M, 5 * float(np.hypot(first_force.position_error_m, second_force.position_error_m)))
     return all(
         station.body == other_station.body and abs(station.position_m - other_station.position_m) <= tolerance_m
         for station, other_station in zip(first_place.stations, second_place.stations, strict=True)

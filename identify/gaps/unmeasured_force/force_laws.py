@@ -15,7 +15,7 @@ Series = Float[np.ndarray, " fine"]
 LawShapes = Callable[[Series, Series, float], list[Series]]
 """Forces per unit of each coefficient, by displacement (m), velocity (m/s) and the parameter."""
 
-CREEP = 0.01
+CREEP_SHARE = 0.01
 """Velocity over which friction changes its sign, as a share of the velocity's root mean square."""
 
 
@@ -109,7 +109,7 @@ class ForceLaw:
 
 def creep_m_per_s(velocity_m_per_s: Series) -> float:
     """Velocity over which friction changes its sign, above zero."""
-    return CREEP * float(np.std(velocity_m_per_s)) + 1e-300
+    return CREEP_SHARE * float(np.std(velocity_m_per_s)) + 1e-300
 
 
 LAW_FORMS: tuple[ForceLawForm, ...] = (

@@ -15,16 +15,16 @@ from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHis
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
 
-STEPS, COST_TOLERANCE = 8, 1e-4
+MAX_STEPS, COST_TOLERANCE = 8, 1e-4
 """Gauss-Newton steps of a law at most, and the relative decrease of the cost that ends them. Effort."""
-GRID = 14
+GRID_VALUES = 14
 """Starting values of a parameter of a law. Effort."""
-LAW_ERRORS = (1.0, 0.3, 0.1)
+LAW_ERROR_SHARES = (1.0, 0.3, 0.1)
 """Share of the force that the law may miss, from stage to stage: far from the best values, details mislead. Set by
 hand."""
 EQUIVALENT_SHARE = 0.02
 """A law is as good as the best if its share of the free force's gain is lower by no more than this. Set by hand."""
-FULLY_FITTED = 2
+FULLY_FITTED_LAWS = 2
 """Count of slow forms whose descent is finished. Effort."""
 
 
@@ -41,11 +41,11 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
             key=lambda started_descent: -started_descent[2].share_of_free_gain,
         )
         finished_laws = [
-            _finish_descent(history, descent, iterate) for descent, iterate, _ in started_descents[:FULLY_FITTED]
+            _finish_descent(history, descent, iterate) for descent, iterate, _ in started_descents[:FULLY_FITTED_LAWS]
         ]
         slow_laws = finished_laws + [
             replace(law, share_of_free_gain=min(law.share_of_free_gain, finished_laws[-1].share_of_free_gain))
-            for _, _, law in started_descents[FULLY_FITTED:]
+            for _, _, law in started_descents[FULLY_FITTED_LAWS:]
         ]
     return tuple(sorted(fast_laws + slow_laws, key=lambda law: -law.share_of_free_gain))
 
@@ -63,15 +63,15 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
     No law error is allowed for: it would hide the lines beside the tone's.
     """
     history = with_law_error(history, 0.0)
-    tone = tone_form(history)
+    tone_law_form = tone_form(history)
     record = history.located_force.whitened_record.record
     force_amplitudes = np.abs(np.fft.rfft(history.force_n * history.time_gate))[: record.omega.size]
     force_amplitudes[: history.located_force.whitened_record.line_slice.start] = 0.0
     peak_line, step_hz = int(np.argmax(force_amplitudes)), record.omega[2] / (4 * np.pi)
     peak_hz = record.omega[peak_line] / (2 * np.pi)
     trial_hz = [peak_hz + half_steps * step_hz / 2 for half_steps in range(-2, 3)]
-    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, tone, tone_hz)[1])
-    return fit_form(history, tone, (best_hz - step_hz / 2, best_hz + step_hz / 2))
+    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, tone_law_form, tone_hz)[1])
+    return fit_form(history, tone_law_form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
 
 
 def fit_form(
@@ -79,16 +79,16 @@ def fit_form(
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain."""
-    lower, upper = parameter_bounds or law_form.parameter_range
+    parameter_min, parameter_max = parameter_bounds or law_form.parameter_range
     parameter, parameter_error = 0.0, 0.0
-    if law_form.parameter_name and lower == upper:
-        parameter = lower
+    if law_form.parameter_name and parameter_min == parameter_max:
+        parameter = parameter_min
     elif law_form.parameter_name:
-        minimum = minimize_scalar(
-            lambda p: -solve_form(history, law_form, p)[1], bounds=(lower, upper), method="bounded"
+        optimum = minimize_scalar(
+            lambda p: -solve_form(history, law_form, p)[1], bounds=(parameter_min, parameter_max), method="bounded"
         )
-        parameter = float(minimum.x)
-        parameter_step = 1e-3 * (upper - lower)
+        parameter = float(optimum.x)
+        parameter_step = 1e-3 * (parameter_max - parameter_min)
         gains_around = [
             solve_form(history, law_form, parameter + step_count * parameter_step)[1] for step_count in (-1, 0, 1)
         ]
@@ -139,26 +139,30 @@ def _scaled_inverse(
 
 
 def _start_descent(history: ForceHistory, law_form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
-    """Descent of a slow form from the best parameter of a grid without slow motion, at the first two `LAW_ERRORS`."""
-    soft_history = with_law_error(history, LAW_ERRORS[0])
+    """Descent of a slow form from the best parameter of a grid without slow motion, at two `LAW_ERROR_SHARES`."""
+    soft_history = with_law_error(history, LAW_ERROR_SHARES[0])
     largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
-    lower, upper = (share * largest_displacement_m for share in law_form.parameter_range)
+    parameter_min, parameter_max = (share * largest_displacement_m for share in law_form.parameter_range)
     parameter = 0.0
     if law_form.parameter_name:
-        parameter_grid = np.geomspace(lower, upper, GRID) if lower > 0 else np.linspace(lower, upper, GRID)
+        parameter_grid = (
+            np.geomspace(parameter_min, parameter_max, GRID_VALUES)
+            if parameter_min > 0
+            else np.linspace(parameter_min, parameter_max, GRID_VALUES)
+        )
         parameter = max(
             (float(grid_value) for grid_value in parameter_grid),
             key=lambda grid_value: solve_form(soft_history, law_form, grid_value)[1],
         )
-    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (lower, upper))
+    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (parameter_min, parameter_max))
     iterate, _ = descent.descend(descent.start_iterate(parameter))
-    descent = replace(descent, history=with_law_error(history, LAW_ERRORS[1]))
+    descent = replace(descent, history=with_law_error(history, LAW_ERROR_SHARES[1]))
     return descent, *descent.descend(iterate)
 
 
 def _finish_descent(history: ForceHistory, descent: "Descent", iterate: "_Iterate") -> ForceLaw:
-    """Law at the end of a descent that is continued at the smaller `LAW_ERRORS`, then at that of the history."""
-    for law_error in LAW_ERRORS[2:]:
+    """Law at the end of a descent that is continued at the smaller `LAW_ERROR_SHARES`, then at that of the history."""
+    for law_error in LAW_ERROR_SHARES[2:]:
         iterate, _ = replace(descent, history=with_law_error(history, law_error)).descend(iterate)
     return replace(descent, history=history).descend(iterate)[1]
 
@@ -220,7 +224,7 @@ class Descent:
     def descend(self, start_iterate: _Iterate) -> tuple[_Iterate, ForceLaw]:
         """Best iterate from the values of `start_iterate`, and its law."""
         start_iterate = self._evaluate(start_iterate.coefficients, start_iterate.parameter, start_iterate.slow_knots_m)
-        best_iterate, last_step = gauss_newton(start_iterate, self._step, _negligible_cost_change, STEPS)
+        best_iterate, last_step = gauss_newton(start_iterate, self._step, _negligible_cost_change, MAX_STEPS)
         coefficient_count = len(self.law_form.coefficient_units)
         standard_errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0))
         force_law = ForceLaw(

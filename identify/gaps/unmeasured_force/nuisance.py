@@ -39,12 +39,12 @@ def nuisance_columns(
     change_columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace_terms: list[float] = []
     measured_motion = _measured_motion(whitened)
-    for changes in (
+    for changes_of_kind in (
         changes_of(measured_motion, with_common=False),
         crosstalk_of(measured_motion),
         state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
     ):
-        for change in changes:
+        for change in changes_of_kind:
             column = whitened.gated_residual(
                 change.at_all_sensors(len(whitened.record.sensors)) / model.error_deviation
             )
@@ -109,12 +109,12 @@ def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np
 def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "sensors alllines"]:
     """Accelerations by a body's modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
-    tau, record_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
+    tau, relative_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
     """
     record, model = whitened.record, whitened.model
     padded_samples = record.transform_length // record.decimation
-    record_time = np.arange(padded_samples) / (record.sample_count / record.decimation) - 0.5
-    record_time[record_time > 0.5] = 0.0
+    relative_time = np.arange(padded_samples) / (record.sample_count / record.decimation) - 0.5
+    relative_time[relative_time > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
     double_integration = integrated(record.omega, -2, record.corner_hz)
     for response, modal_acceleration in zip(model.responses, whitened.modal_accelerations, strict=True):
@@ -123,13 +123,13 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
             is_in_band = natural_omega < MODE_REACH * record.omega[-1]
             modal_forces = np.zeros_like(modal_acceleration)
             modal_forces[is_in_band] = -np.fft.rfft(
-                record_time
+                relative_time
                 * np.fft.irfft(
                     natural_omega[is_in_band, None] ** 2 * double_integration * modal_acceleration[is_in_band],
                     padded_samples,
                 )
             )
-            accelerations += response.shapes([s.station for s in record.sensors]) @ response.modal_accelerations(
-                modal_forces
-            )
+            accelerations += response.shapes(
+                [sensor.station for sensor in record.sensors]
+            ) @ response.modal_accelerations(modal_forces)
     return accelerations

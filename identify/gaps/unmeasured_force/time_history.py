@@ -15,7 +15,7 @@ from rig.model.description import Station
 
 OVERSAMPLING = 4
 """Rate at which laws are evaluated, over the residual's: their kinks widen the band. Set by hand."""
-LAW_ERROR = 0.03
+LAW_ERROR_SHARE = 0.03
 """Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
 KNOT_SPACING_S = 0.25
 """Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz
@@ -69,7 +69,7 @@ class ForceHistory:
         nuisance_gain = float(self.right_side @ cho_solve(self.nuisance_cholesky, self.right_side))
         free_nuisance_gain = float(free_right_side @ np.linalg.solve(free_matrix, free_right_side))
         whitened = self.located_force.whitened_record
-        noise_gain = float(self.line_weights @ whitened.at_each_line(self.located_force.with_force.noise_variance))
+        noise_gain = float(self.line_weights @ whitened.at_each_line(self.located_force.fit_with_force.noise_variance))
         return float(weighted_residual @ weighted_residual) - nuisance_gain + free_nuisance_gain - noise_gain
 
     def gated_spectra(self, fine_forces_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
@@ -83,7 +83,7 @@ class ForceHistory:
         """Projected residual spectra of forces (N) at the residual's rate, through the gate."""
         whitened = self.located_force.whitened_record
         spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
-        return np.asarray(spectra * self.located_force.with_force.response_norm)
+        return np.asarray(spectra * self.located_force.fit_with_force.response_norm)
 
     def reduced_equations(
         self, force_columns: Complex[np.ndarray, "columns lines"]
@@ -124,22 +124,22 @@ class ForceHistory:
 
 def force_spectrum(located_force: LocatedForce) -> Complex[np.ndarray, " alllines"]:
     """Likeliest spectrum of the force, or of a sensor's own signal: S |g| t / (s + S |g|^2), a Wiener filter."""
-    whitened, with_force = located_force.whitened_record, located_force.with_force
-    noise_variance = whitened.at_each_line(with_force.noise_variance)
-    spectral_density = whitened.at_each_line(with_force.force_spectrum)
+    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
+    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
+    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
     likeliest_spectrum = np.zeros(whitened.record.omega.size, dtype=complex)
     likeliest_spectrum[whitened.line_slice] = (
         spectral_density
-        * with_force.response_norm
-        * with_force.projection
-        / (noise_variance + spectral_density * with_force.response_norm**2)
+        * fit_with_force.response_norm
+        * fit_with_force.projection
+        / (noise_variance + spectral_density * fit_with_force.response_norm**2)
     )
     return likeliest_spectrum
 
 
 def force_history(located_force: LocatedForce) -> ForceHistory:
-    """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR` of it."""
-    whitened, with_force = located_force.whitened_record, located_force.with_force
+    """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR_SHARE` of it."""
+    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
     record, likeliest_spectrum = whitened.record, force_spectrum(located_force)
     place_acceleration = np.zeros(record.omega.size, dtype=complex)
     for station, force_sign in zip(located_force.force_place.stations, (1.0, -1.0), strict=False):
@@ -155,29 +155,29 @@ def force_history(located_force: LocatedForce) -> ForceHistory:
         / record.decimation
         for integration_order in (-2, -1)
     )
-    direction = located_force.residual_per_force.conj() / np.maximum(with_force.response_norm, 1e-300)[:, None]
-    normal_matrix, right_side = nuisance_equations(whitened, with_force.noise_variance)
+    direction = located_force.residual_per_force.conj() / np.maximum(fit_with_force.response_norm, 1e-300)[:, None]
+    normal_matrix, right_side = nuisance_equations(whitened, fit_with_force.noise_variance)
     history = ForceHistory(
         located_force=located_force,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
         force_n=np.fft.irfft(likeliest_spectrum, record.transform_length // record.decimation) / record.decimation,
-        line_weights=whitened.reals_per_line / whitened.at_each_line(with_force.noise_variance),
+        line_weights=whitened.reals_per_line / whitened.at_each_line(fit_with_force.noise_variance),
         projected_residual=np.einsum("lr,lr->l", direction, whitened.whitened_residual),
         projected_columns=np.einsum("lr,clr->cl", direction, whitened.nuisance_columns),
         normal_matrix=normal_matrix,
         right_side=right_side,
     )
-    return with_law_error(history, LAW_ERROR)
+    return with_law_error(history, LAW_ERROR_SHARE)
 
 
 def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
-    whitened, with_force = history.located_force.whitened_record, history.located_force.with_force
-    noise_variance = whitened.at_each_line(with_force.noise_variance)
-    spectral_density = whitened.at_each_line(with_force.force_spectrum)
+    whitened, fit_with_force = history.located_force.whitened_record, history.located_force.fit_with_force
+    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
+    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
     line_weights = whitened.reals_per_line / (
-        noise_variance + law_error**2 * spectral_density * with_force.response_norm**2
+        noise_variance + law_error**2 * spectral_density * fit_with_force.response_norm**2
     )
     lost_columns = real_pairs(history.projected_columns * (history.line_weights - line_weights))
     return replace(
@@ -190,15 +190,17 @@ def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
 
 def explained_share(located_force: LocatedForce) -> float:
     """Share that the force takes off the sum of squares of the linear residual, after the nuisance parameters."""
-    whitened, with_force = located_force.whitened_record, located_force.with_force
-    projection_power = np.abs(with_force.projection) ** 2
-    noise_variance = whitened.at_each_line(with_force.noise_variance)
-    spectral_density = whitened.at_each_line(with_force.force_spectrum)
-    explained_by_line = 1 - (noise_variance / (noise_variance + spectral_density * with_force.response_norm**2)) ** 2
+    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
+    projection_power = np.abs(fit_with_force.projection) ** 2
+    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
+    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
+    explained_by_line = (
+        1 - (noise_variance / (noise_variance + spectral_density * fit_with_force.response_norm**2)) ** 2
+    )
     theta = np.zeros(len(whitened.nuisance_parameters))  # a drift has columns of its own
-    theta[: located_force.without_force.theta.size] = located_force.without_force.theta
+    theta[: located_force.fit_without_force.theta.size] = located_force.fit_without_force.theta
     squares_without = float(np.sum(residual_squares(whitened, theta)))
-    squares_with = float(np.sum(residual_squares(whitened, with_force.theta))) - float(
+    squares_with = float(np.sum(residual_squares(whitened, fit_with_force.theta))) - float(
         projection_power @ explained_by_line
     )
     return 1 - squares_with / squares_without
@@ -209,7 +211,7 @@ def _unobserved_accelerance(located_force: LocatedForce, station: Station) -> Co
     whitened = located_force.whitened_record
     for response in whitened.model.responses:
         if response.body.name == station.body:
-            observed_mode_count = sum(s.station.body == station.body for s in whitened.record.sensors)
+            observed_mode_count = sum(sensor.station.body == station.body for sensor in whitened.record.sensors)
             return np.asarray(
                 response.shapes([station])[0, observed_mode_count:] ** 2 @ response.accelerance[observed_mode_count:]
             )

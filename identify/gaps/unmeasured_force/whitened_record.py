@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.gaps.residual.linear import Linear, linear_model
+from identify.gaps.residual.linear import LinearModel, linear_model
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, accelerances
 from identify.linear.nuisance import Nuisance
@@ -30,11 +30,11 @@ from identify.signals.kinematics import taper
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 
-BAND_HZ = 2.0
-"""Width of the bands in which s and S are constant, as `scales.BAND_HZ`."""
+BAND_WIDTH_HZ = 2.0
+"""Width of the bands in which s and S are constant, as `scales.BAND_WIDTH_HZ`."""
 GATE_FADE_S = 0.5
 """Length of the fade of the gate. Set by hand."""
-LOWEST_HZ = 0.75
+LOWEST_LINE_HZ = 0.75
 """Lowest line: below, integration falsifies every motion. Derived: 1.5 times the integration corner."""
 OBSERVABILITY_LIMIT = 1e-2
 """Singular value of the mode shapes at the sensors, over the largest, below which the model gives the motion. Set by
@@ -52,7 +52,7 @@ class WhitenedRecord:
     """
 
     record: Record
-    model: Linear
+    model: LinearModel
     line_slice: slice
     complement_basis: Complex[np.ndarray, "lines rows sensors"]
     force_noise_modes: Complex[np.ndarray, "lines rows modes"]
@@ -140,7 +140,7 @@ class WhitenedRecord:
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerance from a force at a station to the sensors, m/s^2 per N."""
         accelerances = np.zeros(self.model.sensor_response.shape, dtype=complex)
-        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
         for response in self.model.responses:
             if response.body.name == station.body:
                 accelerances += response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
@@ -170,7 +170,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         responses_windowed=False,
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
-    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
+    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
     complement_basis = input_complement(model.signal_per_input[..., line_slice])
     row_count = complement_basis.shape[1]
     if not row_count:
@@ -200,11 +200,13 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         column_gram=np.zeros((band_starts.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
-    input_accelerations = accelerances(model.rig, model.responses, rig.forces, [s.station for s in record.sensors])
+    input_accelerations = accelerances(
+        model.rig, model.responses, rig.forces, [sensor.station for sensor in record.sensors]
+    )
     force_responses = np.stack(
         [
-            unwhitened_record.ungated_residual(by_input / rig.force_sensor.gain - bool(record.base))
-            for by_input in input_accelerations[: len(rig.forces)]
+            unwhitened_record.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
+            for acceleration_per_newton in input_accelerations[: len(rig.forces)]
         ],
         axis=2,
     )
@@ -290,7 +292,7 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
 
 
 def _measured_accelerations(
-    record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
+    record: Record, model: LinearModel, response: Response, modelled_accelerations: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
@@ -298,12 +300,17 @@ def _measured_accelerations(
     unexplained_accelerations = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
-        - response.shapes([s.station for s in record.sensors]) @ modelled
+        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled_accelerations
     )
-    return np.concatenate([modelled[:mode_count] + inverse_shapes @ unexplained_accelerations, modelled[mode_count:]])
+    return np.concatenate(
+        [
+            modelled_accelerations[:mode_count] + inverse_shapes @ unexplained_accelerations,
+            modelled_accelerations[mode_count:],
+        ]
+    )
 
 
 def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
-    """First line of each band of `BAND_HZ`."""
-    band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_HZ)).astype(int)
+    """First line of each band of `BAND_WIDTH_HZ`."""
+    band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_WIDTH_HZ)).astype(int)
     return np.flatnonzero(np.diff(band_numbers, prepend=-1))

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s, pooled_estimate, pooled_report
+from identify.contacts.pooled import LARGE_FILE_BYTES, identify_long, longest_segment_s, pooled_estimate, pooled_report
 from identify.contacts.results import Estimate
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
@@ -98,7 +98,7 @@ def test_segments_take_no_more_memory_than_their_file_may(tmp_path, rate_hz, len
     rig = msgspec.structs.replace(rig, sample_rate_hz=rate_hz)
     with writing(path, rig, channel_groups(rig), {}) as recording:
         recording.append_all({name: np.ones((1, 2048)) for name in channel_groups(rig)})
-    os.truncate(path, 2 * LARGE_BYTES)  # as a long record: what is asked for stands in front
+    os.truncate(path, 2 * LARGE_FILE_BYTES)  # as a long record: what is asked for stands in front
     if length_s is None:
         with pytest.raises(RigError, match="MB a second, of which 22 s at once take more memory than 1374 MB; sample"):
             longest_segment_s(path)

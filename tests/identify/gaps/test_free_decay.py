@@ -7,7 +7,7 @@ import identify
 from identify.gaps.decision.null_simulations import SCALED_S, null_simulator
 from identify.gaps.decision.recordings import check_decay
 from identify.gaps.decision.sentence import UNSCALED
-from identify.gaps.residual.extent import OMITTED_S
+from identify.gaps.residual.extent import OMITTED_EDGE_S
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from rig.errors import RigError
@@ -58,7 +58,7 @@ def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
         )
         check_decay(simulation)
         assert record_of(simulation).residual_times_s[0] == pytest.approx(
-            OMITTED_S if name == ACCELEROMETER else 0.0, abs=0.1
+            OMITTED_EDGE_S if name == ACCELEROMETER else 0.0, abs=0.1
         )
     assert np.std(row(first_simulation)[:scaled_samples] - row(second_simulation)[:scaled_samples]) > 0.1 * np.std(
         row(first_simulation)[:scaled_samples]

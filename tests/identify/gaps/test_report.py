@@ -18,7 +18,7 @@ from identify.gaps.decision_table import Bounded
 from identify.gaps.page.advice import next_steps
 from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
-from identify.gaps.page.report import CAPTIONS, curves, write_all, write_page
+from identify.gaps.page.report import CAPTION_BY_FIGURE, curves, write_all, write_page
 from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, FailedAnalysis, Gap
 from identify.gaps.wording import (
@@ -257,14 +257,14 @@ def test_what_decides_stands_beside_the_drawing(gaps, tmp_path):
         decided = replace(gap, evidence=replace(gap.evidence, quantities=quantities, quantities_after=quantities))
         write_page(decided, pictures(decided), "title", tmp_path / "gap.html")
         html = (tmp_path / "gap.html").read_text(encoding="utf-8")
-        assert 0 < html.index(CAPTIONS[first]) < html.index(CAPTIONS[folded])
+        assert 0 < html.index(CAPTION_BY_FIGURE[first]) < html.index(CAPTION_BY_FIGURE[folded])
 
 
 def test_a_veto_shows_the_motion_first_and_doubts_what_is_marked(gaps, rig_of, tmp_path):
     gap = gaps["vetoed"]
     write_page(gap, pictures(gap), "title", tmp_path / "gap.html")
     html = (tmp_path / "gap.html").read_text(encoding="utf-8")
-    assert 0 < html.index(CAPTIONS["prediction_motion"]) < html.index(CAPTIONS["large_bands"])
+    assert 0 < html.index(CAPTION_BY_FIGURE["prediction_motion"]) < html.index(CAPTION_BY_FIGURE["large_bands"])
     assert [mark.words for mark in marks(gap, rig_of(gap))] == [f"doubtful: {gap.causes[0].words[0]}"]
 
 

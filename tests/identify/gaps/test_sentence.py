@@ -12,7 +12,7 @@ from identify.gaps.wording import (
     interval,
     probability,
     removed_share_words,
-    verdict,
+    verdict_words,
 )
 from identify.pages.wording import COVERED, percent
 from rig.model.unmeasured_force import Value
@@ -86,7 +86,7 @@ def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
 
 
 def test_an_explanation_that_is_not_to_be_used_as_it_is_is_amber(gaps):
-    said = {name: (colour(gaps[name]), verdict(gaps[name])) for name in ("explained", "pair", "cables")}
+    said = {name: (colour(gaps[name]), verdict_words(gaps[name])) for name in ("explained", "pair", "cables")}
     assert said["explained"] == ("yellow", "explained, but another cause fits as well")
     assert said["pair"] == ("yellow", "explained, but the records differ")
     assert said["cables"] == ("green", "explained")

@@ -5,7 +5,7 @@ from functools import reduce
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.answer import MATTERS, Simulator, diagnose
+from identify.gaps.decision.answer import DEFAULT_MATTERS, Simulator, diagnose
 from identify.gaps.decision.null_reference import null_reference_of
 from identify.gaps.results import Matters
 from rig.effects import effect_named
@@ -40,7 +40,7 @@ def null_reference(tmp_path_factory):
     return path
 
 
-def diagnosed(actual, null_reference, matters=MATTERS):
+def diagnosed(actual, null_reference, matters=DEFAULT_MATTERS):
     return diagnose(*records(actual), Simulator("modal", modal), null_reference, matters=matters)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from identify.gaps.decision.bounds import Difference, contact_bound
+from identify.gaps.decision.bounds import NominalDifference, contact_bound
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
 from identify.gaps.decision.judge import may_hide_force, with_lasting_error
 from identify.gaps.decision.notes import Attempt
@@ -73,7 +73,7 @@ def misfit_of_level(level: float) -> Misfit:
         variance_by_second=np.full((20, 40, 6), level),
         variance_correction=ONES,
         contact_level_by_second=none,
-        contact_n2=none,
+        contact_excess_n2=none,
         force_n2=none,
         pulls=np.zeros(4),
         drift_cost=0.0,
@@ -111,7 +111,7 @@ def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> 
 
 
 NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, ()) for x in np.linspace(-9, 9, 12)))
-DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
+DIFFERENCE = NominalDifference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 
 def decide(ranked, vetoed):

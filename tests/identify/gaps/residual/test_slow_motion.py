@@ -8,7 +8,7 @@ import pytest
 from scipy.io import loadmat
 from scipy.signal import lsim
 
-from identify.gaps.residual.extent import OMITTED_FADES, OMITTED_S
+from identify.gaps.residual.extent import OMITTED_EDGE_S, OMITTED_FADES
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -110,7 +110,7 @@ def test_the_measured_motion_counts_up_to_the_fade():
         carriage(20.0, 30.0, RATE_HZ, 1.0),
         *(simulated(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement")),
     )
-    assert record_of(held).residual_times_s[0] == pytest.approx(OMITTED_S, abs=0.05)
+    assert record_of(held).residual_times_s[0] == pytest.approx(OMITTED_EDGE_S, abs=0.05)
 
 
 def test_friction_and_offset_of_a_measured_carriage():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import firwin, lfilter
 
-from identify.gaps.residual.tangent import MARGIN_SAMPLES, Tangent
+from identify.gaps.residual.tangent import MARGIN_SAMPLES, LawTangent
 from identify.signals.drift import Drift, spline
 from identify.signals.law_evaluation import evaluated_law, product_rate_multiple
 from rig.model.contact_laws import penetration_m
@@ -33,7 +33,7 @@ def motion():
     """Relative displacement of twice the clearance, and the law's tangent along it."""
     eta_m = 2e-3 * band_limited(1, 60.0)
     finer = evaluated_law(stiffness_n_per_m, eta_m[None], RATE_HZ, FACTOR, MULTIPLE)
-    return eta_m, Tangent(finer[: MULTIPLE * (SAMPLES // FACTOR) + 1], MULTIPLE)
+    return eta_m, LawTangent(finer[: MULTIPLE * (SAMPLES // FACTOR) + 1], MULTIPLE)
 
 
 def force_change_n(eta_m, change_m):
