@@ -222,7 +222,9 @@ def plan(
         described = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
     else:
         described = source
-    check_plane(described if isinstance(described, Rig) else described.rig, "identify plan")
+    rig = described if isinstance(described, Rig) else described.rig
+    if not rig.in_space:
+        check_plane(rig, "identify plan without annular contacts")
     test = planned_test(described, duration_s, force_rms_n, band_hz, _tolerances(tolerances))
     report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())

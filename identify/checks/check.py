@@ -140,7 +140,8 @@ def _model_findings(
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable_indices, tolerances)
-        if not waveform_findings and all(b.is_mass for b in rig.bodies):
+        in_ring = any(contact.law.spatial for contact in of_all.rig.contacts)  # when it is open no direction tells
+        if not waveform_findings and all(b.is_mass for b in rig.bodies) and not in_ring:
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass

@@ -87,6 +87,8 @@ def plan(
     if report.contacts:
         title = f"Contacts of {report.rig}, expected, ± 95 %"
         console.print(console_table(title, page.CONTACT_HEAD, rows=page.contact_rows(report)))
+    for sentence in page.ring_sentences(report):
+        say(f"{sentence}.")
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:

@@ -19,7 +19,6 @@ from identify.planning.changes import PlannedChange, changes_of
 from identify.planning.detectable import DetectableEffect, detectable_effects
 from identify.planning.expectation import (
     MAX_MISS_ERRORS,
-    QUANTITIES,
     ExpectedContact,
     SimulatedTest,
     Undetermined,
@@ -40,6 +39,7 @@ FINALIST_COUNT = 4
 """Number of changes that get further simulations. Effort."""
 MAX_CHANGES = 40
 """Default of the largest number of changes, sensors left out included."""
+NO_EFFECTS_IN_SPACE = "which effects identify gap would name is planned of rigs that move in one direction alone"
 RANKED_QUANTITIES = ("clearance_m", "stiffness_n_per_m")
 """Quantities whose intervals rank changes: a damping of zero has no share."""
 
@@ -94,7 +94,9 @@ def ranked_plan(
 
 
 def _effects_and_notes(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect, ...], tuple[str, ...]]:
-    """Smallest named effects; or none, and a note, where this side analysis fails."""
+    """Smallest named effects; or none, and a note, of rigs in space and where this side analysis fails."""
+    if test.rig.in_space:
+        return (), (NO_EFFECTS_IN_SPACE,)
     try:
         return detectable_effects(test, simulator_named(simulator).simulate, SEEDS[0], LONGEST_SIMULATED_S), ()
     except Exception as error:
@@ -144,7 +146,7 @@ def _interval_shares(outcome: SimulatedTest) -> IntervalShares:
     return {
         (name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
         for name, quantity_parts in outcome.error_parts.items()
-        for quantity, parts in zip(QUANTITIES, quantity_parts, strict=True)
+        for quantity, parts in quantity_parts.items()
         if quantity in RANKED_QUANTITIES and parts.simulated_value
     }
 
