@@ -33,8 +33,16 @@ def plan(
         float | None,
         typer.Option(help="Force, N rms, of each if there are several; otherwise as `rig record` chooses it."),
     ] = None,
+    base_rms: Annotated[
+        float | None,
+        typer.Option(
+            help="Acceleration of the base, m/s² rms, where it alone shakes the rig; otherwise that of base_motion in "
+            "rig.json, or that which moves the contacts by four clearances."
+        ),
+    ] = None,
     band: Annotated[
-        tuple[float, float] | None, typer.Option(help="Band of the force, Hz; otherwise as `rig record` chooses it.")
+        tuple[float, float] | None,
+        typer.Option(help="Band of the force or of the base, Hz; otherwise as `rig record` chooses it."),
     ] = None,
     tolerances: TolerancesOption = None,
     changes: Annotated[
@@ -70,6 +78,7 @@ def plan(
             source,
             duration_s=duration,
             force_rms_n=force_rms,
+            base_rms_m_per_s2=base_rms,
             band_hz=band,
             tolerances=tolerances,
             simulator=simulator,

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from identify.pages.wording import number
 from identify.planning.planned_test import LONGEST_S, MAX_BAND_TO_RATE, PlannedTest
 from rig.model.components import DIRECTIONS
-from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.sensing import named_sensor, sensors_of
 from rig.model.tolerances import ModeTolerance, SensorTolerance, Tolerances
 
@@ -84,7 +84,7 @@ def _displacement_sensor_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for contact in test.rig.contacts:
         new_sensors = {
             station: _added_sensor(test.rig, station, "displacement", DISPLACEMENT_NOISE)
-            for station in _sides(contact)
+            for station in (*_sides(contact), *([ON_GROUND] if test.rig.base_sensors else []))
             if station not in measured_stations
         }
         if new_sensors and not new_sensors.keys() <= all_sensors.keys():
@@ -121,6 +121,8 @@ def _places_text(rig: Rig, stations: Iterable[Station]) -> str:
 
 
 def _place_text(station: Station) -> str:
+    if station == ON_GROUND:
+        return "the ground"
     return f"{station.position_m:g} m of {station.body}"
 
 
@@ -156,7 +158,7 @@ def _widest_gap_middle(rig: Rig, body: Body) -> Station | None:
 
 def _force_level_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for factor in FORCE_FACTORS:
-        changed_test = replace(test, force_rms_n=tuple(factor * rms_n for rms_n in test.force_rms_n))
+        changed_test = test.at_level(factor)
         yield PlannedChange("force", f"excite with {changed_test.level_text} ({factor:g} times)", changed_test)
 
 
@@ -170,7 +172,8 @@ def _noise_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 
 def _tolerance_changes(test: PlannedTest) -> Iterator[PlannedChange]:
-    fields = [field for field in TOLERANCE_WORDS if field != "cross_axis" or test.rig.in_space]
+    idle_fields = {"cross_axis": not test.rig.in_space, "force_gain": not test.force_rms_n}
+    fields = [field for field in TOLERANCE_WORDS if not idle_fields.get(field)]
     for field in fields:
         if halved := _with_halved_tolerance(test.tolerances, field):
             value = number(getattr(halved, field), 2)
@@ -212,9 +215,10 @@ def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     """The only force, or those of both directions at one place, at other places with sensors, evenly chosen."""
     forces = test.rig.forces
     in_y = {replace(force, direction="y") for force in forces}
-    if len(in_y) > 1 or len(set(forces)) < len(forces):
+    if len(in_y) > 1 or len(set(forces)) < len(forces) or not test.force_rms_n:
         return
-    places = [p for s in test.rig.sensors if (p := replace(s.station, direction="y")) not in in_y]
+    sensors = (sensor for sensor in test.rig.sensors if sensor not in test.rig.base_sensors)
+    places = [place for s in sensors if (place := replace(s.station, direction="y")) not in in_y]
     places = list(dict.fromkeys(places))
     for index in np.unique(np.linspace(0, len(places) - 1, MAX_PLACES).round().astype(int)) if places else ():
         moved = tuple(replace(places[index], direction=force.direction) for force in forces)

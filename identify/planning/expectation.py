@@ -27,7 +27,7 @@ from identify.contacts.law_fit import FORMS
 from identify.contacts.law_form import DAMPING_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
 from identify.contacts.space_contacts import check_directions, space_contacts
-from identify.planning.planned_test import PlannedTest, drawn_forces_n
+from identify.planning.planned_test import PlannedTest, simulated_recording
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
@@ -156,7 +156,7 @@ def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, max_simulat
     simulated_s = min(test.duration_s, max_simulated_s)
     rig, short_test = test.rig, test.with_duration(simulated_s)
     with threadpool_limits(1):  # the matrices are small
-        recording = simulate(rig, rig, drawn_forces_n(short_test, seed), seed)
+        recording = simulated_recording(short_test, rig, simulate, seed)
         try:
             estimates, refusals = _estimates_and_refusals(recording, test.tolerances)
         except ContactRefusedError as error:

@@ -76,7 +76,7 @@ def ring_sentences(plan: PlanReport) -> Iterator[str]:
         names = [name for name in contact.quantities if name not in QUANTITIES]
         words = [f"{QUANTITY_UNITS[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
         if names and contact.center_y_m is None:
-            words.append("its centre will not be told, as it does not rest in the ring")
+            words.append("its centre will not be told")
         if words:
             yield f"{contact.name}: {'; '.join(words)}"
 
@@ -143,10 +143,16 @@ def idle_sentence(plan: PlanReport) -> str:
 
 def test_sentence(plan: PlanReport) -> str:
     """Sentence on the test that is planned."""
-    low_hz, high_hz = plan.force.band_hz
-    levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
-    force_text = "a Gaussian force" if len(plan.force.rms_n) == 1 else f"{len(plan.force.rms_n)} Gaussian forces, each"
-    return f"{plan.duration_s:g} s of {force_text} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
+    if plan.base is not None:
+        (low_hz, high_hz), level = plan.base.band_hz, number(plan.base.acceleration_rms_m_per_s2, 3)
+        excitation = f"a base that shakes with {level} m/s² rms"
+    else:
+        assert plan.force is not None
+        low_hz, high_hz = plan.force.band_hz
+        levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
+        count = len(plan.force.rms_n)
+        excitation = f"{'a Gaussian force' if count == 1 else f'{count} Gaussian forces, each'} of {levels} N rms"
+    return f"{plan.duration_s:g} s of {excitation} from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
 def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
@@ -195,8 +201,8 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
 
 def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     note = (
-        f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times with "
-        f"other forces for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
+        f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times in "
+        f"other draws for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
     )
     rings_html = page.list_html(f"{text}." for text in ring_sentences(plan)) if any(ring_sentences(plan)) else ""
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
@@ -213,7 +219,7 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
         intro = (
-            "<p>Each change was simulated and identified under the same forces. Widest interval: the widest of all "
+            "<p>Each change was simulated and identified under the same draws. Widest interval: the widest of all "
             "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
             f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
             "change.</p>"

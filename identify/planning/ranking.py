@@ -27,7 +27,7 @@ from identify.planning.expectation import (
     simulated_test,
 )
 from identify.planning.planned_test import PlannedTest
-from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
+from identify.planning.results import IntervalFactor, PlannedBase, PlannedForce, PlanReport, TriedChange
 from rig.processes import mapped
 
 LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES = 60.0, 2**16
@@ -81,7 +81,10 @@ def ranked_plan(
     return PlanReport(
         rig=test.rig.name,
         duration_s=test.duration_s,
-        force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz),
+        force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz) if test.force_rms_n else None,
+        base=None
+        if test.base_rms_m_per_s2 is None
+        else PlannedBase(acceleration_rms_m_per_s2=test.base_rms_m_per_s2, band_hz=test.band_hz),
         contacts=tuple(c for c in contacts if isinstance(c, ExpectedContact)),
         undetermined=tuple(c for c in contacts if isinstance(c, Undetermined)),
         changes=tuple(sorted((r for r in tried_changes if r.kind != "leave out sensor"), key=_rank_key)),

@@ -29,7 +29,7 @@ from rig.simulation.replay import modal
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
 from tests.identify.contacts.contact_records import contact_record
-from tests.identify.mass_in_ring import MASS_IN_RING
+from tests.identify.small_rigs import MASS_IN_RING
 
 SECONDS = 12.0
 VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])

@@ -9,6 +9,7 @@ from rig.model.description import contact_stations
 from rig.model.sensing import sensors_of
 from rig.model.tolerances import EXACT, LABORATORY, ModeTolerance, SensorTolerance
 from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
+from tests.identify.small_rigs import MASS_ON_TABLE
 
 BEAMS = planned_test(BarrelCradle(sensors="acceleration", noise_density=1e-3).rig(), duration_s=20.0)
 TUBES = planned_test(BarrelCradleAnnular(sensors="acceleration", noise_density=1e-3).rig(), duration_s=20.0)
@@ -71,6 +72,19 @@ def test_sensors_and_forces_of_a_rig_in_space_come_and_move_in_both_directions()
 
 def sensor_in_z(body):
     return next(s for s in TUBES.rig.sensors if s.station.body == body.name and s.station.direction == "z")
+
+
+def test_changes_of_a_rig_on_a_shaken_base_are_of_the_base_and_of_what_measures_it():
+    test = planned_test(MASS_ON_TABLE, base_rms_m_per_s2=2.0, band_hz=(2.0, 20.0))
+    changes = list(changes_of(test))
+    assert {change.kind for change in changes} == set(PARTS) - {"place", "leave out sensor"}
+    levels = [change.test.base_rms_m_per_s2 for change in changes if change.kind == "force"]
+    assert levels == [4.0, 8.0, 1.0]
+    assert "excite with 4.00 m/s² rms (2 times)" in {change.words for change in changes}
+    (added,) = (change for change in changes if change.kind == "add sensor")
+    assert added.words == "add 2 displacement sensors at stops (0 m of mass, the ground)"
+    assert len(added.test.rig.base_sensors) == 2
+    assert not [change for change in changes if "force_gain" in change.words]
 
 
 def test_every_sensor_is_left_out_once():

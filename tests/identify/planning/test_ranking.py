@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.model.tolerances import EXACT
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
-from tests.identify.mass_in_ring import MASS_IN_RING, RING
+from tests.identify.small_rigs import MASS_IN_RING, MASS_ON_TABLE, RING
 
 pytestmark = pytest.mark.long
 
@@ -101,6 +101,19 @@ def test_a_ring_is_told_all_around_and_as_well_as_the_scale_of_the_forces():
     in_y = replace(test, rig=replace(MASS_IN_RING, sensors=MASS_IN_RING.sensors[:1]))
     (refused,) = ranked_plan(in_y, most_changes=0).undetermined
     assert refused.code == "one_direction"
+
+
+def test_on_a_shaken_base_a_stiffness_is_as_uncertain_as_the_mass():
+    """The motion gives k / m, and no force tells the scale."""
+    tolerances = replace(EXACT, mass=0.02)
+    test = planned_test(MASS_ON_TABLE, 12.0, None, (4.0, 40.0), tolerances, 1.5)
+    plan = ranked_plan(test, most_changes=0)
+    (stops,) = plan.contacts
+    share = stops.stiffness_n_per_m.standard_error / stops.stiffness_n_per_m.value
+    assert 0.95 < share / 0.02 < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
+    assert stops.stiffness_n_per_m.limited_by == "tolerances"
+    assert (plan.force, plan.base.acceleration_rms_m_per_s2, plan.base.band_hz) == (None, 1.5, (4.0, 40.0))
+    assert "sensor_gain" in {effect.effect for effect in plan.effects if "ground" in effect.place}
 
 
 def standard_errors(report, names) -> np.ndarray:
