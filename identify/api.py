@@ -209,6 +209,7 @@ def plan(
     simulator: str = "modal",
     most_changes: int = MAX_CHANGES,
     workers: int = 1,
+    base_rms_m_per_s2: float | None = None,
     progress: Progress = lambda _: None,
 ) -> PlanResult:
     """Plan of a test: expected intervals of every contact, and what would shorten them (`identify.planning` says how).
@@ -222,8 +223,10 @@ def plan(
         described = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
     else:
         described = source
-    check_plane(described if isinstance(described, Rig) else described.rig, "identify plan")
-    test = planned_test(described, duration_s, force_rms_n, band_hz, _tolerances(tolerances))
+    rig = described if isinstance(described, Rig) else described.rig
+    if not rig.in_space:
+        check_plane(rig, "identify plan without annular contacts")
+    test = planned_test(described, duration_s, force_rms_n, band_hz, _tolerances(tolerances), base_rms_m_per_s2)
     report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 

@@ -168,7 +168,7 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "a base measured by its velocity, diagnosed": gap(
         replace(ON_TABLE, sensors=(replace(TABLE, quantity="velocity"), *SDOF.sensors))
     ),
-    "a base whose motion is measured, planned": lambda _: identify.plan(ON_TABLE),
+    "the level of a force where the base shakes, planned": lambda _: identify.plan(ON_TABLE, force_rms_n=1.0),
     "a base at rest and no force": simulated(ON_TABLE, modal.simulate),
     "two forces at once, as an FMU": lambda folder: export_fmu(TWO_FORCES, folder / "r.fmu"),
     "two forces in the map, one in rig.json": imported(

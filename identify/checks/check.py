@@ -131,12 +131,8 @@ def _model_findings(
     rig = recording.rig
     if rig.base_sensors:
         return []  # the comparison takes forces alone
-    excluded_channels = {
-        c
-        for finding in waveform_findings
-        if finding.cause in EXCLUDING_CAUSES
-        for c in _channels_at_fault(finding, force_names)
-    }
+    excluding_findings = [finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES]
+    excluded_channels = {name for finding in excluding_findings for name in _channels_at_fault(finding, force_names)}
     sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates and use in ("auto", sensor.quantity))
     if (
         not sensors
@@ -150,7 +146,9 @@ def _model_findings(
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable_indices, tolerances)
-        if not waveform_findings and all(body.is_mass for body in rig.bodies):
+        # no single direction tells when a ring is open
+        has_ring = any(contact.law.spatial for contact in recording_in_all_directions.rig.contacts)
+        if not waveform_findings and all(body.is_mass for body in rig.bodies) and not has_ring:
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass

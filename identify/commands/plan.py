@@ -33,8 +33,16 @@ def plan(
         float | None,
         typer.Option(help="Force, N rms, of each if there are several; otherwise as `rig record` chooses it."),
     ] = None,
+    base_rms: Annotated[
+        float | None,
+        typer.Option(
+            help="Acceleration of the base, m/s² rms, where it alone shakes the rig; otherwise that of base_motion in "
+            "rig.json, or that which moves the contacts by four clearances."
+        ),
+    ] = None,
     band: Annotated[
-        tuple[float, float] | None, typer.Option(help="Band of the force, Hz; otherwise as `rig record` chooses it.")
+        tuple[float, float] | None,
+        typer.Option(help="Band of the force or of the base, Hz; otherwise as `rig record` chooses it."),
     ] = None,
     tolerances: TolerancesOption = None,
     changes: Annotated[
@@ -70,6 +78,7 @@ def plan(
             source,
             duration_s=duration,
             force_rms_n=force_rms,
+            base_rms_m_per_s2=base_rms,
             band_hz=band,
             tolerances=tolerances,
             simulator=simulator,
@@ -87,6 +96,8 @@ def plan(
     if report.contacts:
         title = f"Contacts of {report.rig}, expected, ± 95 %"
         console.print(console_table(title, page.CONTACT_HEAD, rows=page.contact_rows(report)))
+    for sentence in page.ring_sentences(report):
+        say(f"{sentence}.")
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:

@@ -45,7 +45,7 @@ class AnnularEstimate:
     center_known: the record determines the centre against the relative displacement at rest (by accelerometers), or
     against the sensors' zero (zero_known). eta_m and rate_m_per_s are with the slow motion, less the centre; force_n is
     the separated force with the force at rest, at every `decimation`-th sample. pulls are those of `parameters` of the
-    record.
+    record. widening_factor is that of a `JointEstimate`.
     """
 
     values: RingValues
@@ -58,6 +58,7 @@ class AnnularEstimate:
     force_n: Float[np.ndarray, "2 fewer"]
     unexplained_share: float
     half_differences: tuple[float, float]
+    widening_factor: float = 1.0
 
     @property
     def covariance(self) -> RingCovariance:

@@ -56,6 +56,7 @@ class JointEstimate:
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
     sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
     errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
+    widening_factor is that of the standard errors by pulls, which the covariances hold (`widened_estimate`).
     """
 
     values: LawParameters
@@ -70,6 +71,7 @@ class JointEstimate:
     form: LawForm = DEAD_ZONE
     exponent: float = 1.0
     exponent_error: float = 0.0
+    widening_factor: float = 1.0
 
     @property
     def covariance(self) -> Covariance:

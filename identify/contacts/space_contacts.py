@@ -128,7 +128,7 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         except ContactRefusedError as error:
             refusals[name] = error.refusal
         else:
-            annular[name] = widened_estimate(estimate, record.parameters, max(y.mass_pull, z.mass_pull))
+            annular[name] = widened_estimate(estimate, record.parameters, mass_pull=0.0)  # known of no ring
     plane, findings = _plane_outcomes(rig, (y, z))
     shared_parameters = next(iter(records.values())).parameters if annular else ()
     annular_findings = fit_findings(annular, shared_parameters, DAMPING)

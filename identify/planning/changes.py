@@ -1,7 +1,7 @@
 """Changes of a planned test that may shorten its intervals: each is another planned test, and words for it."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Literal, TypeVar
 
 import msgspec
@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from identify.pages.wording import number
 from identify.planning.planned_test import LONGEST_S, MAX_BAND_TO_RATE, PlannedTest
-from rig.model.description import Body, Rig, Sensor, Station, contact_stations
+from rig.model.components import DIRECTIONS
+from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.sensing import named_sensor, sensors_of
 from rig.model.tolerances import ModeTolerance, SensorTolerance, Tolerances
 
@@ -32,6 +33,7 @@ TOLERANCE_WORDS = {
     "mass": "the masses of all bodies",
     "frequency": "the natural frequencies",
     "damping": "the damping ratios",
+    "cross_axis": "the cross-axis sensitivities of all sensors",
 }
 """Tolerances that are halved, and what is then known twice as well."""
 
@@ -82,7 +84,7 @@ def _displacement_sensor_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for contact in test.rig.contacts:
         new_sensors = {
             station: _added_sensor(test.rig, station, "displacement", DISPLACEMENT_NOISE)
-            for station in contact_stations(contact)
+            for station in (*_sides(contact), *([ON_GROUND] if test.rig.base_sensors else []))
             if station not in measured_stations
         }
         if new_sensors and not new_sensors.keys() <= all_sensors.keys():
@@ -90,23 +92,37 @@ def _displacement_sensor_changes(test: PlannedTest) -> Iterator[PlannedChange]:
             all_sensors |= new_sensors
             yield _addition(
                 test,
-                f"{_count_text(new_sensors)} at {contact.name} ({_places_text(new_sensors)})",
+                f"{_count_text(new_sensors)} at {contact.name} ({_places_text(test.rig, new_sensors)})",
                 tuple(new_sensors.values()),
             )
     if len(contact_names) > 1:
-        words = f"{_count_text(all_sensors)} at {', '.join(contact_names)} ({_places_text(all_sensors)})"
+        words = f"{_count_text(all_sensors)} at {', '.join(contact_names)} ({_places_text(test.rig, all_sensors)})"
         yield _addition(test, words, tuple(all_sensors.values()))
+
+
+def _sides(contact: Contact) -> tuple[Station, ...]:
+    """Stations of a contact, of an annular one in y and then in z."""
+    directions = DIRECTIONS if contact.law.spatial else (contact.at.direction,)
+    return tuple(replace(station, direction=d) for d in directions for station in contact_stations(contact))
 
 
 def _count_text(sensors: dict[Station, Sensor]) -> str:
     return f"{len(sensors)} displacement sensors" if len(sensors) > 1 else "a displacement sensor"
 
 
-def _places_text(sensors: dict[Station, Sensor]) -> str:
-    return ", ".join(_place_text(station) for station in sensors)
+def _places_text(rig: Rig, stations: Iterable[Station]) -> str:
+    """Places in words, of a rig in space with their directions."""
+    directions_by_place: dict[str, list[str]] = {}
+    for station in stations:
+        directions_by_place.setdefault(_place_text(station), []).append(station.direction)
+    if not rig.in_space:
+        return ", ".join(directions_by_place)
+    return ", ".join(f"{place} in {' and '.join(directions)}" for place, directions in directions_by_place.items())
 
 
 def _place_text(station: Station) -> str:
+    if station == ON_GROUND:
+        return "the ground"
     return f"{station.position_m:g} m of {station.body}"
 
 
@@ -116,17 +132,18 @@ def _addition(test: PlannedTest, words: str, sensors: tuple[Sensor, ...]) -> Pla
 
 def _accelerometer_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     """An accelerometer at each side of a contact that has none, and in the widest interval without a sensor of each
-    body."""
+    body; in every direction of the rig."""
     rig, accelerometers = test.rig, sensors_of(test.rig, "acceleration")
     densities = [sensor.noise_density for sensor in accelerometers]
     noise_density = float(np.median(densities)) if densities else ACCELERATION_NOISE
     measured_stations = {sensor.station for sensor in accelerometers}
-    contact_sides = dict.fromkeys(station for contact in rig.contacts for station in contact_stations(contact))
-    added = [station for station in contact_sides if station not in measured_stations]
-    added += [station for body in rig.bodies if (station := _widest_gap_middle(rig, body)) and station not in added]
-    for station in added:
-        words = f"an accelerometer at {_place_text(station)}"
-        yield _addition(test, words, (_added_sensor(rig, station, "acceleration", noise_density),))
+    sides = (side for contact in rig.contacts for side in _sides(contact) if side not in measured_stations)
+    gap_middles = (station for body in rig.bodies if (station := _widest_gap_middle(rig, body)))
+    for place in dict.fromkeys(replace(station, direction="y") for station in (*sides, *gap_middles)):
+        stations = [s for d in rig.directions if (s := replace(place, direction=d)) not in measured_stations]
+        count_text = "an accelerometer" if len(stations) == 1 else f"{len(stations)} accelerometers"
+        sensors = tuple(_added_sensor(rig, station, "acceleration", noise_density) for station in stations)
+        yield _addition(test, f"{count_text} at {_places_text(rig, stations)}", sensors)
 
 
 def _widest_gap_middle(rig: Rig, body: Body) -> Station | None:
@@ -141,7 +158,7 @@ def _widest_gap_middle(rig: Rig, body: Body) -> Station | None:
 
 def _force_level_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for factor in FORCE_FACTORS:
-        changed_test = replace(test, force_rms_n=tuple(factor * rms_n for rms_n in test.force_rms_n))
+        changed_test = test.at_level(factor)
         yield PlannedChange("force", f"excite with {changed_test.level_text} ({factor:g} times)", changed_test)
 
 
@@ -155,11 +172,15 @@ def _noise_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 
 def _tolerance_changes(test: PlannedTest) -> Iterator[PlannedChange]:
-    for field, words in TOLERANCE_WORDS.items():
+    idle_fields = {"cross_axis": not test.rig.in_space, "force_gain": not test.force_rms_n}
+    fields = [field for field in TOLERANCE_WORDS if not idle_fields.get(field)]
+    for field in fields:
         if halved := _with_halved_tolerance(test.tolerances, field):
             value = number(getattr(halved, field), 2)
             yield PlannedChange(
-                "tolerance", f"know {words} twice as well ({field} = {value})", replace(test, tolerances=halved)
+                "tolerance",
+                f"know {TOLERANCE_WORDS[field]} twice as well ({field} = {value})",
+                replace(test, tolerances=halved),
             )
 
 
@@ -191,20 +212,25 @@ def _band_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 
 def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
-    """The only force at other stations with sensors, evenly chosen."""
-    if len(test.rig.forces) > 1:
+    """The only force, or those of both directions at one place, at other places with sensors, evenly chosen."""
+    forces = test.rig.forces
+    in_y = {replace(force, direction="y") for force in forces}
+    if len(in_y) > 1 or len(set(forces)) < len(forces) or not test.force_rms_n:
         return
-    stations = list(dict.fromkeys(s.station for s in test.rig.sensors if s.station != test.rig.forces[0]))
-    for index in np.unique(np.linspace(0, len(stations) - 1, MAX_PLACES).round().astype(int)) if stations else ():
-        rig = replace(test.rig, force_at=stations[index])
-        yield PlannedChange("place", f"excite at {_place_text(stations[index])}", replace(test, rig=rig))
+    sensors = (sensor for sensor in test.rig.sensors if sensor not in test.rig.base_sensors)
+    places = [place for s in sensors if (place := replace(s.station, direction="y")) not in in_y]
+    places = list(dict.fromkeys(places))
+    for index in np.unique(np.linspace(0, len(places) - 1, MAX_PLACES).round().astype(int)) if places else ():
+        moved = tuple(replace(places[index], direction=force.direction) for force in forces)
+        rig = replace(test.rig, force_at=moved if len(moved) > 1 else moved[0])
+        yield PlannedChange("place", f"excite at {_place_text(places[index])}", replace(test, rig=rig))
 
 
 def _sensor_removals(test: PlannedTest) -> Iterator[PlannedChange]:
-    """Each sensor left out, except the only one of a body."""
+    """Each sensor left out, except the only one of a body in its direction."""
     sensors = test.rig.sensors
-    sensor_counts = Counter(sensor.station.body for sensor in sensors if sensor.measures.translates)
+    sensor_counts = Counter((s.station.body, s.station.direction) for s in sensors if s.measures.translates)
     for sensor in sensors:
-        if sensor_counts[sensor.station.body] > sensor.measures.translates:
+        if sensor_counts[sensor.station.body, sensor.station.direction] > sensor.measures.translates:
             remaining_sensors = tuple(kept_sensor for kept_sensor in sensors if kept_sensor != sensor)
             yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

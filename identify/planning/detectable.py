@@ -33,13 +33,14 @@ from identify.gaps.decision.comparison import TEMPERATURE, log_prior
 from identify.gaps.decision.null_simulations import draw_rig, standard_normals
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.shaken_base import check_base, with_inertial_force
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, numbers_alone_differ
 from identify.gaps.search.hypothesis import MIN_GAIN, Search
 from identify.gaps.search.local_model import MIN_REMAINING_SHARE, CandidateTerm, LocalModel, local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.planning.planned_test import PlannedTest, drawn_forces_n
+from identify.planning.planned_test import PlannedTest, simulated_recording
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 from rig.recording.interfaces import Simulate
@@ -78,16 +79,17 @@ def detectable_effects(
     record not diagnosed.
     """
     simulated_s = min(test.duration_s, max_simulated_s)
-    forces_n = drawn_forces_n(test.with_duration(simulated_s), seed)
+    check_base(test.rig)
     drawn_rig = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINES)[0])
     with threadpool_limits(1):
-        recording = simulate(test.rig, drawn_rig, forces_n, seed)
+        recording = simulated_recording(test.with_duration(simulated_s), drawn_rig, simulate, seed)
+        recording = with_inertial_force(recording)
         record = record_of(recording, tolerances=test.tolerances)
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
         scale = scale_of(record, record.rig)
         estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
-        library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.has_force)
+        library = candidates(scale, record.channel_names, record.zero_known, record.has_force)
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         nominal = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
         model = local_model(linearization, residual, variances, record.rig, nominal, searched)

@@ -2,7 +2,8 @@
 
 Notes for maintainers
 1. The rig is simulated as described, under drawn forces, with the noise, range and filters of its sensors. The
-   separation and joint fit of `identify contact` then state their standard errors, tolerances included.
+   separation and fits of `identify contact`, of a rig in space those of its rings, then state their standard errors,
+   tolerances included.
 2. A record is simulated up to a length. A longer test leaves the variance by tolerances and by the law's form as it
    is, and divides the rest (scatter and slow motion) by the ratio of the lengths.
 3. `identify contact` widens its intervals by the pulls of body and force parameters, which chance moves from record to
@@ -10,7 +11,7 @@ Notes for maintainers
 4. The median over several drawn forces is expected; their spread says how far a single test may lie from it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import msgspec
@@ -18,32 +19,35 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from identify.contacts.acceptance import accept
-from identify.contacts.determination import determine
+from identify.contacts.acceptance import find_contacts
+from identify.contacts.annular_estimate import AnnularEstimate
+from identify.contacts.annular_law import RING
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
 from identify.contacts.law_form import DAMPING_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
-from identify.contacts.separation import separate_described
-from identify.planning.planned_test import PlannedTest, drawn_forces_n
+from identify.contacts.space_contacts import check_directions, space_contacts
+from identify.planning.planned_test import PlannedTest, simulated_recording
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
+from rig.model.tolerances import Tolerances
 from rig.recording import Recording
+from rig.recording.interfaces import Simulate
 
 Source = Literal["scatter", "slow motion", "tolerances", "law"]
 """Source of the larger part of a variance."""
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
+RING_QUANTITIES = (*QUANTITIES, "friction_coefficient")
+CENTER_QUANTITIES = ("center_y_m", "center_z_m")
+"""Quantities of every contact, of an annular one, and of one whose centre the record tells."""
 MAX_MISS_ERRORS = 3.5
 """Standard errors by which an estimate may miss the value that was simulated before it is noted."""
-
-Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
-"""Recording of the actual rig (second) in the channels of the nominal one (first) under forces; the seed is of the
-noise."""
 
 
 class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
     """Simulated value, estimate, and parts of its variance, in squares of the quantity's unit; widening_factor is that
-    of the standard error by the pulls of nuisance parameters."""
+    of the standard error by the pulls of nuisance parameters. The simulated value of a centre against the rest
+    position, which rig.json does not say, is its estimate."""
 
     simulated_value: float
     estimate: float
@@ -95,9 +99,9 @@ class RefusedContact(msgspec.Struct, frozen=True):
 
 
 class SimulatedTest(msgspec.Struct, frozen=True):
-    """Outcome of one simulated record: errors of the three `QUANTITIES` of each contact, and refused contacts."""
+    """Outcome of one simulated record: errors by contact and quantity, and refused contacts."""
 
-    error_parts: dict[str, tuple[ErrorParts, ...]]
+    error_parts: dict[str, dict[str, ErrorParts]]
     refused_contacts: dict[str, RefusedContact]
 
 
@@ -112,19 +116,26 @@ class ExpectedQuantity(msgspec.Struct, frozen=True, kw_only=True):
     limited_by: Source
 
 
-class ExpectedContact(msgspec.Struct, frozen=True, kw_only=True):
+class ExpectedContact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Expected estimates of a contact, and the share of the simulated records that determine it. Clearance is half the
-    total play, or that of the one stop that is touched."""
+    total play, that of the one stop that is touched, or the radial one of an annular contact."""
 
     name: str
     determined_share: float
     clearance_m: ExpectedQuantity
     stiffness_n_per_m: ExpectedQuantity
     damping_n_s_per_m: ExpectedQuantity
+    friction_coefficient: ExpectedQuantity | None = None
+    """Of an annular contact, as are all that follow."""
+    center_y_m: ExpectedQuantity | None = None
+    """Centre as in contact.json, None where it will not be known; its value is an estimate of a simulated record."""
+    center_z_m: ExpectedQuantity | None = None
 
     @property
-    def quantities(self) -> tuple[ExpectedQuantity, ...]:
-        return (self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
+    def quantities(self) -> dict[str, ExpectedQuantity]:
+        """Expected quantities by name, without those that are not told."""
+        quantities = ((name, getattr(self, name)) for name in (*RING_QUANTITIES, *CENTER_QUANTITIES))
+        return {name: quantity for name, quantity in quantities if quantity is not None}
 
 
 class Undetermined(msgspec.Struct, frozen=True, kw_only=True):
@@ -145,21 +156,22 @@ def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, max_simulat
     simulated_s = min(test.duration_s, max_simulated_s)
     rig, short_test = test.rig, test.with_duration(simulated_s)
     with threadpool_limits(1):  # the matrices are small
-        recording = simulate(rig, rig, drawn_forces_n(short_test, seed), seed)
+        recording = simulated_recording(short_test, rig, simulate, seed)
         try:
-            separation = separate_described(recording, "auto", test.tolerances)
-            determination = determine(separation, FORMS)
-            accepted = accept(separation, determination).outcomes
+            estimates, refusals = _estimates_and_refusals(recording, test.tolerances)
         except ContactRefusedError as error:
             return SimulatedTest({}, {contact.name: _refused_contact(error.refusal) for contact in rig.contacts})
     length_ratio = test.duration_s / simulated_s
     laws = {contact.name: contact.law for contact in rig.contacts}
     return SimulatedTest(
         {
-            name: _error_parts(laws[name], estimate, accepted.estimates[name], length_ratio)
-            for name, estimate in determination.estimates.items()
+            name: {
+                quantity: _error_parts(laws[name], quantity, gradient, estimate).for_longer_record(length_ratio)
+                for quantity, gradient in _gradients(estimate).items()
+            }
+            for name, estimate in estimates.items()
         },
-        {name: _refused_contact(refusal) for name, refusal in accepted.refusals.items()},
+        {name: _refused_contact(refusal) for name, refusal in refusals.items()},
     )
 
 
@@ -173,8 +185,8 @@ def largest_miss(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
     misses = [
         (abs(parts.estimate - parts.simulated_value) / parts.stated_error, name)
         for test in tests
-        for name, all_parts in test.error_parts.items()
-        for parts in all_parts
+        for name, parts_by_quantity in test.error_parts.items()
+        for parts in parts_by_quantity.values()
         if parts.stated_error > 0
     ]
     return max(misses, default=(0.0, ""))
@@ -184,27 +196,51 @@ def _refused_contact(refusal: Refusal) -> RefusedContact:
     return RefusedContact(refusal.cause, refusal.advice, refusal.code, refusal.remedy)
 
 
+def _estimates_and_refusals(
+    recording: Recording, tolerances: Tolerances
+) -> tuple[Mapping[str, JointEstimate | AnnularEstimate], Mapping[str, Refusal]]:
+    """Estimates and refusals of `identify contact` by contact, of a plane rig or of one in space."""
+    if not recording.rig.in_space:
+        outcomes = find_contacts(recording, "auto", tolerances, FORMS).outcomes
+        return outcomes.estimates, outcomes.refusals
+    check_directions(recording.rig, "auto")
+    contacts = space_contacts(recording, "auto", tolerances)
+    return {**contacts.annular, **contacts.plane.estimates}, {**contacts.refusals, **contacts.plane.refusals}
+
+
+def _gradients(estimate: JointEstimate | AnnularEstimate) -> dict[str, Float[np.ndarray, " parameters"]]:
+    """Every quantity that an estimate tells, as a linear function of its parameters."""
+    if isinstance(estimate, JointEstimate):
+        gradients = (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT)
+        return dict(zip(QUANTITIES, gradients, strict=True))
+    quantities = (*RING_QUANTITIES, *CENTER_QUANTITIES) if estimate.center_known else RING_QUANTITIES
+    return {quantity: np.eye(len(RING))[RING.index(quantity)] for quantity in quantities}
+
+
 def _error_parts(
-    law: ContactLaw, estimate: JointEstimate, accepted: JointEstimate, length_ratio: float
-) -> tuple[ErrorParts, ...]:
-    true_numbers = parameters_of_law(law)
-    parts_by_quantity = []
-    for gradient in (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT):
-        total_variance, tolerance_variance, slow_motion_variance, law_variance = (
-            float(gradient @ covariance @ gradient)
-            for covariance in (estimate.covariance, *(estimate.covariances[s] for s in ("tolerances", "drift", "law")))
-        )
-        record_parts = ErrorParts(
-            simulated_value=float(gradient @ true_numbers),
-            estimate=float(gradient @ estimate.values),
-            scatter_variance=max(0.0, total_variance - tolerance_variance - slow_motion_variance - law_variance),
-            slow_motion_variance=slow_motion_variance,
-            tolerance_variance=tolerance_variance,
-            law_variance=law_variance,
-            widening_factor=accepted.error(gradient) / float(np.sqrt(total_variance)) if total_variance > 0 else 1.0,
-        )
-        parts_by_quantity.append(record_parts.for_longer_record(length_ratio))
-    return tuple(parts_by_quantity)
+    law: ContactLaw,
+    quantity: str,
+    gradient: Float[np.ndarray, " parameters"],
+    estimate: JointEstimate | AnnularEstimate,
+) -> ErrorParts:
+    estimated_value = float(gradient @ estimate.values)
+    if isinstance(estimate, JointEstimate):
+        simulated_value = float(gradient @ parameters_of_law(law))
+    else:
+        simulated_value = estimated_value if quantity in CENTER_QUANTITIES else getattr(law, quantity)
+    scatter_variance, slow_motion_variance, tolerance_variance, law_variance = (
+        float(gradient @ estimate.covariances[source] @ gradient) / estimate.widening_factor**2
+        for source in ("scatter", "drift", "tolerances", "law")
+    )
+    return ErrorParts(
+        simulated_value=simulated_value,
+        estimate=estimated_value,
+        scatter_variance=scatter_variance,
+        slow_motion_variance=slow_motion_variance,
+        tolerance_variance=tolerance_variance,
+        law_variance=law_variance,
+        widening_factor=estimate.widening_factor,
+    )
 
 
 def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedContact | Undetermined:
@@ -215,10 +251,16 @@ def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedCont
         return Undetermined(
             name=name, determined_share=share, reason=refused.cause, remedy=refused.advice, code=refused.code
         )
-    clearance, stiffness, damping = (_expected_quantity(draws) for draws in zip(*parts_by_record, strict=True))
-    return ExpectedContact(
-        name=name, determined_share=share, clearance_m=clearance, stiffness_n_per_m=stiffness, damping_n_s_per_m=damping
-    )
+    parts_by_quantity: dict[str, list[ErrorParts]] = {}
+    for parts_of_record in parts_by_record:
+        for quantity, parts in parts_of_record.items():
+            parts_by_quantity.setdefault(quantity, []).append(parts)
+    expected_quantities = {
+        quantity: _expected_quantity(draws)
+        for quantity, draws in parts_by_quantity.items()
+        if len(draws) >= len(parts_by_record) / 2
+    }
+    return ExpectedContact(name=name, determined_share=share, **expected_quantities)
 
 
 def _expected_quantity(parts_by_record: Sequence[ErrorParts]) -> ExpectedQuantity:

@@ -8,7 +8,7 @@ from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.wording import COVERED, interval, number, percent
 from identify.planning.detectable import DetectableEffect
-from identify.planning.expectation import ExpectedQuantity
+from identify.planning.expectation import QUANTITIES, ExpectedQuantity
 from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, PlanReport, TriedChange
 from rig.model.description import Rig
 from rig.model.quantities import printed_unit
@@ -17,6 +17,9 @@ QUANTITY_UNITS = {
     "clearance_m": ("clearance", "mm", 1e3),
     "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
     "damping_n_s_per_m": ("damping", "N s/m", 1.0),
+    "friction_coefficient": ("friction coefficient", "1", 1.0),
+    "center_y_m": ("centre in y", "mm", 1e3),
+    "center_z_m": ("centre in z", "mm", 1e3),
 }
 LIMIT_TEXTS = {
     "scatter": "the scatter of one record: a longer record shortens it",
@@ -64,15 +67,26 @@ def widest_share(plan: PlanReport) -> float:
 def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     """Row of each contact: its name and expected 95 % intervals."""
     for contact in plan.contacts:
-        quantities = zip(QUANTITY_UNITS.values(), contact.quantities, strict=True)
-        yield contact.name, *(_interval_text(quantity, scale, "1") for (_, _, scale), quantity in quantities)
+        yield contact.name, *(_interval_text(contact.quantities[name], name, without_unit=True) for name in QUANTITIES)
 
 
-def _interval_text(quantity: ExpectedQuantity, scale: float, unit: str) -> str:
+def ring_sentences(plan: PlanReport) -> Iterator[str]:
+    """Sentence on friction and centre of each annular contact, without a full stop."""
+    for contact in plan.contacts:
+        names = [name for name in contact.quantities if name not in QUANTITIES]
+        words = [f"{QUANTITY_UNITS[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
+        if names and contact.center_y_m is None:
+            words.append("its centre will not be told")
+        if words:
+            yield f"{contact.name}: {'; '.join(words)}"
+
+
+def _interval_text(quantity: ExpectedQuantity, name: str, *, without_unit: bool = False) -> str:
     """Expected interval; empty of the clearance of a spring, which is no estimate."""
     if not quantity.standard_error:
         return ""
-    return interval(scale * quantity.value, scale * quantity.standard_error, unit)
+    _, unit, scale = QUANTITY_UNITS[name]
+    return interval(scale * quantity.value, scale * quantity.standard_error, "1" if without_unit else unit)
 
 
 def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
@@ -129,18 +143,24 @@ def idle_sentence(plan: PlanReport) -> str:
 
 def test_sentence(plan: PlanReport) -> str:
     """Sentence on the test that is planned."""
-    low_hz, high_hz = plan.force.band_hz
-    levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
-    force_text = "a Gaussian force" if len(plan.force.rms_n) == 1 else f"{len(plan.force.rms_n)} Gaussian forces, each"
-    return f"{plan.duration_s:g} s of {force_text} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
+    if plan.base is not None:
+        (low_hz, high_hz), level = plan.base.band_hz, number(plan.base.acceleration_rms_m_per_s2, 3)
+        excitation = f"a base that shakes with {level} m/s² rms"
+    else:
+        assert plan.force is not None
+        low_hz, high_hz = plan.force.band_hz
+        levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
+        count = len(plan.force.rms_n)
+        excitation = f"{'a Gaussian force' if count == 1 else f'{count} Gaussian forces, each'} of {levels} N rms"
+    return f"{plan.duration_s:g} s of {excitation} from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
 def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     for contact in plan.contacts:
-        for (name, unit, scale), quantity in zip(QUANTITY_UNITS.values(), contact.quantities, strict=True):
+        for name, quantity in contact.quantities.items():
             yield (
-                f"{name} of {contact.name}",
-                _interval_text(quantity, scale, unit),
+                f"{QUANTITY_UNITS[name][0]} of {contact.name}",
+                _interval_text(quantity, name),
                 f"{number(quantity.spread_factor, 3)}",
                 LIMIT_TEXTS[quantity.limited_by],
             )
@@ -152,8 +172,8 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         contact.name: [
             text
             for text in (
-                _interval_text(contact.clearance_m, 1e3, "mm"),
-                _interval_text(contact.stiffness_n_per_m, 1.0, "N/m"),
+                _interval_text(contact.clearance_m, "clearance_m"),
+                _interval_text(contact.stiffness_n_per_m, "stiffness_n_per_m"),
             )
             if text
         ]
@@ -181,10 +201,11 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
 
 def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     note = (
-        f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times with "
-        f"other forces for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
+        f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times in "
+        f"other draws for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
     )
-    sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)))]
+    rings_html = page.list_html(f"{text}." for text in ring_sentences(plan)) if any(ring_sentences(plan)) else ""
+    sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
         rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
         sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
@@ -198,7 +219,7 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
         intro = (
-            "<p>Each change was simulated and identified under the same forces. Widest interval: the widest of all "
+            "<p>Each change was simulated and identified under the same draws. Widest interval: the widest of all "
             "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
             f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
             "change.</p>"

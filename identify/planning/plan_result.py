@@ -9,7 +9,6 @@ import msgspec
 from identify.pages.summary import Summarized, Summary
 from identify.pages.wording import COVERED
 from identify.planning import page
-from identify.planning.expectation import QUANTITIES
 from identify.planning.results import PlanReport
 from rig.files import make_folder, write_json
 from rig.model.description import Rig
@@ -35,7 +34,7 @@ class PlanResult(Summarized):
         rows: list[dict[str, str | float]] = []
         for contact in self.report.contacts:
             row: dict[str, str | float] = {"contact": contact.name}
-            for name, quantity in zip(QUANTITIES, contact.quantities, strict=True):
+            for name, quantity in contact.quantities.items():
                 row[name], row[f"{name}_within"] = quantity.value, COVERED * quantity.standard_error
             rows.append(row)
         return rows
@@ -50,4 +49,5 @@ class PlanResult(Summarized):
     def summary(self) -> Summary:
         """Sentence on what the test will tell and what helps most, and the expected interval of each contact."""
         rows = tuple(dict(zip(page.CONTACT_HEAD, row, strict=True)) for row in page.contact_rows(self.report))
-        return Summary(rows, above=(page.sentence(self.report),), below=self.report.notes)
+        below = (*page.ring_sentences(self.report), *self.report.notes)
+        return Summary(rows, above=(page.sentence(self.report),), below=below)

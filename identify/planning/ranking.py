@@ -19,7 +19,6 @@ from identify.planning.changes import PlannedChange, changes_of
 from identify.planning.detectable import DetectableEffect, detectable_effects
 from identify.planning.expectation import (
     MAX_MISS_ERRORS,
-    QUANTITIES,
     ExpectedContact,
     SimulatedTest,
     Undetermined,
@@ -28,7 +27,7 @@ from identify.planning.expectation import (
     simulated_test,
 )
 from identify.planning.planned_test import PlannedTest
-from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
+from identify.planning.results import IntervalFactor, PlannedBase, PlannedForce, PlanReport, TriedChange
 from rig.processes import mapped
 
 LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES = 60.0, 2**16
@@ -40,6 +39,7 @@ FINALIST_COUNT = 4
 """Number of changes that get further simulations. Effort."""
 MAX_CHANGES = 40
 """Default of the largest number of changes, sensors left out included."""
+NO_EFFECTS_IN_SPACE = "which effects identify gap would name is planned of rigs that move in one direction alone"
 RANKED_QUANTITIES = ("clearance_m", "stiffness_n_per_m")
 """Quantities whose intervals rank changes: a damping of zero has no share."""
 
@@ -81,7 +81,10 @@ def ranked_plan(
     return PlanReport(
         rig=test.rig.name,
         duration_s=test.duration_s,
-        force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz),
+        force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz) if test.force_rms_n else None,
+        base=None
+        if test.base_rms_m_per_s2 is None
+        else PlannedBase(acceleration_rms_m_per_s2=test.base_rms_m_per_s2, band_hz=test.band_hz),
         contacts=tuple(c for c in contacts if isinstance(c, ExpectedContact)),
         undetermined=tuple(c for c in contacts if isinstance(c, Undetermined)),
         changes=tuple(sorted((r for r in tried_changes if r.kind != "leave out sensor"), key=_rank_key)),
@@ -94,7 +97,9 @@ def ranked_plan(
 
 
 def _effects_and_notes(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect, ...], tuple[str, ...]]:
-    """Smallest named effects; or none, and a note, where this side analysis fails."""
+    """Smallest named effects; or none, and a note, of rigs in space and where this side analysis fails."""
+    if test.rig.in_space:
+        return (), (NO_EFFECTS_IN_SPACE,)
     try:
         return detectable_effects(test, simulator_named(simulator).simulate, SEEDS[0], LONGEST_SIMULATED_S), ()
     except Exception as error:
@@ -144,7 +149,7 @@ def _interval_shares(outcome: SimulatedTest) -> IntervalShares:
     return {
         (name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
         for name, quantity_parts in outcome.error_parts.items()
-        for quantity, parts in zip(QUANTITIES, quantity_parts, strict=True)
+        for quantity, parts in quantity_parts.items()
         if quantity in RANKED_QUANTITIES and parts.simulated_value
     }
 

@@ -20,6 +20,14 @@ class PlannedForce(msgspec.Struct, frozen=True, kw_only=True):
     band_hz: tuple[float, float]
 
 
+class PlannedBase(msgspec.Struct, frozen=True, kw_only=True):
+    """Motion of the base that alone shakes the rig: rms of its acceleration over the excited part, m/s^2, and band,
+    Hz."""
+
+    acceleration_rms_m_per_s2: float
+    band_hz: tuple[float, float]
+
+
 class IntervalFactor(msgspec.Struct, frozen=True, kw_only=True):
     """Length of an interval with a change over that without it."""
 
@@ -32,7 +40,7 @@ class TriedChange(msgspec.Struct, frozen=True, kw_only=True):
     """Change of the test that was simulated and identified.
 
     widest_share is the widest 95 % interval of a clearance or stiffness, from its middle to its end, over the value;
-    widest_factor is its ratio to that of the unchanged test, in simulations of the same forces. A contact that is not
+    widest_factor is its ratio to that of the unchanged test, in the same draws. A contact that is not
     determined counts with a share of 1. largest is the interval of a clearance or stiffness that changes most.
     """
 
@@ -65,7 +73,8 @@ class PlanReport(msgspec.Struct, frozen=True, kw_only=True):
 
     rig: str
     duration_s: float
-    force: PlannedForce
+    force: PlannedForce | None
+    """None where the base alone shakes the rig."""
     contacts: tuple[ExpectedContact, ...]
     undetermined: tuple[Undetermined, ...]
     changes: tuple[TriedChange, ...]
@@ -74,6 +83,7 @@ class PlanReport(msgspec.Struct, frozen=True, kw_only=True):
     simulations: int
     """Number of simulated records behind the expected intervals."""
     simulated_s: float
+    base: PlannedBase | None = None
     effects: tuple[DetectableEffect, ...] = ()
     """Smallest effects that a diagnosis of such records would name."""
     notes: tuple[str, ...] = ()

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
 
@@ -33,15 +32,6 @@ class MeasuredBase:
             displacement_m=self.displacement_m[samples],
             acceleration_m_per_s2=self.acceleration_m_per_s2[samples],
             lost_m_per_s2=self.lost_m_per_s2[samples],
-        )
-
-
-def refuse_measured_base(rig: Rig, command: str) -> None:
-    """Raise RigError, for a command that knows forces alone, if a sensor measures how the base shakes."""
-    if rig.base_sensors:
-        raise RigError(
-            f"{command} does not know a base whose motion is measured, as that of {rig.name!r} by "
-            f"{rig.base_sensors[0].name!r}; identify contact, identify law and identify gap do"
         )
 
 

@@ -1,4 +1,4 @@
-"""Level and band of a force that makes the contacts of a rig rattle, by its linear modes."""
+"""Level and band of a force, or of a base, that makes the contacts of a rig rattle, by its linear modes."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Rig, Station
-from rig.model.modes import mode_count, modes_of
+from rig.model.modes import mode_count, modes_of, participation
 from rig.model.space import plane_rigs
 
 LOWEST_HZ = 0.5
@@ -26,7 +26,7 @@ MODE_COUNT, LINE_COUNT, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
 
 @dataclass(frozen=True)
 class ForceLevel:
-    """Level of a force, N rms, and why it was chosen."""
+    """Level of a force, N rms, or of the inertial force on each kilogram by a base, N/kg, and why it was chosen."""
 
     rms_n: float
     reason: str
@@ -38,7 +38,8 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
     eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w), with the springs between bodies. Rounded to one significant
     digit; 1 N if no contact has a clearance in reach or none responds to the force. The clearance of a contact is the
-    mean over its stops in reach. In space, the larger of the forces of both directions.
+    mean over its stops in reach. In space, the larger of the forces of both directions. On a base that shakes, whose
+    motion the ground and its stops share, the inertial force acts: its level is that of the base's acceleration.
     """
     if rig.in_space:
         driven_axes = {station.direction for station in rig.forces}
@@ -87,6 +88,8 @@ def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"
         natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(taken_count)[:, None]
         ratios = np.maximum(modes.damping_ratios(taken_count), MIN_DAMPING_RATIO)[:, None]
         shapes = np.zeros((len(station_pairs), taken_count))
+        if rig.is_on_ground(force_at):
+            shapes[0] = participation(rig, body, modes, taken_count)
         for i, station_pair in enumerate(station_pairs):
             for sign, station in zip((1, -1), station_pair, strict=True):
                 if station is not None and station.body == body.name:

@@ -6,6 +6,7 @@ import pytest
 from identify.planning.results import PlanReport
 from rig.model.description import to_json
 from rig.simulation.reference import Sdof
+from tests.identify.small_rigs import MASS_ON_TABLE
 from tests.running import exit_status
 
 WORDS = ("--duration", 20, "--force-rms", 0.7, "--workers", 1)
@@ -39,6 +40,19 @@ def test_the_terminal_shows_intervals_and_ranked_changes(rig_json, capfd):
     printed, _ = capfd.readouterr()
     for text in ("Planned: 20 s of a Gaussian force of 0.700 N rms", "stop", "1.000", "10000", "ranked", "note: "):
         assert text in printed
+
+
+def test_a_base_is_planned_with_its_own_level(tmp_path, capfd):
+    path, out = tmp_path / "rig.json", tmp_path / "out"
+    path.write_bytes(to_json(MASS_ON_TABLE))
+    words = ("--duration", 12, "--base-rms", 1.5, "--band", 4, 40, "--changes", 1, "--workers", 1, "--out", out)
+    assert exit_status("identify", "plan", path, *words, columns=100) == 0
+    assert "Planned: 12 s of a base that shakes with 1.50 m/s² rms from 4 to 40 Hz." in capfd.readouterr().out
+    plan = msgspec.json.decode((out / "plan.json").read_bytes(), type=PlanReport)
+    assert (plan.base.acceleration_rms_m_per_s2, plan.force) == (1.5, None)
+    assert "a base that shakes with 1.50 m/s" in (out / "plan.html").read_text(encoding="utf-8")
+    assert exit_status("identify", "plan", path, "--force-rms", 1) == 1
+    assert "--base-rms" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

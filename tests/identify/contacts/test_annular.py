@@ -18,15 +18,18 @@ from identify.contacts.space_contacts import annular_records
 from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
+from identify.planning.planned_test import drawn_forces_n, planned_test
 from rig import BarrelCradleAnnular, record
 from rig.errors import RigError
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import PointSpring, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups, plane_recording
+from rig.simulation.replay import modal
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
 from tests.identify.contacts.contact_records import contact_record
+from tests.identify.small_rigs import MASS_IN_RING
 
 SECONDS = 12.0
 VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])
@@ -254,6 +257,18 @@ def test_check_takes_both_directions():
     names = (recording.rig.sensors[4].name, recording.rig.sensors[12].name)
     findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
     assert [f.channels for f in findings if f.cause == "copy"] == [names]
+
+
+@pytest.mark.parametrize("frequency_hz", [0.0, 4.0])
+def test_a_single_mass_is_not_compared_while_its_ring_is_open(frequency_hz):
+    """Near the middle of one direction a ring may be closed in the other."""
+    (mass,) = MASS_IN_RING.bodies
+    rig = replace(MASS_IN_RING, bodies=(replace(mass, frequency_hz=frequency_hz),), gravity_m_per_s2=0.0)
+    test = planned_test(rig, SECONDS, 20.0, (1.0, 50.0))
+    result = identify.contact(modal(rig, rig, drawn_forces_n(test, 1), 1))
+    assert not result.report.findings
+    (ring,) = result.identification.contacts.annular.values()
+    assert ring.widening_factor < 1.5  # sqrt(1 + p^2) by the pull p of its mass in the fit
 
 
 def test_the_share_of_the_motion_across_is_in_the_intervals():

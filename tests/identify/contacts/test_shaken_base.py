@@ -247,14 +247,29 @@ def test_a_base_motion_without_a_sensor_is_refused_and_one_with_a_sensor_is_not(
         identify.contact(record(blind, motions["mass"][2][1:]))
 
 
-def test_the_command_that_knows_forces_alone_says_so(motions):
-    rig, _, _ = CASES["mass"]
-    recording = record(rig, motions["mass"][2])
-    with pytest.raises(RigError, match="identify plan does not know a base whose motion is measured"):
-        identify.plan(rig)
+def test_the_check_that_knows_forces_alone_says_so(motions):
+    recording = record(CASES["mass"][0], motions["mass"][2])
     assert check_recording(recording) == ()
     (note,) = identify.check(recording).notes
     assert note.startswith("only the waveforms are checked: the base of 'shaken' shakes")
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+def test_the_plan_of_such_a_test_foretells_its_intervals(motions, quantity):
+    """Planned by the plant `modal` under Gaussian motion of the record's level and band."""
+    rows = motions["two masses"][2 if quantity == "acceleration" else 0]
+    recording = record(described((LOWER, UPPER), BUMPER, quantity), rows)
+    (estimate,) = identify.contact(recording).report.contacts
+    plan = identify.plan(recording, most_changes=0).report
+    of_base = motions["two masses"][2][0, round((QUIET_S + RISE_S) * RATE_HZ) :]
+    assert plan.base.acceleration_rms_m_per_s2 == pytest.approx(of_base.std(), rel=0.05)
+    assert (plan.duration_s, plan.force) == (DURATION_S, None)
+    (expected,) = plan.contacts
+    for name, true in (("clearance_m", 5e-4), ("stiffness_n_per_m", STIFFNESS)):
+        stated, planned = getattr(estimate, name), expected.quantities[name]
+        assert 1 / 1.5 < stated.standard_error / planned.standard_error < 1.5
+        assert abs(stated.value - true) < 1.5 * COVERED * planned.standard_error
+    assert {"added_mass", "contact_clearance"} <= {effect.effect for effect in plan.effects}
 
 
 def test_a_dead_sensor_on_the_base_is_found(motions):

@@ -6,11 +6,12 @@ from msgspec.structs import replace
 import identify
 from identify.planning import page, ranking
 from identify.planning.detectable import DetectableEffect, detectable_effects
-from identify.planning.planned_test import drawn_forces_n, planned_test
+from identify.planning.planned_test import drawn_forces_n, planned_test, simulated_recording
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal
+from tests.identify.small_rigs import MASS_ON_TABLE
 
 pytestmark = pytest.mark.long
 
@@ -80,6 +81,17 @@ def test_a_plan_outlives_this_side_analysis(monkeypatch):
     assert report.contacts
     assert report.effects == ()
     assert "which effects would be named could not be computed: no such thing" in report.notes
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("times", "named"), [(1.2, True), (0.3, False)])
+def test_on_a_shaken_base_what_is_large_enough_is_named(times, named):
+    test = planned_test(MASS_ON_TABLE, 20.0, None, (4.0, 40.0), LABORATORY, 2.0)
+    (added,) = (effect for effect in detectable_effects(test, modal, 1, 20.0) if effect.effect == "added_mass")
+    actual = effect_named(f"added_mass:mass_kg={times * added.size}").applied_to(MASS_ON_TABLE)
+    gap = identify.gap(*(simulated_recording(test, actual, modal, seed) for seed in (5, 6))).report
+    assert (gap.verdict == "explained") == named
+    assert not named or gap.causes[0].effects == ("added_mass",)
 
 
 @pytest.mark.study

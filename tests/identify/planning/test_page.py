@@ -1,6 +1,7 @@
 """A plan as a sentence, rows of tables and a page."""
 
 import pytest
+from msgspec.structs import replace
 
 from identify.planning import page
 from identify.planning.expectation import ExpectedContact, ExpectedQuantity, Undetermined
@@ -17,6 +18,17 @@ def change(kind, words, factor, **fields):
     return TriedChange(
         kind=kind, words=words, widest_share=0.01 * factor, widest_factor=factor, largest=largest, **fields
     )
+
+
+def test_friction_and_centre_of_a_ring_are_told_in_a_sentence(plan):
+    friction = quantity(0.1, 0.001)
+    ring = replace(plan.contacts[0], friction_coefficient=friction)
+    centred = replace(ring, center_y_m=quantity(2e-3, 1e-5), center_z_m=quantity(0.0, 1e-6))
+    assert list(page.ring_sentences(replace(plan, contacts=(ring, centred)))) == [
+        "contact_1: friction coefficient 0.1000 ± 0.0020; its centre will not be told",
+        "contact_1: friction coefficient 0.1000 ± 0.0020; centre in y 2.000 ± 0.020 mm; centre in z 0.0000 ± 0.0020 mm",
+    ]
+    assert not list(page.ring_sentences(plan))
 
 
 @pytest.fixture

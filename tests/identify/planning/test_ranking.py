@@ -5,14 +5,14 @@ import pytest
 from msgspec.structs import replace
 
 import identify
-from identify.contacts import identify_contact
-from identify.planning.expectation import QUANTITIES
+from identify.contacts.space_identification import identify_recording
 from identify.planning.planned_test import planned_test
-from identify.planning.ranking import ranked_plan
+from identify.planning.ranking import NO_EFFECTS_IN_SPACE, ranked_plan
 from rig.errors import RigError
 from rig.model.tolerances import EXACT
 from rig.recording import read
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
+from tests.identify.small_rigs import MASS_IN_RING, MASS_ON_TABLE, RING
 
 pytestmark = pytest.mark.long
 
@@ -82,8 +82,42 @@ def test_processes_give_the_same_plan():
     assert ranked_plan(test, most_changes=1, workers=2) == ranked_plan(test, most_changes=1)
 
 
-def standard_errors(report) -> np.ndarray:
-    return np.array([[getattr(c, name).standard_error for name in QUANTITIES] for c in report.contacts])
+def test_a_ring_is_told_all_around_and_as_well_as_the_scale_of_the_forces():
+    """The two forces have a gain each: sigma^-2 = sigma_m^-2 + 2 sigma_F^-2, if both directions tell alike."""
+    tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
+    test = planned_test(MASS_IN_RING, 12.0, 20.0, (1.0, 50.0), tolerances)
+    plan = ranked_plan(test, most_changes=1)
+    (ring,) = plan.contacts
+    share = ring.stiffness_n_per_m.standard_error / ring.stiffness_n_per_m.value
+    assert 0.9 < share / (0.02 / np.sqrt(3)) < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
+    assert ring.stiffness_n_per_m.limited_by == "tolerances"
+    assert ring.friction_coefficient.value == RING.friction_coefficient
+    sag_m = RING.clearance_m + 2.0 * 9.81 / RING.stiffness_n_per_m
+    assert abs(ring.center_y_m.value - sag_m) < 4 * ring.center_y_m.standard_error
+    assert abs(ring.center_z_m.value) < 4 * ring.center_z_m.standard_error
+    assert [change.kind for change in plan.changes] == ["add sensor"]
+    assert plan.effects == ()
+    assert NO_EFFECTS_IN_SPACE in plan.notes
+    in_y = replace(test, rig=replace(MASS_IN_RING, sensors=MASS_IN_RING.sensors[:1]))
+    (refused,) = ranked_plan(in_y, most_changes=0).undetermined
+    assert refused.code == "one_direction"
+
+
+def test_on_a_shaken_base_a_stiffness_is_as_uncertain_as_the_mass():
+    """The motion gives k / m, and no force tells the scale."""
+    tolerances = replace(EXACT, mass=0.02)
+    test = planned_test(MASS_ON_TABLE, 12.0, None, (4.0, 40.0), tolerances, 1.5)
+    plan = ranked_plan(test, most_changes=0)
+    (stops,) = plan.contacts
+    share = stops.stiffness_n_per_m.standard_error / stops.stiffness_n_per_m.value
+    assert 0.95 < share / 0.02 < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
+    assert stops.stiffness_n_per_m.limited_by == "tolerances"
+    assert (plan.force, plan.base.acceleration_rms_m_per_s2, plan.base.band_hz) == (None, 1.5, (4.0, 40.0))
+    assert "sensor_gain" in {effect.effect for effect in plan.effects if "ground" in effect.place}
+
+
+def standard_errors(report, names) -> np.ndarray:
+    return np.array([[getattr(c, name).standard_error for name in names] for c in report.contacts])
 
 
 def fresh_ratios(settings, simulate, folder) -> np.ndarray:
@@ -91,11 +125,12 @@ def fresh_ratios(settings, simulate, folder) -> np.ndarray:
     quantities."""
     test = planned_test(settings.rig(), settings.duration_s, settings.rms_n, (settings.low_hz, settings.high_hz))
     plan = ranked_plan(test, most_changes=0)
-    planned_errors = np.array([[quantity.standard_error for quantity in c.quantities] for c in plan.contacts])
+    names = [name for name in plan.contacts[0].quantities if not name.startswith("center")]
+    planned_errors = standard_errors(plan, names)
     stated = []
     for seed in range(21, 26):
         path = simulate(replace(settings, seed=seed), folder / f"{seed}.mcap")
-        stated.append(standard_errors(identify_contact(read(path)).report))
+        stated.append(standard_errors(identify_recording(read(path)).report, names))
     ratios = np.array(stated) / planned_errors
     print("\n", np.round(ratios, 2).tolist())
     return ratios
@@ -110,6 +145,11 @@ def fresh_ratios(settings, simulate, folder) -> np.ndarray:
             id="beams",
             marks=pytest.mark.study,
         ),
+        pytest.param(
+            BarrelCradleAnnular(sensors="acceleration", noise_density=1e-3, duration_s=20.0),
+            id="rings",
+            marks=pytest.mark.study,
+        ),
     ],
 )
 def test_fresh_recordings_have_the_planned_standard_errors(settings, simulate, tmp_path):
@@ -118,6 +158,6 @@ def test_fresh_recordings_have_the_planned_standard_errors(settings, simulate, t
     ratios = fresh_ratios(settings, simulate, tmp_path)
     middle = np.median(ratios, axis=0)
     assert np.all((middle[:, :2] > 0.7) & (middle[:, :2] < 1.4))
-    assert np.all((middle[:, 2] > 0.5) & (middle[:, 2] < 2.0))
+    assert np.all((middle[:, 2:] > 0.5) & (middle[:, 2:] < 2.0))
     in_range = (ratios[..., :2] > 0.7) & (ratios[..., :2] < 1.4)
     assert np.mean(in_range) >= 0.8
