@@ -108,7 +108,7 @@ class AnnularRecord:
             pulls[plane_columns] += initial_pulls(plane)
         return pulls
 
-    def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:
+    def at_forces(self, rows: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows fewer"]:
         """Samples of signals at which there are forces."""
         return rows[:, :: self.decimation][:, : self.force_n.shape[1]]
 

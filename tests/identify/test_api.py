@@ -46,7 +46,7 @@ def test_a_channel_as_pandas(file):
     assert (series.name, series.index.name) == ("force, N", "time_s")
 
 
-@pytest.mark.parametrize("name", ["law", "gap", "plan"])
+@pytest.mark.parametrize("name", ["law", "plan"])
 def test_what_takes_plane_rigs_alone_refuses_rigs_in_space(name):
     machine = rig.BarrelCradleAnnular().rig()
     groups = channel_groups(machine)
