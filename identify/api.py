@@ -14,6 +14,7 @@ from identify.contacts.space_identification import identify_recording
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.prepare import simulator_named
+from identify.gaps.decision.space import diagnose_in_space
 from identify.gaps.results import Matters
 from identify.history import history_of
 from identify.history.observations import observations
@@ -45,11 +46,9 @@ def check(
     """
     record = _recording(recording)
     with threadpool_limits(1):
-        if record.rig.in_space:
-            findings = space_findings(record, use, _tolerances(tolerances))
-        else:
+        if not record.rig.in_space:
             check_plane(record.rig, "identify check without annular contacts")
-            findings = check_recording(record, use, _tolerances(tolerances))
+        findings = _findings_of(record, _tolerances(tolerances), use)
     return CheckResult(findings, _title([recording], record), unchecked(record.rig))
 
 
@@ -133,9 +132,9 @@ def gap(
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
     records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
-    for record in records.values():
-        check_plane(record.rig, "identify gap")
     first = next(iter(records.values()))
+    if not first.rig.in_space:
+        check_plane(first.rig, "identify gap without annular contacts")
     reference_path = None if null_reference is None else Path(null_reference)
     if reference_path and reference_path.is_dir():
         reference_path /= f"{quote(first.rig.name, safe=' ')[:MAX_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
@@ -143,8 +142,8 @@ def gap(
         inputs = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
         check_target(reference_path, *inputs, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
-        findings = [check_recording(record, tolerances=_tolerances(tolerances)) for record in records.values()]
-        report, corrected = diagnose(
+        findings = [_findings_of(record, _tolerances(tolerances)) for record in records.values()]
+        report, corrected = (diagnose_in_space if first.rig.in_space else diagnose)(
             list(records.values()),
             None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
             simulator_named(simulator),
@@ -165,6 +164,12 @@ def gap(
     return GapResult(report, corrected, _title(sources, first), tuple(unique_findings), _files(all_sources))
 
 
+def _findings_of(record: Recording, tolerances: Tolerances | None, use: MotionQuantity = "auto") -> tuple[Finding, ...]:
+    """Findings of the check of a record, in both directions of a rig in space."""
+    find = space_findings if record.rig.in_space else check_recording
+    return tuple(find(record, use, tolerances))
+
+
 def _remaining_findings(
     findings: Sequence[Finding], record: Recording, corrected: Rig, tolerances: Tolerances | None
 ) -> Sequence[Finding]:
@@ -172,7 +177,7 @@ def _remaining_findings(
     if not findings or to_json(corrected) == to_json(record.rig):
         return findings
     try:
-        with_corrected = check_recording(replace(record, rig=corrected), tolerances=tolerances)
+        with_corrected = _findings_of(replace(record, rig=corrected), tolerances)
     except RigError:
         return findings
     remaining = {(finding.cause, finding.channels, finding.of) for finding in with_corrected}

@@ -209,6 +209,7 @@ Analysis = Literal[
     "next_experiment",
     "attribution",
     "rollout",
+    "ring_friction",
 ]
 
 

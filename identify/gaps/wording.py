@@ -38,6 +38,7 @@ ANALYSIS_WORDS = {
     "next_experiment": "the next experiment",
     "attribution": "where the difference lies",
     "rollout": "prediction from measured states",
+    "ring_friction": "whether the friction of rings is as in rig.json",
 }
 """Side analyses that a note may name."""
 PREDICTION_WORDS = {

@@ -48,7 +48,7 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Delay of every sensor against the force."""
     cross_axis: float = 0.01
     """Share of the motion across its direction that every sensor shows, by its transverse sensitivity and the angle at
-    which it is mounted; used by `identify contact` where both directions are measured at one place."""
+    which it is mounted; used by `identify contact` and `gap` where both directions are measured at one place."""
     high_pass_hz: float = 0.1
     """Corner of the first-order high-pass of an AC-coupled accelerometer that the description does not mention."""
     crosstalk: float = 2e-3

@@ -35,7 +35,8 @@ TAIL_S = 0.05
 
 @dataclass(frozen=True)
 class Tube:
-    """A steel tube, clamped at its left end or free; factors on frequency and damping of each mode and direction."""
+    """A steel tube, clamped at its left end or free; factors on frequency and damping of each mode and direction, and
+    point masses on it (position_m, kg)."""
 
     name: str
     clamped: bool
@@ -46,6 +47,7 @@ class Tube:
     damping_ratio: float = 0.01
     frequency_factors: Float[np.ndarray, "2 modes"] | None = None
     damping_factors: Float[np.ndarray, "2 modes"] | None = None
+    masses: tuple[tuple[float, float], ...] = ()
 
     @property
     def rectangle_m(self) -> tuple[float, float]:
@@ -180,6 +182,7 @@ def _modes(machine: SpaceMachine) -> _Modes:
             youngs_modulus_pa=210e9,
             density_kg_per_m3=tube.density_kg_per_m3,
             damping_ratio=tube.damping_ratio,
+            masses=tube.masses,
         )
         found.append(modes_of(beam))
     kept = [m.omega_rad_per_s < 2 * np.pi * HIGHEST_HZ for m in found]

@@ -9,7 +9,7 @@ Notes for maintainers
    of the fit and S that of the tolerances, d' (C + S)^-1 d is chi-squared where nothing differs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from identify.contacts.refusals import Refusal
 from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
-from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, pooled_estimate
+from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, law_outcomes, pooled_estimate
 from identify.pages.wording import COVERED
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -127,9 +127,14 @@ def _upper_share(squared_share_by_second: Float[np.ndarray, " seconds"]) -> floa
     )
 
 
-def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
+def contact_distances(
+    recordings: Sequence[Recording],
+    rig: Rig,
+    tolerances: Tolerances,
+    outcomes_of: Callable[[Recording, Rig, Tolerances], LawOutcomes] = law_outcomes,
+) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
-    outcomes_by_record = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
+    outcomes_by_record = [outcomes_of(recording, rig, tolerances) for recording in recordings if rig.contacts]
     parameter_bounds: list[Bounded] = []
     p_values: list[float] = []
     pooled_estimates: list[LawEstimate] = []

@@ -179,16 +179,7 @@ def difference_of(
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
     validation = prepared.validation_recording
-
-    def nominal_misfit(observation: PreparedRecording) -> Misfit:
-        if observation is prepared.searched_recording and observation is not validation:
-            return searched_misfit
-        fitted_residual = (
-            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
-        )
-        return misfit(observation.record, observation.nominal_variances, fitted_residual)
-
-    nominal_misfits = [nominal_misfit(observation) for observation in prepared.observations]
+    nominal_misfits = nominal_misfits_of(prepared, searched_misfit, residual)
     p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
     p_value = with_bound(combined_p_value(p_value_parts), split_bound)
     rig = validation.record.rig
@@ -206,6 +197,21 @@ def difference_of(
         parameter_distances.parameter_bounds,
         parameter_distances.law_estimates,
     )
+
+
+def nominal_misfits_of(prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual) -> list[Misfit]:
+    """Misfit of the nominal rig to every record, from the two that `difference_of` is given."""
+    validation = prepared.validation_recording
+
+    def nominal_misfit(observation: PreparedRecording) -> Misfit:
+        if observation is prepared.searched_recording and observation is not validation:
+            return searched_misfit
+        fitted_residual = (
+            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
+        )
+        return misfit(observation.record, observation.nominal_variances, fitted_residual)
+
+    return [nominal_misfit(observation) for observation in prepared.observations]
 
 
 def _refit_contact_laws(

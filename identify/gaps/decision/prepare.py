@@ -20,6 +20,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
 from identify.gaps.search.sparse import ranked_hypotheses
 from rig.errors import RigError
+from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.interfaces import Predict, Simulate
@@ -36,6 +37,7 @@ class Simulator:
 
 SIMULATORS, PREDICTORS = "identify.simulators", "identify.predictors"
 """Entry point groups under which packages offer simulators, and predictors from measured states."""
+SelectCandidates = Callable[[list[Candidate], Rig], list[Candidate]]
 PREDICTOR = "modal"
 """Predictor for simulators whose package offers none of the same name."""
 
@@ -180,14 +182,19 @@ class SearchResult:
     nominal_misfit: Misfit
 
 
-def search(prepared: PreparedRecordings, progress: Callable[[float], None] = lambda _: None) -> SearchResult:
+def search(
+    prepared: PreparedRecordings,
+    progress: Callable[[float], None] = lambda _: None,
+    selected: SelectCandidates | None = None,
+) -> SearchResult:
     """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
-    parameters."""
+    parameters. `selected` takes those of the library's candidates that a rig's records show."""
     strongest_recording, search_share = prepared.searched_recording, 0.6 if prepared.fits_several else 1.0
     search_result = search_record(
         strongest_recording.record,
         strongest_recording.nominal_variances,
         lambda search_progress: progress(search_share * search_progress),
+        selected,
     )
     if not prepared.fits_several:
         return search_result
@@ -202,13 +209,18 @@ def search(prepared: PreparedRecordings, progress: Callable[[float], None] = lam
 
 
 def search_record(
-    record: Record, nominal_variances: NominalVariances, progress: Callable[[float], None] = lambda _: None
+    record: Record,
+    nominal_variances: NominalVariances,
+    progress: Callable[[float], None] = lambda _: None,
+    selected: SelectCandidates | None = None,
 ) -> SearchResult:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
     library_candidates = candidates(
         scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force
     )
+    if selected:
+        library_candidates = selected(library_candidates, record.rig)
     hypotheses = ranked_hypotheses(
         Search(nominal_variances, linearization, residual, tuple(library_candidates)), progress
     )

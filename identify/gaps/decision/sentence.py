@@ -22,6 +22,10 @@ UNSCALED = (
     "alike does not show, nor does one that scales clearances and sensor gains alike. Channels were not checked for "
     "faults."
 )
+RING_FRICTION = (
+    "The friction of rings was not compared with rig.json, as no tolerance states it; identify contact gives it with "
+    "its interval."
+)
 VETO_SENTENCES = {
     "worse": "With that the rig predicts the measured motion worse than without.",
     "no_improvement": "With that the rig predicts the measured motion no better, as it would if that were all.",
@@ -46,6 +50,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     all_sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)
     all_sentences += _ruled_out_sentence(diagnosis)
     all_sentences += [UNSCALED] if diagnosis.free_decay else []
+    all_sentences += [RING_FRICTION] if any(note.analysis == "ring_friction" for note in diagnosis.notes) else []
     all_sentences += [between_records_sentence(diagnosis.between)] if diagnosis.between else []
     return all_sentences + [
         f"Channel {channel_name} is {fault} and was left out."
@@ -101,6 +106,9 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
             f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
             f"without {_pronoun(named)}: it would be off by {pull_words} standard deviations."
         ]
+    if (beyond := _parameters_beyond(gap)) and not gap.before.contact_shares:  # rings, by their contact fit alone
+        p_words = p_value_words(gap.evidence.p_value)
+        return [f"{capitalised(joined(named.named))} {explain} the difference ({p_words}).", *beyond]
     chance_words = (
         ""
         if gap.after.p_value < USUAL_P_VALUE
@@ -169,7 +177,7 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
 
 
 def _parameters_beyond(gap: Diagnosis) -> list[str]:
-    """Sentence on contact parameters that are certainly off by more than matters."""
+    """Sentence on contact parameters that are off in rig.json by more than matters."""
     beyond = [bound for bound in gap.evidence.quantities if bound.unit != "1" and not (bound.holds or bound.not_seen)]
     return [f"Off by more than matters: {joined([bound_words(bound) for bound in beyond])}."] if beyond else []
 
@@ -257,6 +265,8 @@ def _not_seen_sentences(gap: Diagnosis) -> list[str]:
 
 def _force_description(gap: Diagnosis, subject: str) -> str:
     """Sentence on an unmeasured force that describes the difference, or its rest, with its share if that is small."""
+    if any(note.analysis == "unmeasured_force" for note in gap.notes):
+        return f"{subject} was not compared with unmeasured forces."
     if gap.unknown is None or gap.unknown.explained < HINT_EXPLAINED:
         return f"{subject} looks like no single force that is known here."
     if gap.unknown.explained >= DESCRIPTION_EXPLAINED:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from identify.gaps.decision_table import Verdict
+from identify.gaps.residual.unfolding import IN_Z
 from identify.gaps.results import Gap
 from identify.gaps.wording import DESCRIPTION_EXPLAINED, HINT_EXPLAINED
 from identify.pages.machine import DrawnMark
@@ -39,7 +40,7 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
         for label, effect_words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
             position_share = cause.parameters.get(f"{label}.relative_position")
             effect_stations = (
-                station_named(rig, place, 0.5 if position_share is None else position_share.value)
+                station_named(rig, place.removesuffix(IN_Z), 0.5 if position_share is None else position_share.value)
                 for place_label, place in cause.places.items()
                 if place_label.partition(".")[0] == label
             )

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
+from identify.gaps.residual.unfolding import across
 from identify.gaps.residual.windowed import following_motion, has_ground_forces
 from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
@@ -23,7 +24,7 @@ from identify.linear.nuisance import (
     crosstalk_of,
     elastic_modes,
 )
-from identify.linear.observed_motion import BodyMotion
+from identify.linear.observed_motion import BodyMotion, ObservedTransverse
 from identify.linear.projection import Projection
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
@@ -175,7 +176,18 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
             for response, modal_acceleration in zip(model.responses, _modal_accelerations(record, model), strict=True)
         ),
         base=model.observed_base,
+        transverse=_observed_transverse(record, model),
     )
+
+
+def _observed_transverse(record: Record, model: LinearModel) -> ObservedTransverse | None:
+    """Motion in the other direction of a rig in space where both are measured; None without any."""
+    pairs = across([sensor.station for sensor in record.sensors])
+    if not pairs:
+        return None
+    sensors, others = list(pairs), list(pairs.values())
+    signals = model.sensor_response[sensors] * model.accelerations[others]
+    return ObservedTransverse(sensors, signals, model.displacements[others])
 
 
 def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " some"]:

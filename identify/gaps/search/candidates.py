@@ -36,13 +36,15 @@ class Candidate:
     """Effect at a place: a typical one, and the ranges of its parameters, the strength first.
 
     The effect vanishes where all parameters that have a neutral value are at it. The other parameters are places or
-    frequencies, of which `start_values` gives trial values.
+    frequencies, of which `start_values` gives trial values. An effect with a twin place acts there too
+    (`residual.unfolding`).
     """
 
     kind: type[Effect]
     place: Place
     parameters: ParameterSet
     typical_effect: Effect
+    twin_place: Place | None = None
 
     @property
     def name(self) -> str:
@@ -123,8 +125,13 @@ class Candidate:
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
-        is_neutral = all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True))
-        return rig if is_neutral else self.effect(values).applied_to(rig)
+        if all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True)):
+            return rig
+        effect = self.effect(values)
+        changed_rig = effect.applied_to(rig)
+        if self.twin_place is None:
+            return changed_rig
+        return msgspec.structs.replace(effect, **self.twin_place).applied_to(changed_rig)
 
 
 def contains(containing_candidate: Candidate, contained_candidate: Candidate) -> bool:

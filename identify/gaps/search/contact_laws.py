@@ -13,7 +13,7 @@ rig.json may have wrong (C_tolerances) and differ by their own scatter (C_own):
     v = sum_r W_r v_r,  W_r = (sum_s C_own,s^-1)^-1 C_own,r^-1,   cov v = (sum_s C_own,s^-1)^-1 + mean C_tolerances
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -152,7 +152,12 @@ def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstima
     )
 
 
-def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], tolerances: Tolerances) -> Hypothesis:
+def with_contact_fit(
+    hypothesis: Hypothesis,
+    recordings: Sequence[Recording],
+    tolerances: Tolerances,
+    outcomes_of: Callable[[Recording, Rig, Tolerances], LawOutcomes] = law_outcomes,
+) -> Hypothesis:
     """Hypothesis whose contact laws have the values and the covariance of the joint contact fit.
 
     Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
@@ -165,7 +170,7 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
     record_solutions = (
         _solution_of_record(
             nominal_rig,
-            law_outcomes(recording, hypothesis_rig, tolerances).estimates,
+            outcomes_of(recording, hypothesis_rig, tolerances).estimates,
             law_change,
             hypothesis_values[free_parameters],
         )

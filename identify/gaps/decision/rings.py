@@ -1,0 +1,188 @@
+"""Rings of a rig in space in its diagnosis: what moves them as effects, and their values by the contact fit.
+
+A ring's clearance, stiffness and damping come from the fit that `identify contact` makes, on the folded rig of each
+hypothesis (`residual.unfolding`). The linear residual holds nothing of them, as its contact forces are free.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from msgspec.structs import replace as with_numbers
+from scipy.linalg import block_diag
+
+from identify.contacts.annular_estimate import AnnularEstimate
+from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
+from identify.contacts.law_form import DAMPING_GRADIENT, LAW, STIFFNESS_GRADIENT
+from identify.contacts.refusals import ContactRefusedError
+from identify.contacts.space_contacts import space_contacts
+from identify.gaps.decision.bounds import ContactDistances, contact_distances, law_distance
+from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, probabilities
+from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, contact_minus_two_log
+from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings
+from identify.gaps.decision.verdict import RIVAL_PROBABILITY
+from identify.gaps.residual.unfolding import IN_Z, Unfolding, of_rig
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, with_contact_fit
+from identify.gaps.search.hypothesis import CHANCE_PULL, Hypothesis
+from rig.errors import RigError
+from rig.model.description import Rig, to_json
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording
+
+SHARED_FIELDS = ("bodies", "masses", "supports", "clamps", "contacts")
+"""Fields of a rig for what both directions share."""
+RING_GRADIENTS = (
+    LAW.vector({"lower_clearance_m": 0.5, "upper_clearance_m": 0.5}),
+    STIFFNESS_GRADIENT,
+    DAMPING_GRADIENT,
+)
+"""Clearance, stiffness and damping of a ring as linear functions of the law of its dead zone."""
+
+
+@dataclass(frozen=True)
+class RingFit:
+    """Contact fit of a record of an unfolded rig, by the tolerances of the rig in space."""
+
+    unfolding: Unfolding
+    tolerances: Tolerances
+    outcomes: dict[tuple[int, bytes], LawOutcomes] = field(default_factory=dict)
+
+    def __call__(self, recording: Recording, rig: Rig, _: Tolerances) -> LawOutcomes:
+        """Estimates of the rings that a record determines with the linear model of `rig`, and why not the others."""
+        folded_rig = self.unfolding.folded(rig)
+        nominal_laws = [contact.law for contact in self.unfolding.space_rig.contacts]
+        contacts = (with_numbers(c, law=law) for c, law in zip(folded_rig.contacts, nominal_laws, strict=True))
+        folded_rig = with_numbers(folded_rig, contacts=tuple(contacts), tones=())
+        key = id(recording), to_json(folded_rig)
+        if key not in self.outcomes:
+            self.outcomes[key] = self._outcomes_of(of_rig(recording, folded_rig))
+        return self.outcomes[key]
+
+    def _outcomes_of(self, recording: Recording) -> LawOutcomes:
+        try:
+            contacts = space_contacts(recording, "auto", self.tolerances)
+        except ContactRefusedError as error:
+            return LawOutcomes((), {c.name: error.refusal for c in recording.rig.contacts})
+        except RigError:
+            return LawOutcomes()
+        return LawOutcomes(
+            tuple(_law_estimate(name, estimate) for name, estimate in contacts.annular.items()), contacts.refusals
+        )
+
+
+def _law_estimate(contact_name: str, estimate: AnnularEstimate) -> LawEstimate:
+    fitted = [CLEARANCE, STIFFNESS, DAMPING]
+    return LawEstimate(
+        contact_name,
+        np.array(RING_GRADIENTS),
+        estimate.values[fitted],
+        estimate.covariance[np.ix_(fitted, fitted)],
+        estimate.covariances["tolerances"][np.ix_(fitted, fitted)],
+    )
+
+
+def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+    """Candidates that the linear residual of an unfolded rig shows, those on what both directions share with their
+    twin."""
+    chosen = []
+    for candidate in _with_twins(library_candidates, rig):
+        changed_rig = candidate.applied(rig, candidate.typical_values)
+        same_laws = all(c.law == n.law for c, n in zip(changed_rig.contacts, rig.contacts, strict=True))
+        if same_laws and changed_rig.loads == rig.loads and changed_rig.base_motion == rig.base_motion:
+            chosen.append(candidate)
+    return chosen
+
+
+def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+    """Candidates that the contact fit of single rings shows."""
+    return [c for c in _with_twins(library_candidates, rig) if c.kind.name in CONTACT_EFFECTS]
+
+
+def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+    """Candidates on one direction or the whole rig, and on bodies and contacts of both with their twin's place."""
+    chosen = []
+    for candidate in library_candidates:
+        changed_rig = candidate.applied(rig, candidate.typical_values)
+        is_shared = any(getattr(changed_rig, name) != getattr(rig, name) for name in SHARED_FIELDS)
+        if not (candidate.place and is_shared):
+            chosen.append(candidate)
+            continue
+        places = {name: place for name, place in candidate.place.items() if name in ("body", "beam", "contact")}
+        if places and all(place and not place.endswith(IN_Z) for place in places.values()):
+            twin_place = {**candidate.place, **{name: f"{place}{IN_Z}" for name, place in places.items()}}
+            chosen.append(replace(candidate, twin_place=twin_place))
+    return chosen
+
+
+def ring_distances(observations: Sequence[PreparedRecording], rig: Rig, ring_fit: RingFit) -> ContactDistances:
+    """Distances of the rings' parameters from those of an unfolded rig, by the contact fit pooled over the records."""
+    rings = tuple(contact for contact in rig.contacts if not contact.name.endswith(IN_Z))
+    recordings, tolerances = [observation.recording for observation in observations], ring_fit.tolerances
+
+    def outcomes_of(recording: Recording, _: Rig, __: Tolerances) -> LawOutcomes:
+        return ring_fit(recording, rig, tolerances)
+
+    return contact_distances(recordings, with_numbers(rig, contacts=rings), tolerances, outcomes_of)
+
+
+def with_ring_fits(
+    prepared: PreparedRecordings,
+    all_candidates: Sequence[Candidate],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
+    ring_fit: RingFit,
+) -> list[ValidatedHypothesis]:
+    """Hypotheses with -2 ln p of the rings by the contact fit on their own linear model, and each with effects on the
+    parameters that this fit puts more than `CHANCE_PULL` standard deviations off; the likeliest first.
+
+    Hypotheses less likely than `RIVAL_PROBABILITY` by the linear residual are left out, but for the nominal rig.
+    """
+    record, nominal = prepared.validation_recording.record, nominal_of(ranked_hypotheses)
+    linear_probabilities = probabilities(np.array([item.log_posterior for item in ranked_hypotheses]))
+    likely = [
+        item
+        for item, probability in zip(ranked_hypotheses, linear_probabilities, strict=True)
+        if probability > RIVAL_PROBABILITY or item is nominal
+    ]
+    with_rings = []
+    for item in likely:
+        estimates = ring_distances(prepared.observations, item.rig, ring_fit).law_estimates
+        variants = [item, *_with_ring_effects(prepared, all_candidates, item, estimates, ring_fit)]
+        for variant in variants:
+            costs = (contact_minus_two_log(e, record.rig, variant.rig, record.tolerances) for e in estimates)
+            with_rings.append(replace(variant, contact_minus_two_log=float(sum(costs))))
+    return sorted(with_rings, key=lambda item: -item.log_posterior)
+
+
+def _with_ring_effects(
+    prepared: PreparedRecordings,
+    all_candidates: Sequence[Candidate],
+    validated: ValidatedHypothesis,
+    estimates: Sequence[LawEstimate],
+    ring_fit: RingFit,
+) -> list[ValidatedHypothesis]:
+    """The hypothesis with effects on all ring parameters that are off, with the values of the contact fit of the fitted
+    records; empty if none is off."""
+    record, hypothesis = prepared.validation_recording.record, validated.hypothesis
+    off_names = set[str]()
+    for estimate in estimates:
+        contact = next(c for c in record.rig.contacts if c.name == estimate.contact_name)
+        distance = law_distance(estimate, contact, contact, record.tolerances)
+        is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
+        off_names |= {f"{CONTACT_EFFECTS[k]}:{contact.name}" for k in np.flatnonzero(is_off)}
+    added = tuple(candidate for candidate in all_candidates if candidate.name in off_names)
+    if not added:
+        return []
+    neutral = np.array([candidate.neutral_strength for candidate in added])
+    start = Hypothesis(
+        (*hypothesis.candidates, *added),
+        np.append(hypothesis.values, neutral),
+        block_diag(hypothesis.covariance, np.zeros((neutral.size, neutral.size))),
+        hypothesis.misfit,
+    )
+    recordings = [observation.recording for observation in prepared.fitted_recordings]
+    fitted = with_contact_fit(start, recordings, record.tolerances, ring_fit)
+    if fitted is start:
+        return []
+    prior = log_priors([fitted], all_candidates)[fitted.effect_names]
+    return [replace(validated, hypothesis=fitted, rig=fitted.applied_to(record.rig), log_prior=prior)]
