@@ -220,16 +220,16 @@ def _filter_explanation(
     line_weights: Float[np.ndarray, " lines"],
 ) -> Explanation | None:
     """Explanation: gain and phase change with frequency; constants of each in bands of growing width."""
-    band_gains, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted_spectrum, line_weights)
-    if not (band_gains.max() > 1.03 * band_gains.min() > 0):
+    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted_spectrum, line_weights)
+    if not (gain_sizes.max() > 1.03 * gain_sizes.min() > 0):
         return None
     return Explanation(
         unexplained_share,
         Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{name} passes {100 * band_gains[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
-            f"{100 * band_gains[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
+            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
+            f"{100 * gain_sizes[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
             mend="undo its filter or its coupling, or record without",
         ),
         4.0,
@@ -263,18 +263,18 @@ def force_finding(
         for line_values in (spectra.omega, spectra.forces[force_index], implied_force, line_weights)
     )
     to_implied = relation(omega, measured, implied_force, line_weights)
-    band_gains, unexplained_share, centres_hz = gain_by_band(omega, measured, implied_force, line_weights)
+    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, implied_force, line_weights)
     if (
         unexplained_share < 0.3
         and 1 - to_implied.coherence > 2.5 * unexplained_share
-        and band_gains.max() > 1.25 * band_gains.min()
+        and gain_sizes.max() > 1.25 * gain_sizes.min()
     ):
-        is_low_passed = band_gains[-1] < band_gains[0]
+        is_low_passed = gain_sizes[-1] < gain_sizes[0]
         return Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{subject} is {band_gains[0]:.3g} times what all sensors imply at "
-            f"{centres_hz[0]:.3g} Hz and {band_gains[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: "
+            evidence=f"{subject} is {gain_sizes[0]:.3g} times what all sensors imply at "
+            f"{centres_hz[0]:.3g} Hz and {gain_sizes[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: "
             f"{'it' if is_low_passed else 'all sensors'} went through a low-pass",
             mend="undo the filter, or put the force and the sensors through the same",
         )

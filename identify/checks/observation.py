@@ -68,18 +68,18 @@ def _truncation_changes(
     """Changes by the modes that a description leaves out, of each force on a body and each station there: the share
     of its highest modes, beyond the band, in the motion is the standard deviation of what modes beyond them would add.
     """
-    first_uncertain_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
-    if response.body.is_mass or first_uncertain_mode >= response.mode_count:
+    first_stand_in_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
+    if response.body.is_mass or first_stand_in_mode >= response.mode_count:
         return
     stations = list(dict.fromkeys(sensor.station for sensor in sensors if sensor.station.body == response.body.name))
-    shapes = response.shapes(stations)[:, first_uncertain_mode:]
+    shapes = response.shapes(stations)[:, first_stand_in_mode:]
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     for name, input_shape, input_spectrum in zip(
         input_names, input_shapes(rig, response, rig.forces), input_spectra, strict=True
     ):
         if stations and np.any(input_shape):
             accelerance = real_product(
-                shapes * input_shape[first_uncertain_mode:], response.accelerance[first_uncertain_mode:]
+                shapes * input_shape[first_stand_in_mode:], response.accelerance[first_stand_in_mode:]
             )
             for station, signal in zip(stations, accelerance * input_spectrum, strict=True):
                 sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station == station]

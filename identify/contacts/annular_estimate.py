@@ -31,6 +31,9 @@ from identify.signals.scores import informative_parts, part_scores
 
 CENTER_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
+CENTER_AND_REST = slice(CENTER.start, REST.stop)
+NEWTON_STEPS = 20
+"""Steps of Newton's method for the force at rest. Effort."""
 REST_ERRORS = 5.0
 """Least force at rest over its standard error, for which the contact certainly rests in its ring."""
 
@@ -82,7 +85,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     The covariance is that of `joint_fit.fit_joint`: a sandwich over sixteenths of the record, both directions of one
     together, plus the effect of a unit error in each row of the priors, plus what deep and shallow, and growing and
     falling depths ask otherwise (`law_fit.misfit_covariance`). By accelerometers the centre
-    against the rest position is -(d + |f_0| / k) f_0 / |f_0| with the force f_0 at rest, which the wall bears alone.
+    against the rest position is -(d + |f_0| / k) f_0 / |f_0| with the wall's force f_0 at rest.
 
     Raises ContactRefusedError as the fit does, or if the slow motion is larger than the accelerometers' noise allows or
     is not bridged from closure to closure.
@@ -100,8 +103,10 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     values, is_center_by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
     values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
     if is_center_by_rest:
-        values[CENTER], center_by_values = _center_by_rest(values)
-        ring_by_free[pull_count:, CENTER] = (center_by_values @ free_to_law).T
+        springs_n_per_m = np.array([plane.spring_n_per_m for plane in record.planes])
+        at_rest, at_rest_by_values = _center_and_rest_force(values, springs_n_per_m)
+        values[CENTER_AND_REST] = at_rest
+        ring_by_free[pull_count:, CENTER_AND_REST] = (at_rest_by_values @ free_to_law).T
     knots_per_gradient, pulls_and_free_per_gradient = equations.solved(ring_by_knots, ring_by_free)
     pulls_and_laws_per_gradient = np.concatenate(
         [pulls_and_free_per_gradient[:pull_count], free_to_law @ pulls_and_free_per_gradient[pull_count:]]
@@ -142,7 +147,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         pulls=state.pulls[:-1],
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
-        force_n=record.force_n + values[-DIRECTIONS:, None],
+        force_n=record.force_n + state.values[REST][:, None],
         unexplained_share=unexplained_share(
             [
                 (residual[record.used], plane.force_n[record.used], plane.noise_n)
@@ -153,20 +158,38 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     )
 
 
-def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 9"]]:
-    """Centre against the position at rest, m, and its derivatives by the values."""
-    rest_force_n = values[REST]
-    force_n, stiffness = max(float(np.hypot(*rest_force_n)), 1e-12), values[STIFFNESS]
-    rest_direction = rest_force_n / force_n
-    radius_m = values[CLEARANCE] + force_n / stiffness
-    center_by_values = np.zeros((DIRECTIONS, len(RING)))
-    center_by_values[:, CLEARANCE] = -rest_direction
-    center_by_values[:, STIFFNESS] = rest_direction * force_n / stiffness**2
-    tangent_projection = np.eye(DIRECTIONS) - np.outer(rest_direction, rest_direction)
-    center_by_values[:, REST] = -(
-        np.outer(rest_direction, rest_direction) / stiffness + radius_m / force_n * tangent_projection
-    )
-    return -radius_m * rest_direction, center_by_values
+def _center_and_rest_force(
+    values: RingValues, springs_n_per_m: Float[np.ndarray, "2"]
+) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4 9"]]:
+    """Centre against the position at rest, m, and the wall's force at rest, N, in both directions, with their
+    derivatives by the values.
+
+    At rest the wall's force f_0 along the unit vector r holds the body at d + |f_0| / k from the centre, where springs
+    to the ground take their part of the fitted constant force: f_0 + K (d + |f_0| / k) r = f. Solved by Newton's method
+    from f_0 = f. Where the springs alone hold the body within its clearance, f_0 is zero.
+    """
+    clearance_m, stiffness_n_per_m, springs = values[CLEARANCE], values[STIFFNESS], np.diag(springs_n_per_m)
+    if springs_n_per_m.all() and np.hypot(*(values[REST] / springs_n_per_m)) < clearance_m:
+        at_rest_by_values = np.zeros((2 * DIRECTIONS, len(RING)))
+        at_rest_by_values[:DIRECTIONS, REST] = -np.diag(1 / springs_n_per_m)
+        return at_rest_by_values @ values, at_rest_by_values
+    wall_n = np.where(values[REST].any(), values[REST], 1e-12)
+    for _ in range(NEWTON_STEPS):
+        force_n = float(np.hypot(*wall_n))
+        along = np.outer(wall_n, wall_n) / force_n**2
+        position_m = (clearance_m / force_n + 1 / stiffness_n_per_m) * wall_n
+        position_by_wall = along / stiffness_n_per_m + (clearance_m / force_n + 1 / stiffness_n_per_m) * (
+            np.eye(DIRECTIONS) - along
+        )
+        wall_by_fitted = np.linalg.inv(np.eye(DIRECTIONS) + springs @ position_by_wall)
+        wall_n = wall_n - wall_by_fitted @ (wall_n + springs @ position_m - values[REST])
+    position_by_values = np.zeros((DIRECTIONS, len(RING)))
+    position_by_values[:, CLEARANCE] = wall_n / force_n
+    position_by_values[:, STIFFNESS] = -wall_n / stiffness_n_per_m**2
+    wall_by_values = -wall_by_fitted @ springs @ position_by_values
+    wall_by_values[:, REST] = wall_by_fitted
+    position_by_values += position_by_wall @ wall_by_values
+    return np.concatenate([-position_m, wall_n]), np.concatenate([-position_by_values, wall_by_values])
 
 
 def _misfit_covariance(

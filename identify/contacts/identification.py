@@ -259,6 +259,6 @@ def _clearances(rig: Rig, stop_by_contact: Sequence[Stops | None]) -> tuple[resu
 
 
 def _transformation_result(transform: Transformation) -> results.TransformationResult:
-    modes, stations = transform.inverse_shapes.shape
+    mode_count, station_count = transform.inverse_shapes.shape
     shares, condition_number = tuple(transform.truncation_shares.tolist()), transform.condition_number
-    return results.TransformationResult(transform.body.name, stations, modes, condition_number, shares)
+    return results.TransformationResult(transform.body.name, station_count, mode_count, condition_number, shares)

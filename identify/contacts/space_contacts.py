@@ -60,7 +60,7 @@ def checked_space_contacts(recording: Recording, use: MotionQuantity, tolerances
 
 def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> tuple[Finding, ...]:
     """Findings of the check, without what weight does to displacements at rest."""
-    findings = check_recording(from_rest_position(recording), use, tolerances)
+    findings = check_recording(counted_from_rest(recording), use, tolerances)
     findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
     return tuple(finding for finding in findings if finding.cause != "not at rest")
 
@@ -84,7 +84,7 @@ def check_directions(rig: Rig, use: MotionQuantity) -> None:
                 )
 
 
-def from_rest_position(recording: Recording) -> Recording:
+def counted_from_rest(recording: Recording) -> Recording:
     """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
     has none, or does not begin at rest."""
     rig = recording.rig
@@ -112,7 +112,7 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         if not contact.law.spatial and contact.at.direction == "y":
             unmodelled_words = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
-    recording_from_rest = from_rest_position(recording)
+    recording_from_rest = counted_from_rest(recording)
     plane_recordings = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
     plane_recordings = [replace(plane, rig=condensed(plane.rig)) for plane in plane_recordings]
     y, z = separate_planes(plane_recordings, use, tolerances)

@@ -264,10 +264,12 @@ def accelerances(
     for response in responses:
         rows = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == response.body.name]
         inputs = input_shapes(rig, response, forces)
-        driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
-        if rows and driving_inputs.size:
+        input_indices_on_body = np.flatnonzero(np.any(inputs, axis=1))
+        if rows and input_indices_on_body.size:
             outputs = response.shapes([places[row] for row in rows])
-            accelerance[driving_inputs[:, None], rows] = response.transfer(outputs, inputs[driving_inputs])
+            accelerance[input_indices_on_body[:, None], rows] = response.transfer(
+                outputs, inputs[input_indices_on_body]
+            )
     return accelerance
 
 

@@ -39,7 +39,7 @@ FINALIST_COUNT = 4
 """Number of changes that get further simulations. Effort."""
 MAX_CHANGES = 40
 """Default of the largest number of changes, sensors left out included."""
-NO_EFFECTS_IN_SPACE = "which effects identify gap would name is planned of rigs that move in one direction alone"
+NO_EFFECTS_IN_SPACE = "effects that identify gap would name are predicted for rigs that move in one direction alone"
 RANKED_QUANTITIES = ("clearance_m", "stiffness_n_per_m")
 """Quantities whose intervals rank changes: a damping of zero has no share."""
 

@@ -215,9 +215,7 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     chunk_filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
     compression_codes = [code for code, *_ in chunk_filters if code not in PLAIN_FILTERS]
     if len(compression_codes) > 1 or not set(compression_codes) <= set(MAX_EXPANSION):
-        filter_names = ", ".join(
-            f"{code} {decode_text(dataset_label)!r}" for code, _, _, dataset_label in chunk_filters
-        )
+        filter_names = ", ".join(f"{code} {decode_text(filter_name)!r}" for code, _, _, filter_name in chunk_filters)
         raise RigError(
             f"{dataset_label} is stored by the filters {filter_names}, which are not read; store it by gzip or without"
         )

@@ -198,7 +198,7 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
     def rig(self) -> Rig:
         """Rig of these settings."""
         barrel_overlap_m = self.length_m - self.overlap_start_m
-        places_m = {
+        sensor_positions_m = {
             "cradle": (0.25 * self.length_m, self.overlap_start_m, 0.75 * self.length_m, self.length_m),
             "barrel": (0.0, 0.25 * self.length_m, barrel_overlap_m, self.length_m),
         }
@@ -228,7 +228,7 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
                 named_sensor(Station(body, position_m, direction), quantity, self.noise_density)
                 for quantity in _quantities(self.sensors)
                 for direction in DIRECTIONS
-                for body, positions_m in places_m.items()
+                for body, positions_m in sensor_positions_m.items()
                 for position_m in positions_m
             ),
             sample_rate_hz=self.sample_rate_hz,

@@ -219,7 +219,7 @@ def _refit_contact_laws(
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
-    It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
+    It is kept where the refit raises -2 ln p of the validation record by `MIN_GAIN` or more, or where it is the nominal
     rig.
     """
     likeliest_hypothesis, *lower_ranked = ranked_hypotheses

@@ -170,7 +170,7 @@ def level_dependence(
     ):
         return None
     lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
-    largest_dependence: tuple[float, LevelDependence] | None = None
+    largest_size_and_dependence: tuple[float, LevelDependence] | None = None
     for body in rig_by_record[lowest_index].bodies:
         (low_hz, low_damping_ratios), (high_hz, high_damping_ratios) = (
             _modal_parameters(rig_by_record[record_index], rig_by_record[record_index].body(body.name))
@@ -192,10 +192,10 @@ def level_dependence(
             damping_change=float(damping_changes[most_changed_mode]),
         )
         if change_sizes[most_changed_mode] > 0 and (
-            largest_dependence is None or change_sizes[most_changed_mode] > largest_dependence[0]
+            largest_size_and_dependence is None or change_sizes[most_changed_mode] > largest_size_and_dependence[0]
         ):
-            largest_dependence = float(change_sizes[most_changed_mode]), dependence
-    return largest_dependence[1] if largest_dependence else None
+            largest_size_and_dependence = float(change_sizes[most_changed_mode]), dependence
+    return largest_size_and_dependence[1] if largest_size_and_dependence else None
 
 
 def _modal_parameters(rig: Rig, body: Body) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]:

@@ -91,8 +91,8 @@ def record_of(
         noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if is_integrated_alone else CORNER_HZ
     )
     factor_to_acceleration, factor_to_displacement = (
-        np.stack([integrated(omega, target_order - sensor.measures.order, corner_hz) for sensor in sensors])
-        for target_order in (2, 0)
+        np.stack([integrated(omega, target_derivative_order - sensor.measures.order, corner_hz) for sensor in sensors])
+        for target_derivative_order in (2, 0)
     )
     velocity_correction, acceleration_signals = _window_corrections(
         recording, record_transform, sensors, omega, beginning.zero_known

@@ -348,3 +348,29 @@ def test_displacements_beside_accelerations_have_shares_across_of_their_own(tmp_
     for contact in report.contacts:
         for estimate, true in ((contact.clearance_m, 2e-3), (contact.stiffness_n_per_m, 5e5)):
             assert abs(estimate.value - true) < 2 * COVERED * estimate.standard_error
+
+
+def spring_held(frequency_hz):
+    """True rest of a mass in a ring and on a spring, and what is identified of it."""
+    (mass,) = MASS_IN_RING.bodies
+    rig = replace(MASS_IN_RING, bodies=(replace(mass, frequency_hz=frequency_hz, damping_ratio=0.02),))
+    test = planned_test(rig, 20.0, 60.0, (1.0, 80.0))
+    (contact,) = identify.contact(modal(rig, rig, drawn_forces_n(test, 1), 1), tolerances="exact").report.contacts
+    spring_n_per_m = mass.mass_kg * (2 * np.pi * frequency_hz) ** 2
+    law = rig.contacts[0].law
+    weight_n = mass.mass_kg * rig.gravity_m_per_s2
+    depth_m = (weight_n - spring_n_per_m * law.clearance_m) / (law.stiffness_n_per_m + spring_n_per_m)
+    return contact, law.clearance_m + depth_m, law.stiffness_n_per_m * max(0.0, depth_m)
+
+
+def test_a_spring_that_bears_part_of_the_weight_is_not_taken_for_the_wall():
+    contact, below_center_m, wall_n = spring_held(4.0)
+    for estimate, true in ((contact.center_y_m, below_center_m), (contact.rest_force_y_n, -wall_n)):
+        assert abs(estimate.value - true) < 2 * COVERED * estimate.standard_error
+        assert estimate.standard_error < 0.02 * abs(true)
+
+
+def test_a_mass_that_hangs_within_its_ring_rests_without_a_force_of_the_wall():
+    contact, _, wall_n = spring_held(20.0)
+    assert wall_n == 0
+    assert contact.rest_force_y_n.value == 0
