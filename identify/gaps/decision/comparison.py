@@ -21,12 +21,13 @@ Notes for maintainers
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
 from scipy.special import logsumexp
 
 from identify.gaps.residual.fit import fit
@@ -205,6 +206,58 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     """Probabilities from log posteriors that are known up to a constant."""
     likelihood_ratios = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
+
+
+def with_rival_spread(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> list[ValidatedHypothesis]:
+    """Hypotheses whose covariances of the effects hold the values of their rivals, too.
+
+    With the values v and the covariance C of an effect in a hypothesis, and v_i in those that hold it too, of the
+    probabilities P_i: C + sum_i P_i (v_i - v)(v_i - v)' / sum_i P_i, the mean square about the hypothesis' own values
+    of model averaging (Hoeting et al., Statistical Science 14, 1999). Several effects of one name
+    are paired so that they are nearest in standard errors.
+    """
+    weights = probabilities(np.array([validated.log_posterior for validated in ranked_hypotheses]))
+    return [
+        replace(validated, hypothesis=_with_spread(validated.hypothesis, ranked_hypotheses, weights))
+        for validated in ranked_hypotheses
+    ]
+
+
+def _with_spread(
+    hypothesis: Hypothesis, rivals: Sequence[ValidatedHypothesis], weights: Float[np.ndarray, " hypotheses"]
+) -> Hypothesis:
+    spread = np.zeros_like(hypothesis.covariance)
+    weight_sums = np.full(len(hypothesis.values), 1e-300)
+    for rival, weight in zip(rivals, weights, strict=True):
+        for columns, deviation in _deviations_of_same_effects(hypothesis, rival.hypothesis):
+            spread[columns, columns] += weight * np.outer(deviation, deviation)
+            weight_sums[columns] += weight
+    return replace(hypothesis, covariance=hypothesis.covariance + spread / weight_sums)
+
+
+def _deviations_of_same_effects(
+    hypothesis: Hypothesis, rival: Hypothesis
+) -> Iterator[tuple[slice, Float[np.ndarray, " parameters"]]]:
+    """Columns of each effect that a rival holds too, and its values there less those of the hypothesis."""
+    standard_errors = np.maximum(np.sqrt(np.diag(hypothesis.covariance)), 1e-300)
+    for effect_name in dict.fromkeys(candidate.name for candidate in hypothesis.candidates):
+        columns, rival_columns = (_columns_of(effect_name, h.candidates) for h in (hypothesis, rival))
+        deviations = [[rival.values[other] - hypothesis.values[own] for other in rival_columns] for own in columns]
+        squared_distances = np.zeros((len(columns), len(rival_columns)))
+        for row, column in np.ndindex(squared_distances.shape):
+            squared_distances[row, column] = np.sum((deviations[row][column] / standard_errors[columns[row]]) ** 2)
+        for row, column in zip(*linear_sum_assignment(squared_distances), strict=True):
+            yield columns[row], deviations[row][column]
+
+
+def _columns_of(effect_name: str, candidates: Sequence[Candidate]) -> list[slice]:
+    """Columns of the parameters of each effect of this name."""
+    ends = np.cumsum([len(candidate.parameters) for candidate in candidates], dtype=int)
+    return [
+        slice(end - len(candidate.parameters), end)
+        for end, candidate in zip(ends, candidates, strict=True)
+        if candidate.name == effect_name
+    ]
 
 
 def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:

@@ -16,6 +16,7 @@ from identify.gaps.decision.comparison import (
     nominal_of,
     split_p_value,
     validate_hypotheses,
+    with_rival_spread,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import attempted
@@ -106,8 +107,8 @@ def judge(
     difference = difference_of(
         prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked_hypotheses)
     )
-    ranked_hypotheses = with_contact_evidence(
-        prepared, search_result.candidates, ranked_hypotheses, difference, residual
+    ranked_hypotheses = with_rival_spread(
+        with_contact_evidence(prepared, search_result.candidates, ranked_hypotheses, difference, residual)
     )
     basis = _DecisionBasis(prepared, difference, residual, matters)
     prediction = predicted_decision(

@@ -22,7 +22,7 @@ from msgspec.structs import replace as with_numbers
 
 from identify.gaps.decision.answer import DEFAULT_MATTERS, describe
 from identify.gaps.decision.bounds import NominalDifference, share_bounds
-from identify.gaps.decision.comparison import log_priors, split_p_value, validate_hypotheses
+from identify.gaps.decision.comparison import log_priors, split_p_value, validate_hypotheses, with_rival_spread
 from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, nominal_misfits_of, with_lasting_error
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
@@ -158,7 +158,7 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
         contact_bounds=(),
         parameter_bounds=distances.parameter_bounds,
     )
-    ranked = with_ring_fits(prepared, [*search_result.candidates, *rings], ranked, ring_fit)
+    ranked = with_rival_spread(with_ring_fits(prepared, [*search_result.candidates, *rings], ranked, ring_fit))
     decision = _with_rings_after(decide(ranked, difference, prepared.null_reference, matters), prepared, ring_fit)
     prediction = PredictedDecision(ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE),)))
     notes = [FailedAnalysis("unmeasured_force", PLANE_ALONE)]

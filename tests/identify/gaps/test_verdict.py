@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import NominalDifference, contact_bound
-from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
+from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value, with_rival_spread
 from identify.gaps.decision.judge import may_hide_force, with_lasting_error
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
@@ -128,6 +128,37 @@ def test_what_a_set_leaves_in_most_of_the_motion_enters_its_standard_errors(band
     )
     grown = with_lasting_error(replace(mass, misfit=misfit), NullReference("key", machines)).hypothesis.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(grown) / np.diag(mass.hypothesis.covariance)), growth, rtol=1e-6)
+
+
+def test_intervals_hold_what_rivals_of_some_probability_say():
+    """Of two rivals as likely, the deviation counts half; of one without the effect, or of no probability, nothing."""
+    mass, other = validated_hypothesis(1.0, "added_mass"), validated_hypothesis(1.0, "linear_spring")
+    moved = replace(mass, hypothesis=replace(mass.hypothesis, values=np.add(mass.hypothesis.values, [0.3, 0.1])))
+    unlikely = replace(moved, log_prior=moved.log_prior - 60.0)
+
+    def variances(*rivals):
+        spread, *_ = with_rival_spread([mass, other, validated_hypothesis(1.0), *rivals])
+        return np.diag(spread.hypothesis.covariance) - np.diag(mass.hypothesis.covariance)
+
+    np.testing.assert_allclose(variances(), 0.0)
+    np.testing.assert_allclose(variances(unlikely), 0.0, atol=1e-12)
+    np.testing.assert_allclose(variances(moved), [0.045, 0.005])
+
+
+def test_two_effects_of_one_name_are_paired_with_the_nearest():
+    mass = validated_hypothesis(1.0, "added_mass")
+    values, (candidate,) = mass.hypothesis.values, mass.hypothesis.candidates
+    both = replace(
+        mass.hypothesis,
+        candidates=(candidate, candidate),
+        values=np.concatenate([np.add(values, [0.5, 0.4]), np.add(values, [0.02, 0.0])]),
+        covariance=np.eye(4),
+    )
+    spread, _ = with_rival_spread([mass, replace(mass, hypothesis=both)])
+    increase = spread.hypothesis.covariance - mass.hypothesis.covariance
+    np.testing.assert_allclose(increase, [[0.5 * 0.02**2, 0.0], [0.0, 0.0]], atol=1e-15)
+    _, spread_of_both = with_rival_spread([mass, replace(mass, hypothesis=both)])
+    np.testing.assert_allclose(np.diag(spread_of_both.hypothesis.covariance), [1.0, 1.0, 1 + 0.5 * 0.02**2, 1.0])
 
 
 @pytest.mark.parametrize(("squared_share", "value"), [(0.25, 0.5), (4.0, None)])
