@@ -264,12 +264,10 @@ def accelerances(
     for response in responses:
         rows = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == response.body.name]
         inputs = input_shapes(rig, response, forces)
-        input_indices_on_body = np.flatnonzero(np.any(inputs, axis=1))
-        if rows and input_indices_on_body.size:
+        body_inputs = np.flatnonzero(np.any(inputs, axis=1))
+        if rows and body_inputs.size:
             outputs = response.shapes([places[row] for row in rows])
-            accelerance[input_indices_on_body[:, None], rows] = response.transfer(
-                outputs, inputs[input_indices_on_body]
-            )
+            accelerance[body_inputs[:, None], rows] = response.transfer(outputs, inputs[body_inputs])
     return accelerance
 
 
