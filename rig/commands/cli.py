@@ -111,7 +111,6 @@ def record(
     Example: rig record rig.json --duration 60 --set rms_n=20 --out own.mcap
     """
     from rig.effects import effect_named
-    from rig.model.space import check_plane
     from rig.recording import truth_path
     from rig.simulation.own import OwnRig, plant_for
     from rig.simulation.plants import PLANTS, plant_named
@@ -128,8 +127,6 @@ def record(
     setting_texts |= {} if seed is None else {"seed": str(seed)}
     machine = _reference_or_own_rig(scenario, setting_texts)
     rig = machine.rig()
-    if effect:
-        check_plane(rig, "rig record --effect")
     force_n = machine.force()
     plant = plant or plant_for(rig)
     try:

@@ -2,8 +2,6 @@
 
 from typing import Annotated, ClassVar
 
-from msgspec.structs import replace
-
 from rig.effects.base import Effect, Scale
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
@@ -35,9 +33,5 @@ class AsymmetricClearance(Effect, frozen=True):
             rig,
             self.contact,
             ContactLaw,
-            lambda law: replace(
-                law,
-                lower_clearance_m=law.lower_clearance_m - self.shift_m,
-                upper_clearance_m=law.upper_clearance_m + self.shift_m,
-            ),
+            lambda law: law.with_clearances(law.lower_clearance_m - self.shift_m, law.upper_clearance_m + self.shift_m),
         )

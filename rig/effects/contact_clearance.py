@@ -2,8 +2,6 @@
 
 from typing import Annotated, ClassVar
 
-from msgspec.structs import replace
-
 from rig.effects.base import Effect
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
@@ -24,9 +22,5 @@ class ContactClearance(Effect, frozen=True):
             rig,
             self.contact,
             ContactLaw,
-            lambda law: replace(
-                law,
-                lower_clearance_m=law.lower_clearance_m * self.factor,
-                upper_clearance_m=law.upper_clearance_m * self.factor,
-            ),
+            lambda law: law.with_clearances(law.lower_clearance_m * self.factor, law.upper_clearance_m * self.factor),
         )

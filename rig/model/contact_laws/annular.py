@@ -4,6 +4,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.model.contact_laws.base import ContactLaw, Signal, Values
@@ -67,6 +68,14 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
             damping_n_s_per_m=self.damping_n_s_per_m,
             wear_m_per_s=self.wear_m_per_s,
             pulls=False,
+        )
+
+    def with_clearances(self, lower_clearance_m: float, upper_clearance_m: float) -> "Annular":
+        """Ring of half the play below and above, about the middle between them in y."""
+        return replace(
+            self,
+            clearance_m=(lower_clearance_m + upper_clearance_m) / 2,
+            center_y_m=self.center_y_m + (upper_clearance_m - lower_clearance_m) / 2,
         )
 
     @staticmethod

@@ -64,6 +64,12 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """Force f(eta, eta', t), N."""
         raise NotImplementedError
 
+    def with_clearances(self, lower_clearance_m: float, upper_clearance_m: float) -> "ContactLaw":
+        """Law with other clearances, m. Raises RigError if it has no stops."""
+        if not self.has_stops:
+            raise RigError("contact law: it has no stops, so that no clearance can differ; choose another contact")
+        return msgspec.structs.replace(self, lower_clearance_m=lower_clearance_m, upper_clearance_m=upper_clearance_m)
+
     @property
     def acts_in_the_gap(self) -> bool:
         """True if there is a force between the stops, too."""

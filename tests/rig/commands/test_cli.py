@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from rig.model.description import from_json, to_json
+from rig.model.description import from_json
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
 from rig.viewer import viewing
@@ -96,12 +96,25 @@ def test_a_rig_in_space_is_recorded_told_and_drawn(rig, tmp_path, plant):
     assert np.abs(recording.signals["acceleration"].values[:, :4000]).max() < 1e-3  # at rest, whatever it weighs
     assert all(np.ptp(row) > 1 for row in truth.signals["contact_force"].values)
     assert rig("draw", path)[0] == 0
-    for words in (("fmu", path, "--out", tmp_path / "s.fmu"), ("record", path.with_suffix(".json"), "--out", path)):
-        path.with_suffix(".json").write_bytes(to_json(recording.rig))
-        extra = ("--effect", "added_mass", "--force") if words[0] == "record" else ()
-        status, _, err = rig(*words, *extra)
-        assert status == 1
-        assert "contact 'contact_1' is annular, and" in one_line(err)
+    status, _, err = rig("fmu", path, "--out", tmp_path / "s.fmu")
+    assert status == 1
+    assert "contact 'contact_1' is annular, and" in one_line(err)
+
+
+def test_effects_of_a_rig_in_space_are_recorded_or_refused_by_name(rig, tmp_path):
+    path = tmp_path / "s.mcap"
+    words = ("record", "barrel_cradle_annular", "--plant", "modal", "--duration", 1.25, "--out", path)
+    effects = ("contact_clearance:factor=1.2", "asymmetric_clearance:shift_m=1e-4,contact=contact_1", "added_mass")
+    status, _, err = rig(*words, *(word for effect in effects for word in ("--effect", effect)))
+    assert (status, err) == (0, "")
+    nominal, actual = read(path).rig, read_truth(truth_path(path)).rig
+    for nominal_contact, actual_contact, center_y_m in zip(nominal.contacts, actual.contacts, (1e-4, 0.0), strict=True):
+        assert actual_contact.law.clearance_m == pytest.approx(1.2 * nominal_contact.law.clearance_m)
+        assert actual_contact.law.center_y_m == pytest.approx(center_y_m)
+    assert len(actual.masses) == len(nominal.masses) + 1
+    status, _, err = rig(*words, "--force", "--effect", "one_stop")
+    assert status == 2
+    assert "has no dead_zone at 'contact_1'" in one_line(err)
 
 
 def test_json_is_all_that_is_printed(rig, tmp_path):
