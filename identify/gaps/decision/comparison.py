@@ -239,7 +239,8 @@ def _deviations_of_same_effects(
     hypothesis: Hypothesis, rival: Hypothesis
 ) -> Iterator[tuple[slice, Float[np.ndarray, " parameters"]]]:
     """Columns of each effect that a rival holds too, and its values there less those of the hypothesis."""
-    standard_errors = np.maximum(np.sqrt(np.diag(hypothesis.covariance)), 1e-300)
+    standard_errors = np.sqrt(np.diag(hypothesis.covariance))
+    standard_errors = np.maximum(standard_errors, 1e-9 * np.abs(hypothesis.values) + 1e-12)  # zero at a limit
     for effect_name in dict.fromkeys(candidate.name for candidate in hypothesis.candidates):
         columns, rival_columns = (_columns_of(effect_name, h.candidates) for h in (hypothesis, rival))
         deviations = [[rival.values[other] - hypothesis.values[own] for other in rival_columns] for own in columns]

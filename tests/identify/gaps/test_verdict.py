@@ -145,6 +145,14 @@ def test_intervals_hold_what_rivals_of_some_probability_say():
     np.testing.assert_allclose(variances(moved), [0.045, 0.005])
 
 
+def test_a_value_at_its_limit_has_the_spread_of_its_rivals_too():
+    mass = validated_hypothesis(1.0, "added_mass")
+    at_limit = replace(mass, hypothesis=replace(mass.hypothesis, covariance=np.diag([1.0, 0.0])))
+    moved = replace(mass, hypothesis=replace(mass.hypothesis, values=np.add(mass.hypothesis.values, [0.3, 0.1])))
+    spread, _ = with_rival_spread([at_limit, moved])
+    np.testing.assert_allclose(np.diag(spread.hypothesis.covariance), [1.045, 0.005])
+
+
 def test_two_effects_of_one_name_are_paired_with_the_nearest():
     mass = validated_hypothesis(1.0, "added_mass")
     values, (candidate,) = mass.hypothesis.values, mass.hypothesis.candidates
