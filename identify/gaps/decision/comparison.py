@@ -242,8 +242,11 @@ def _deviations_of_same_effects(
     standard_errors = np.sqrt(np.diag(hypothesis.covariance))
     standard_errors = np.maximum(standard_errors, 1e-9 * np.abs(hypothesis.values) + 1e-12)  # zero at a limit
     for effect_name in dict.fromkeys(candidate.name for candidate in hypothesis.candidates):
-        columns, rival_columns = (_columns_of(effect_name, h.candidates) for h in (hypothesis, rival))
-        deviations = [[rival.values[other] - hypothesis.values[own] for other in rival_columns] for own in columns]
+        columns, rival_columns = (_columns_of(effect_name, holder.candidates) for holder in (hypothesis, rival))
+        deviations = [
+            [rival.values[rival_column] - hypothesis.values[column] for rival_column in rival_columns]
+            for column in columns
+        ]
         squared_distances = np.zeros((len(columns), len(rival_columns)))
         for row, column in np.ndindex(squared_distances.shape):
             squared_distances[row, column] = np.sum((deviations[row][column] / standard_errors[columns[row]]) ** 2)
@@ -253,10 +256,10 @@ def _deviations_of_same_effects(
 
 def _columns_of(effect_name: str, candidates: Sequence[Candidate]) -> list[slice]:
     """Columns of the parameters of each effect of this name."""
-    ends = np.cumsum([len(candidate.parameters) for candidate in candidates], dtype=int)
+    stop_columns = np.cumsum([len(candidate.parameters) for candidate in candidates], dtype=int)
     return [
-        slice(end - len(candidate.parameters), end)
-        for end, candidate in zip(ends, candidates, strict=True)
+        slice(stop_column - len(candidate.parameters), stop_column)
+        for stop_column, candidate in zip(stop_columns, candidates, strict=True)
         if candidate.name == effect_name
     ]
 

@@ -150,10 +150,10 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
     ranked = validate_hypotheses(record, validation.nominal_variances, residual, search_result.hypotheses, priors)
     ranked = [with_lasting_error(item, prepared.null_reference) for item in ranked]
     nominal_misfits = nominal_misfits_of(prepared, search_result.nominal_misfit, residual)
-    p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
+    record_p_values = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
     distances = ring_distances(prepared.observations, record.rig, ring_fit)
     difference = NominalDifference(
-        with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), split_p_value(ranked)),
+        with_bound(combined_p_value(np.append(record_p_values, distances.p_values)), split_p_value(ranked)),
         share_bounds(nominal_misfits[prepared.validation_index], (), matters)[0],
         contact_bounds=(),
         parameter_bounds=distances.parameter_bounds,
@@ -171,14 +171,14 @@ def _with_rings_after(decision: Decision, prepared: PreparedRecordings, ring_fit
     """Decision whose evidence after correction holds the distances of the rings from the named set, too."""
     named_or_nominal = decision.named_hypothesis or decision.nominal_hypothesis
     distances = ring_distances(prepared.observations, named_or_nominal.rig, ring_fit)
-    parts = p_values([(prepared.null_reference, named_or_nominal.misfit)])
+    remaining_p_values = p_values([(prepared.null_reference, named_or_nominal.misfit)])
     validation = prepared.validation_recording
     held_back = ring_distances([validation], validation.record.rig, ring_fit)
     shows = combined_p_value(np.array(held_back.p_values)) < USUAL_P_VALUE if held_back.p_values else False
     evidence = with_numbers(
         decision.evidence,
         held_back_shows=decision.evidence.held_back_shows or shows,
-        p_value_after=combined_p_value(np.append(parts, distances.p_values)),
+        p_value_after=combined_p_value(np.append(remaining_p_values, distances.p_values)),
         quantities_after=(*decision.evidence.quantities_after, *distances.parameter_bounds),
     )
     return replace(decision, evidence=evidence)
