@@ -14,6 +14,7 @@ from identify.gaps.results import (
 )
 from identify.pages import wording
 from identify.pages.wording import number, percent
+from rig.effects import effects
 from rig.model.unmeasured_force import Value
 
 VERDICT_WORDS = {
@@ -136,6 +137,18 @@ def _label_words(label: str) -> str:
     """Label of an effect in words: "added mass of the barrel" of added_mass:barrel."""
     effect_name, _, place_name = label.partition(":")
     return effect_name.replace("_", " ") + (f" of the {place_name}" if place_name not in ("", "all") else "")
+
+
+def findings_heading(gap: Diagnosis) -> str:
+    """Sentence that introduces the findings of the check, which knows neither base motion nor tones."""
+    unmeasured_causes = [
+        effect_words
+        for cause in gap.causes[:1]
+        for effect, effect_words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
+        if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
+    ]
+    reservation = f", which does not know {joined(unmeasured_causes)}," if unmeasured_causes else ""
+    return f"The check of the recordings{reservation} says:"
 
 
 def interval(estimate: Value) -> str:

@@ -1,5 +1,6 @@
 """Clearance that differs between the two stops of a contact."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from rig.effects.base import Effect, Scale
@@ -12,7 +13,10 @@ class AsymmetricClearance(Effect, frozen=True):
     """The gap of a contact stands off centre: its upper clearance is larger by `shift_m`, its lower one smaller."""
 
     name: ClassVar[str] = "asymmetric_clearance"
-    words: ClassVar[str] = "a play of {contact} that lies {shift_m} off its middle"
+    words: ClassVar[str] = "a play of {contact} that lies {shift_m}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "shift_m": ("lower than believed", "higher than believed", "elsewhere")
+    }
     separated_by: ClassVar[str] = "measure the relative displacement itself, with its zero"
     needs_zero: ClassVar[bool] = True
     shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3, 0.0)] = 5e-4

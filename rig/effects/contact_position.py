@@ -14,9 +14,9 @@ class ContactPosition(Effect, frozen=True):
     """The bodies lie `shift_m` farther along each other than believed, so that the contacts strike at other places."""
 
     name: ClassVar[str] = "contact_position"
-    words: ClassVar[str] = "contacts whose bodies lie {shift_m}"
-    signed_words: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "shift_m": ("less far along each other than believed", "farther along each other than believed")
+    words: ClassVar[str] = "an overlap of the bodies that is {shift_m}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "shift_m": ("shorter than believed", "longer than believed", "not as believed")
     }
     separated_by: ClassVar[str] = "measure where the parts touch"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01

@@ -1,5 +1,6 @@
 """Time shift of the force channel."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
@@ -13,7 +14,10 @@ class ForceShift(Effect, frozen=True):
     """The true force follows the measured one `shift_s` later, or (negative) comes that much before it."""
 
     name: ClassVar[str] = "force_shift"
-    words: ClassVar[str] = "a force that acts {shift_s} later than measured"
+    words: ClassVar[str] = "a force that acts {shift_s}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "shift_s": ("earlier than measured", "later than measured", "at another time than measured")
+    }
     separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
     shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
 

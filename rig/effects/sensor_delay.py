@@ -1,5 +1,6 @@
 """Time delay of one sensor."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
@@ -13,7 +14,10 @@ class SensorDelay(Effect, frozen=True):
     """One sensor (the last unless one is named) shows the motion of `delay_s` ago."""
 
     name: ClassVar[str] = "sensor_delay"
-    words: ClassVar[str] = "a delay of {delay_s} in {sensor}"
+    words: ClassVar[str] = "a signal of {sensor} that comes {delay_s}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "delay_s": ("too early", "too late", "at the wrong time")
+    }
     separated_by: ClassVar[str] = "exchange the sensor's channel with another and record again"
     delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3, 0.0)] = 5e-4
     sensor: str | None = None

@@ -19,8 +19,8 @@ class SupportPosition(Effect, frozen=True):
 
     name: ClassVar[str] = "support_position"
     words: ClassVar[str] = "a support of {body} that stands {shift_m}"
-    signed_words: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "shift_m": ("nearer to the left end", "farther from the left end")
+    signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "shift_m": ("nearer to the left end", "farther from the left end", "elsewhere")
     }
     separated_by: ClassVar[str] = "measure where the supports stand"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01

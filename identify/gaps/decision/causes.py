@@ -26,7 +26,7 @@ MULTIPLE_RATIO = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
 STRENGTH_DIGITS = 3
 """Significant digits of a phrase. Display."""
-UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
+UNKNOWN_STRENGTH = "unknown strength"
 
 
 def phrase(
@@ -53,11 +53,11 @@ def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
         return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
-    negative_words, positive_words = candidate.kind.signed_words[parameter.name]
+    negative_words, positive_words, undetermined_words = candidate.kind.signed_words[parameter.name]
     return (
         f"{_value_words(parameter, abs(value))} {negative_words if value < 0 else positive_words}"
         if is_known
-        else UNKNOWN_DIRECTION
+        else undetermined_words
     )
 
 
@@ -97,6 +97,13 @@ def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
 
 LIMIT_MARGIN = 1e-3
 """Distance from the end of its range, as a share of the range, within which a parameter is at its limit."""
+
+
+def is_at_limit(parameter: Parameter, value: float) -> bool:
+    """True if the true value may lie beyond the range: at an end that is neither neutral nor the end of a body."""
+    limit_margin = LIMIT_MARGIN * (parameter.high - parameter.low)
+    is_at_low_end = value < parameter.low + limit_margin and parameter.low != parameter.neutral
+    return parameter.name != "relative_position" and (is_at_low_end or value > parameter.high - limit_margin)
 
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
@@ -141,13 +148,13 @@ def cause_of(
         for parameter, value, standard_error in zip(
             candidate.parameters, effect_values.tolist(), effect_errors.tolist(), strict=True
         ):
-            limit_margin = LIMIT_MARGIN * (parameter.high - parameter.low)
-            is_at_limit = (
-                value < parameter.low + limit_margin and parameter.low != parameter.neutral
-            ) or value > parameter.high - limit_margin
             is_strength = parameter.neutral is not None
             parameter_values[f"{label}.{parameter.name}"] = Value(
-                value, standard_error, parameter.unit, is_at_limit, determined_change if is_strength else ""
+                value,
+                standard_error,
+                parameter.unit,
+                is_at_limit(parameter, value),
+                determined_change if is_strength else "",
             )
         place_by_field |= {f"{label}.{place_field}": place or "all" for place_field, place in candidate.place.items()}
     return Cause(

@@ -1,6 +1,7 @@
 """Files of a diagnosis: gap.html (needs no other file), gap.json, the corrected rig.json, and its curves as tables."""
 
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from identify.gaps.page.sections import (
     unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import verdict_words
+from identify.gaps.wording import findings_heading, verdict_words
 from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
@@ -84,7 +85,7 @@ def write_page(
     """
     figure_by_name = dict(figure_by_name)
     decisive_figure = next((name for name in _decisive_figures(gap) if name in figure_by_name), None)
-    first_column = page.list_html(findings) if findings else ""
+    first_column = f"<p>{escape(findings_heading(gap))}</p>{page.list_html(findings)}" if findings else ""
     if drawing:
         first_column += f"<figure>{drawing}</figure>"
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"

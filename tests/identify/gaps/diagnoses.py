@@ -113,8 +113,8 @@ MASS = cause(
     (0.961, 0.988),
     SMALL,
     {
-        "added_mass.mass_kg": (0.1414, 0.00105, "kg"),
-        "added_mass.relative_position": (0.9899, 0.0021, "1", True),
+        "added_mass.mass_kg": (0.1414, 0.00105, "kg", True),
+        "added_mass.relative_position": (0.9899, 0.0021, "1"),
     },
     instead=("clamp_compliance:all",),
     added_mass__body="barrel",
@@ -130,7 +130,7 @@ CLAMP = cause(
 )
 PAIR = cause(
     ("coulomb_friction", "sensor_delay"),
-    ("a dry friction of 0.764 N in contact_2", "a delay of 0.183 ms in sensor barrel_4"),
+    ("a dry friction of 0.764 N in contact_2", "a signal of sensor barrel_4 that comes 0.183 ms too late"),
     0.96,
     0.94,
     (0.91, 0.96),

@@ -22,6 +22,7 @@ from identify.gaps.page.report import CAPTION_BY_FIGURE, curves, write_all, writ
 from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, FailedAnalysis, Gap
 from identify.gaps.wording import (
+    findings_heading,
     interval,
     look_alikes_of,
     p_value_words,
@@ -35,6 +36,7 @@ from identify.pages.wording import number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
 from rig.model.unmeasured_force import MeanForce, Value
+from tests.identify.gaps import diagnoses
 from tests.identify.test_structure import as_data
 
 VOID = {"meta", "img", "br", "link", "hr"}
@@ -157,7 +159,7 @@ def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
 
 def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
     gap = gaps["explained"]
-    assert "The best added_mass.relative_position is the end of its range" in gap.sentence
+    assert "The best added_mass.mass_kg is the end of its range" in gap.sentence
     write_page(gap, {}, "limit", tmp_path / "gap.html")
     assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
 
@@ -218,6 +220,16 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
     assert page.tags.count("b") == 1  # the verdict
     assert "i" not in page.tags
     assert page.tags.count("script") == 1  # the page's own, for the printer
+
+
+def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
+    assert findings_heading(gaps["explained"]) == "The check of the recordings says:"
+    hum = "an unmeasured tone of 12.2 Hz on the frame at 0.30 m"
+    tone = diagnoses.cause(
+        ("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, {"tone.frequency_hz": (12.2, 0.1, "Hz")}
+    )
+    heading = findings_heading(replace(gaps["explained"], causes=(tone,)))
+    assert heading == f"The check of the recordings, which does not know {hum}, says:"
 
 
 def test_findings_of_the_check_turn_the_page_amber_and_stand_on_top(gaps, tmp_path):
