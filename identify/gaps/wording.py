@@ -63,6 +63,8 @@ NEGLIGIBLE_SHARE = 0.01
 """Lower end of the interval below which a cause is said to close nothing."""
 SMALLEST_SHARE = 1e-9
 """Smallest share in words, "< 0.1 %": no record bounds a share by zero. Display."""
+NOMINAL_WORDS = {Verdict.CONSISTENT: "rig.json as it is", Verdict.CANNOT_TELL: "no effect that stands out"}
+"""Words for no cause at all by the verdict, where no difference is certain."""
 SMALLEST_P_VALUE = 1e-12
 """Smallest p-value that is written as a number: the tails of no distribution are known further out."""
 SMALLEST_FREQUENCY_CHANGE = 5e-4
@@ -140,13 +142,15 @@ def _label_words(label: str) -> str:
 
 
 def findings_heading(gap: Diagnosis) -> str:
-    """Sentence that introduces the findings of the check, which knows neither base motion nor tones."""
+    """Sentence that introduces the findings of the check, which knows no force or motion that was not measured."""
     unmeasured_causes = [
         effect_words
         for cause in gap.causes[:1]
         for effect, effect_words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
+    if gap.unknown and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
+        unmeasured_causes.append("what the difference looks like")
     reservation = f", which does not know {joined(unmeasured_causes)}," if unmeasured_causes else ""
     return f"The check of the recordings{reservation} says:"
 
@@ -259,11 +263,12 @@ def failed_analysis_sentences(gap: Gap) -> list[str]:
 def remaining_probabilities(gap: Gap) -> list[tuple[str, float]]:
     """Probabilities that are not those of causes: of no effect, and of something unmeasured, each with its words.
 
-    Where the records certainly differ from rig.json, the former is worded as that of no effect of the library.
+    Where the records certainly differ from rig.json, the former is worded as that of no effect of the library, where
+    they cannot tell, as that of none that stands out.
     """
     is_considered = gap.unknown is not None or gap.probability_unknown > 0
     unmeasured_words = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
-    nominal_words = "no effect of the library" if gap.evidence.differs else "rig.json as it is"
+    nominal_words = NOMINAL_WORDS.get(gap.verdict, "no effect of the library")
     return [(nominal_words, gap.probability_nothing), (unmeasured_words, gap.probability_unknown)]
 
 

@@ -4,6 +4,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from identify.gaps.decision.verdict import RIVAL_PROBABILITY
 from identify.gaps.decision_table import Verdict
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Cause, Gap
@@ -86,10 +87,7 @@ def _cause_table(gap: Gap) -> RenderableType:
 
 
 def _cause_text(cause: Cause) -> str:
-    """Name of a cause, what it closes and leaves, and its parameters, a line each."""
-    return "\n".join(
-        [
-            f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}",
-            *(f"  {parameter_name} {interval(value)}" for parameter_name, value in cause.parameters.items()),
-        ]
-    )
+    """Name of a cause, what it closes and leaves, and its parameters, a line each, unless it is unlikely."""
+    words = f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}"
+    likely_parameters = cause.parameters if cause.probability > RIVAL_PROBABILITY else {}
+    return "\n".join([words, *(f"  {name} {interval(value)}" for name, value in likely_parameters.items())])

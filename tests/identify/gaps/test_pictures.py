@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 from msgspec.structs import replace
 
+from identify.gaps.decision_table import Verdict
 from identify.gaps.page.pictures import pictures
 from identify.gaps.results import Attribution
 
@@ -91,7 +92,8 @@ def test_probabilities_are_drawn_and_sum_to_one(made):
     assert widths(axes) == pytest.approx(drawn)
     assert sum(widths(axes)) == pytest.approx(100)
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names[-2] == ("no effect of the library" if gap.evidence.differs else "rig.json as it is")
+    nominal = {Verdict.CONSISTENT: "rig.json as it is", Verdict.CANNOT_TELL: "no effect that stands out"}
+    assert names[-2] == nominal.get(gap.verdict, "no effect of the library")
     assert names[-1].startswith("something unmeasured")
 
 
