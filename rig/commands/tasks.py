@@ -115,7 +115,7 @@ def _completions_on_dask(
         from distributed import Client
     local_options = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "dashboard_address": None}
     try:
-        client = Client(**local_options) if dask == "local" else Client(dask, timeout=10)
+        client = Client(**local_options) if dask == "local" else Client(dask, timeout=5)
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
     with client, client.get_executor(retries=MAX_LOST_PROCESSES) as executor:
