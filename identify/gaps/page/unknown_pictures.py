@@ -67,11 +67,7 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis_index:
     axis_names = ("displacement there, mm", "velocity there, m/s")
     axes = figure.subplots()
     cell_points = axes.scatter(
-        motion_of_cells[axis_index],
-        cell_forces_n,
-        c=motion_of_cells[1 - axis_index],
-        s=10,
-        cmap="viridis",
+        motion_of_cells[axis_index], cell_forces_n, c=motion_of_cells[1 - axis_index], s=10, cmap="viridis"
     )
     figure.colorbar(cell_points, label=axis_names[1 - axis_index])
     if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis_index):

@@ -112,10 +112,7 @@ MASS = cause(
     0.977,
     (0.961, 0.988),
     SMALL,
-    {
-        "added_mass.mass_kg": (0.1414, 0.00105, "kg", True),
-        "added_mass.relative_position": (0.9899, 0.0021, "1"),
-    },
+    {"added_mass.mass_kg": (0.1414, 0.00105, "kg", True), "added_mass.relative_position": (0.9899, 0.0021, "1")},
     instead=("clamp_compliance:all",),
     added_mass__body="barrel",
 )
@@ -371,21 +368,8 @@ GAPS = {
     ),
     "unexplained": gap((unsure(CUBIC, 1e-12),), 1e-50, softening(), after=BEFORE),
     "small": gap((MASS, CUBIC), 0.01, None, before=CERTAIN),
-    "consistent": gap(
-        (unsure(CLAMP, 0.03),),
-        0.97,
-        None,
-        before=SMALL,
-        after=SMALL,
-    ),
-    "cannot_tell": gap(
-        (unsure(CLAMP, 0.03),),
-        0.97,
-        None,
-        before=SMALL,
-        after=SMALL,
-        hidden="force of contact_1",
-    ),
+    "consistent": gap((unsure(CLAMP, 0.03),), 0.97, None, before=SMALL, after=SMALL),
+    "cannot_tell": gap((unsure(CLAMP, 0.03),), 0.97, None, before=SMALL, after=SMALL, hidden="force of contact_1"),
     "one_mass": gap(
         (replace(MASS, places={"added_mass.body": "mass"}, left=left(4e-4, p_value=0.31)),),
         0.036,

@@ -220,8 +220,7 @@ def test_a_short_record_is_refused(null_reference):
 
 
 @pytest.mark.parametrize(
-    ("change", "fault"),
-    [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)],
+    ("change", "fault"), [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)]
 )
 def test_dead_and_clipped_channels_are_what_they_are(change, fault):
     assert fault_of(change(np.random.default_rng(1).standard_normal(10_000))) == fault

@@ -81,7 +81,7 @@ def test_of_beams_the_force_moves_and_displacements_are_measured():
     changed = [e.rig_change(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
     places = {r.force_at for r in changed}
     assert {(p.body, p.position_m) for p in places} == {
-        *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)),
+        *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0))
     }
     assert [{s.quantity for s in r.sensors} for r in changed].count({"displacement"}) == 1
 

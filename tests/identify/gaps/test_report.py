@@ -178,10 +178,7 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
     gap = gaps["cannot_tell"]
     assert gap.sentence.startswith("These records do not tell whether rig.json is right")
     assert "Not settled: the force of contact_1 (noise hides it); excite the rig more strongly." in gap.sentence
-    assert next_steps(gap)[:2] == [
-        "Do not rely on rig.json yet.",
-        "Excite the rig more strongly, and diagnose again.",
-    ]
+    assert next_steps(gap)[:2] == ["Do not rely on rig.json yet.", "Excite the rig more strongly, and diagnose again."]
     write_page(gap, {}, "unseen", tmp_path / "gap.html")
     assert '<div class="verdict yellow"><b>cannot tell</b>' in (tmp_path / "gap.html").read_text("utf-8")
 

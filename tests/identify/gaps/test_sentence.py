@@ -8,12 +8,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
 from identify.gaps.page.screen import colour
 from identify.gaps.results import Band, Gap
-from identify.gaps.wording import (
-    interval,
-    probability,
-    removed_share_words,
-    verdict_words,
-)
+from identify.gaps.wording import interval, probability, removed_share_words, verdict_words
 from identify.pages.wording import COVERED, percent
 from rig.model.unmeasured_force import Value
 
