@@ -222,9 +222,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """Difference between the nominal rig and the records, judged on the record that was not fitted.
 
     causes are the named effects, then the likeliest sets; the rest of probability one is that of the nominal rig and of
-    something unmeasured. The rollout is that of the first cause. not_seen holds the
-    quantities that the records neither bound nor show; channel_faults the dead and clipped channels, which were left
-    out.
+    something unmeasured. The rollout is that of the first cause. not_seen holds the quantities that the records neither
+    bound nor show; channel_faults the dead and clipped channels, which were left out.
     """
 
     verdict: Verdict

@@ -133,7 +133,8 @@ def _record_differences(
     records = [observation.record for observation in observations]
     variances = [observation.nominal_variances for observation in observations]
     cause = decision.named_hypothesis if decision.corrects_rig else None
-    levels_n = [float(np.sqrt(np.mean(np.sum(record.recording.forces_n**2, axis=0)))) for record in observations]
+    forces_n = (observation.recording.forces_n for observation in observations)
+    levels_n = [float(np.sqrt(np.mean(np.sum(record_forces_n**2, axis=0)))) for record_forces_n in forces_n]
     candidates, titles = search_result.candidates, prepared.record_titles
     return attempted(
         "between_records", lambda: differences(records, variances, cause, candidates, titles, levels_n, progress)

@@ -196,8 +196,8 @@ def with_rival_spread(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHy
 
     With the values v and the covariance C of an effect in a hypothesis, and v_i in those that hold it too, of the
     probabilities P_i: C + sum_i P_i (v_i - v)(v_i - v)' / sum_i P_i, the mean square about the hypothesis' own values
-    of model averaging (Hoeting et al., Statistical Science 14, 1999). Several effects of one name
-    are paired so that they are nearest in standard errors.
+    of model averaging (Hoeting et al., Statistical Science 14, 1999). Several effects of one name are paired so that
+    they are nearest in standard errors.
     """
     weights = probabilities(np.array([validated.log_posterior for validated in ranked]))
     return [replace(validated, hypothesis=_with_spread(validated.hypothesis, ranked, weights)) for validated in ranked]

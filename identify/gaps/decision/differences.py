@@ -222,14 +222,17 @@ def differences(
     records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
     varied, differing = _fit_differing_values(record_set, initial_effects, tests, tested_effect_count, records_by_level)
     differing_names = [test.candidate.name for test in tests]
-    shared = _pool_shared_values(record_set, varied.effects, initial_effects.effect_names, differing_names)
+    shared_names = [name for name in initial_effects.effect_names if name not in differing_names]
+    shared_columns = [column for name in shared_names for column in varied.effects.columns_of(name)]
+    shared = VaryingParameters(varied.effects, shared_columns)
+    estimate = record_set.pooled_estimate(shared) if shared_columns else None
     progress(1.0)
     rig_by_record = [varied.effects.rig(index) for index in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
         records=tuple(record_titles),
-        cause=tuple(_parameters_by_record(*shared, 0)) if shared else (),
-        cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
+        cause=tuple(_parameters_by_record(shared, estimate, 0)) if estimate else (),
+        cause_p_value=float(np.exp(_homogeneity_log_p(estimate, shared.record_values.shape))) if estimate else None,
         differing=tuple(differing),
         looked_at=tested_effect_count,
         level_dependence=level_dependence(rig_by_record, force_levels_n, differing, highest_hz),
@@ -277,15 +280,6 @@ def _fit_differing_values(
     return own_values, _parameters_by_record(own_values, estimate, tested_effect_count, records_by_level)
 
 
-def _pool_shared_values(
-    record_set: _RecordSet, effects: EffectValues, cause_effects: Sequence[str], differing_names: Sequence[str]
-) -> tuple[VaryingParameters, PooledEstimate] | None:
-    """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
-    shared_names = [name for name in cause_effects if name not in differing_names]
-    shared_values = VaryingParameters(effects, [column for name in shared_names for column in effects.columns_of(name)])
-    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.columns else None
-
-
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
     """Effects of the cause, if every record can have values of its own; else rigs that hold them."""
     candidates = cause.hypothesis.candidates if cause else ()
@@ -330,7 +324,10 @@ def _parameters_by_record(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
-                values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
+                values=tuple(
+                    Value(float(value), float(error), parameter.unit)
+                    for value, error in zip(values, errors, strict=True)
+                ),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend_of(values, covariance) if comparison_count else "none",
                 by_level=by_level,

@@ -35,8 +35,9 @@ from identify.gaps.decision_table import (
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
 from identify.gaps.results import FailedAnalysis, Matters
+from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.contact_laws import with_contact_fit
-from identify.gaps.search.hypothesis import MIN_GAIN
+from identify.gaps.search.hypothesis import MIN_GAIN, Hypothesis
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
@@ -88,13 +89,10 @@ def judge(
     Where an unmeasured force may be behind it (`may_hide_force`), it and a modulated clearance are looked for.
     """
     validation = prepared.validation_recording
-    record, variances = validation.record, validation.nominal_variances
+    record, candidates = validation.record, search_result.candidates
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
-    hypotheses, candidates = search_result.hypotheses, search_result.candidates
-    log_prior_by_effects = log_priors(hypotheses, candidates)
-    ranked = validate_hypotheses(record, variances, residual, hypotheses, log_prior_by_effects, progress)
-    ranked = [with_lasting_error(validated, prepared.null_reference) for validated in ranked]
+    ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, residual, progress)
     ranked = _refit_contact_laws(prepared, ranked, residual)
     difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
     ranked = with_rival_spread(with_contact_evidence(prepared, candidates, ranked, difference, residual))
@@ -108,6 +106,22 @@ def judge(
     if may_hide_force(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked, decision)
     return Judgement(decision, prediction, unmeasured_causes, linearization, residual)
+
+
+def validated_hypotheses(
+    prepared: PreparedRecordings,
+    hypotheses: Sequence[Hypothesis],
+    candidates: Sequence[Candidate],
+    residual: Residual,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[ValidatedHypothesis]:
+    """Hypotheses on the validation record with their lasting errors, the likeliest first; candidates are all that were
+    tried, and residual that of the nominal rig on this record."""
+    validation, log_prior_by_effects = prepared.validation_recording, log_priors(hypotheses, candidates)
+    ranked = validate_hypotheses(
+        validation.record, validation.nominal_variances, residual, hypotheses, log_prior_by_effects, progress
+    )
+    return [with_lasting_error(validated, prepared.null_reference) for validated in ranked]
 
 
 def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
@@ -164,7 +178,7 @@ def difference_of(
     validation = prepared.validation_recording
     rig, tolerances = validation.record.rig, validation.record.tolerances
     misfits = nominal_misfits_of(prepared, searched_misfit, residual)
-    record_p_values = p_values(list(zip(prepared.null_references, misfits, strict=True)))
+    record_p_values = p_values(prepared.null_references, misfits)
     p_value = with_bound(combined_p_value(record_p_values), split_bound)
     force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(misfits[prepared.validation_index], force_names, matters)

@@ -110,7 +110,7 @@ class _StoredReferences(msgspec.Struct, frozen=True):
     null_references: tuple[NullReference, ...]
 
 
-def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
+def p_values(references: Sequence[NullReference], misfits: Sequence[Misfit]) -> Float[np.ndarray, " parts"]:
     """p-values of the misfit of a rig on all records together, one for each statistic.
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
@@ -125,8 +125,7 @@ def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> 
     with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
     place of Student's, as no deviation is estimated.
     """
-    null = np.sum([reference.statistics for reference, _ in references_and_misfits], axis=0)
-    misfits = [misfit for _, misfit in references_and_misfits]
+    null = np.sum([reference.statistics for reference in references], axis=0)
     measured = np.sum([[m.minus_two_log - m.contact_cost, m.contact_cost, m.peak_band_cost] for m in misfits], axis=0)
     is_used = [True, bool(np.any(null[:, 1])), True]
     null, measured = null[:, is_used], measured[is_used]
@@ -143,7 +142,7 @@ def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     """Combination of p-values under any dependence, by Cauchy's distribution.
 
-    p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi Liu and Xie, J. Am. Stat. Assoc. 115, 2020
+    p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi        (Liu and Xie, J. Am. Stat. Assoc. 115, 2020)
     """
     p_values = np.clip(p_values, 1e-300, MAX_COMBINED_P_VALUE)
     cauchy_values = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
@@ -161,7 +160,7 @@ def with_bound(p_value: float, p_bound: float) -> float:
 
 def p_value(null_reference: NullReference, misfit: Misfit) -> float:
     """p-value of the misfit of a rig on one record."""
-    return combined_p_value(p_values([(null_reference, misfit)]))
+    return combined_p_value(p_values([null_reference], [misfit]))
 
 
 def null_reference_of(

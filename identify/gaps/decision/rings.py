@@ -61,7 +61,7 @@ class RingFit:
         try:
             contacts = space_contacts(recording, "auto", self.tolerances)
         except ContactRefusedError as error:
-            return LawOutcomes((), {c.name: error.refusal for c in recording.rig.contacts})
+            return LawOutcomes((), {contact.name: error.refusal for contact in recording.rig.contacts})
         except RigError:
             return LawOutcomes()
         return LawOutcomes(
@@ -94,7 +94,7 @@ def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Can
 
 def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates that the contact fit of single rings shows."""
-    return [c for c in _with_twins(library_candidates, rig) if c.kind.name in CONTACT_EFFECTS]
+    return [candidate for candidate in _with_twins(library_candidates, rig) if candidate.kind.name in CONTACT_EFFECTS]
 
 
 def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:

@@ -139,19 +139,19 @@ def decide(
     if named_hypothesis:
         strengths = strengths_of(named_hypothesis.hypothesis, weighted_hypotheses)
         named_hypothesis = _named_hypothesis(named_hypothesis, strengths, weighted_hypotheses)
-    described = named_hypothesis or nominal
+    chosen = named_hypothesis or nominal
     contact_names = [quantity.name for quantity in difference.contact_bounds]
     are_any_named = any(strength.is_named for strength in strengths)
     evidence = Evidence(
         p_value=difference.p_value,
         quantities=difference.quantities,
         strengths=strengths,
-        p_value_after=p_value(null_reference, described.misfit),
-        quantities_after=share_bounds(described.misfit, contact_names, matters),
-        removed=removed_share(nominal.misfit, described.nominal_misfit, described.misfit, matters),
+        p_value_after=p_value(null_reference, chosen.misfit),
+        quantities_after=share_bounds(chosen.misfit, contact_names, matters),
+        removed=removed_share(nominal.misfit, chosen.nominal_misfit, chosen.misfit, matters),
         vetoed=is_vetoed,
         held_back_shows=held_back_shows,
-        quantities_beside=share_bounds(described.nominal_misfit, contact_names, matters) if are_any_named else (),
+        quantities_beside=share_bounds(chosen.nominal_misfit, contact_names, matters) if are_any_named else (),
     )
     return Decision(evidence, tuple(weighted_hypotheses), probability_unmeasured, named_hypothesis)
 

@@ -104,7 +104,7 @@ def locate_force(
 ) -> LocatedForce:
     """Candidate with the largest gain, its position refined.
 
-    With an `expected_place` one only its kind, no further than search_radius_m from it, is tried.
+    With an `expected_place` its kind alone is tried, no further than search_radius_m from it.
     """
     without_force = evidence_without_force(whitened)
     places = list(force_places(whitened.record.rig, whitened.record.sensors))
@@ -222,9 +222,8 @@ def _parabola_vertex(positions_m: list[float], criterion_values: list[float]) ->
     if len(set(positions_m)) < 3:
         return lowest_m
     quadratic, linear, _ = np.polyfit(positions_m, criterion_values, 2)
-    if quadratic <= 0:
-        return lowest_m
-    return float(np.clip(-linear / (2 * quadratic), positions_m[0], positions_m[-1]))
+    is_convex = quadratic > 0
+    return float(np.clip(-linear / (2 * quadratic), positions_m[0], positions_m[-1])) if is_convex else lowest_m
 
 
 def _locate_drift(
