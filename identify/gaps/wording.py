@@ -241,15 +241,21 @@ def failed_analysis_sentences(gap: Gap) -> list[str]:
     return [f"Not computed: {ANALYSIS_WORDS[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
-def remaining_probabilities(gap: Gap) -> list[tuple[str, float]]:
-    """Probabilities that are not those of causes: of no effect, and of something unmeasured, each with its words.
+def remaining_probabilities(gap: Gap, shown_causes: int) -> list[tuple[str, float]]:
+    """Probabilities of all but the first causes, each with its words: of further causes together, if there are any, of
+    no effect, and of something unmeasured.
 
-    Where the records certainly differ from rig.json, the former is worded as that of no effect of the library.
+    Where the records certainly differ from rig.json, no effect is worded as that of no effect of the library.
     """
+    further = gap.causes[shown_causes:]
     is_considered = gap.unknown is not None or gap.probability_unknown > 0
     unmeasured = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
     nominal = "no effect of the library" if gap.evidence.differs else "rig.json as it is"
-    return [(nominal, gap.probability_nothing), (unmeasured, gap.probability_unknown)]
+    return [
+        *([(f"{len(further)} further causes", sum(cause.probability for cause in further))] if further else []),
+        (nominal, gap.probability_nothing),
+        (unmeasured, gap.probability_unknown),
+    ]
 
 
 def probability(value: float) -> str:

@@ -1,6 +1,7 @@
 """Advice: the next steps after a diagnosis, in concrete sentences, by its verdict."""
 
 import math
+from collections.abc import Sequence
 
 from identify.gaps.decision_table import USUAL_P_VALUE, Verdict
 from identify.gaps.results import Gap
@@ -73,6 +74,11 @@ def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
         is_adjacent = ranges_hz and band.low_hz - ranges_hz[-1][1] < BRIDGED_HZ
         ranges_hz.append((ranges_hz.pop()[0] if is_adjacent else band.low_hz, band.high_hz))
     return sorted(ranges_hz, key=lambda range_hz: range_hz[0] - range_hz[1])
+
+
+def range_words(ranges_hz: Sequence[tuple[float, float]]) -> str:
+    """Frequency ranges in words, the lowest first: "2 to 10 Hz and 40 to 50 Hz"."""
+    return joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
 
 
 SENSITIVITY_ADVICE = (
@@ -162,10 +168,8 @@ def _unexplained_steps(gap: Gap) -> list[str]:
             "What is left is spread over all frequencies: check what acts on all of them, such as gains, stations, "
             "cables and cross-axis sensitivity."
         ]
-    band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
-    return [
-        f"Look for something that acts from {band_words}: there the rest exceeds what noise leaves, and it matters."
-    ]
+    words = range_words(ranges_hz)
+    return [f"Look for something that acts from {words}: there the rest exceeds what noise leaves, and it matters."]
 
 
 def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:

@@ -113,11 +113,8 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
 
 def _draw_probabilities(figure: Any, gap: Gap) -> None:
     """Probabilities of the likeliest causes, all others, no cause, and something unmeasured; they sum to one."""
-    further_causes = gap.causes[MAX_CAUSES:]
     rows = [(_cause_lines(cause_name(cause)), cause.probability) for cause in gap.causes[:MAX_CAUSES]]
-    if further_causes:
-        rows.append((f"{len(further_causes)} further causes", sum(cause.probability for cause in further_causes)))
-    rows += remaining_probabilities(gap)
+    rows += remaining_probabilities(gap, MAX_CAUSES)
     colours = [BLUE] * (len(rows) - 2) + [GREEN, GREY]
     names, probabilities = zip(*rows, strict=True)
     labels = [probability(p) for p in probabilities]

@@ -69,15 +69,12 @@ def _unknown_summary(unknown: UnmeasuredForce) -> str:
 
 def _cause_table(gap: Gap) -> RenderableType:
     """Causes, no cause and something unmeasured, whose probabilities sum to one, each with its numbers in lines."""
-    rows = [(cause.probability, _cause_text(cause)) for cause in gap.causes[:MAX_CAUSES]]
-    if further := gap.causes[MAX_CAUSES:]:
-        rows.append((sum(cause.probability for cause in further), f"{len(further)} further causes"))
-    (nominal_words, nominal_probability), (unmeasured_words, unmeasured_probability) = remaining_probabilities(gap)
-    rows.append((nominal_probability, f"{nominal_words}: leaves {unexplained_words(gap.before)}"))
-    rows.append((unmeasured_probability, unmeasured_words))
+    causes = [(_cause_text(cause), cause.probability) for cause in gap.causes[:MAX_CAUSES]]
+    *further, (nominal_words, nominal_probability), unmeasured = remaining_probabilities(gap, MAX_CAUSES)
+    nominal = (f"{nominal_words}: leaves {unexplained_words(gap.before)}", nominal_probability)
     table = Table.grid(padding=(0, 2))
     table.add_column(justify="right", no_wrap=True)
-    for cause_probability, words in rows:
+    for words, cause_probability in (*causes, *further, nominal, unmeasured):
         table.add_row(probability(cause_probability), Text(words))
     return Group(Text("causes by probability (± 95 %):", style="bold"), table)
 

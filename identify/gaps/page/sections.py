@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from identify.gaps import wording
 from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded
-from identify.gaps.page.advice import next_steps, place, unexplained_ranges_hz
+from identify.gaps.page.advice import MAX_RANGES, next_steps, place, range_words, unexplained_ranges_hz
 from identify.gaps.results import (
     Attribution,
     Cause,
@@ -25,7 +25,6 @@ from identify.gaps.wording import (
     cause_name,
     interval,
     is_effective,
-    joined,
     p_value_words,
     probability,
     remaining_probabilities,
@@ -68,9 +67,9 @@ def mismatch_size_html(gap: Gap) -> str:
     html += page.table((*header, "what matters"), zip(signal_names, *columns, limits, strict=True))
     html += f"<p>{escape(_p_value_sentence('The model as it is', gap.before))}"
     html += f" {escape(_p_value_sentence('With the likeliest cause, it', gap.after))}</p>" if is_explained else "</p>"
-    if ranges_hz := unexplained_ranges_hz(gap)[:3]:
-        band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
-        html += f"<p>From {band_words} the rest is more than null simulations leave, and enough to matter.</p>"
+    if ranges_hz := unexplained_ranges_hz(gap)[:MAX_RANGES]:
+        words = range_words(ranges_hz)
+        html += f"<p>From {words} the rest is more than null simulations leave, and enough to matter.</p>"
     if gap.channel_faults:
         html += "<h3>Channels left out</h3>" + page.table(("channel", "fault"), gap.channel_faults.items())
     return html
@@ -82,10 +81,7 @@ def cause_tables_html(gap: Gap) -> str:
     contact_names = list(gap.before.contact_shares)
     leaves = ("leaves of the motion", *(f"leaves of {name}" for name in contact_names))
     header = ("cause", "probability", "closes", *leaves)
-    remaining = remaining_probabilities(gap)
-    if further_causes:
-        further_probability = sum(cause.probability for cause in further_causes)
-        remaining.insert(0, (f"{len(further_causes)} further causes", further_probability))
+    remaining = remaining_probabilities(gap, MAX_CAUSES)
     remaining_rows = [(words, probability(p), *[""] * (2 + len(contact_names))) for words, p in remaining]
     html = (
         "<p>Each row is a set of effects from the library, or no effect, or something unmeasured; the probabilities "
