@@ -85,8 +85,8 @@ class Strength(msgspec.Struct, frozen=True):
 
     @property
     def is_named(self) -> bool:
-        lower_end, upper_end = self.interval_95
-        return self.inclusion_probability >= NAMED_PROBABILITY and not lower_end <= self.neutral <= upper_end
+        lower, upper = self.interval_95
+        return self.inclusion_probability >= NAMED_PROBABILITY and not lower <= self.neutral <= upper
 
 
 class Evidence(msgspec.Struct, frozen=True, kw_only=True):
@@ -147,9 +147,8 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
             return Verdict.SMALL
         if self.named and self.enough and not self.vetoed:
             return Verdict.EXPLAINED
-        return (
-            Verdict.PARTLY_EXPLAINED if self.named and self.removed >= PARTLY_EXPLAINED_SHARE else Verdict.UNEXPLAINED
-        )
+        removes_half = self.named and self.removed >= PARTLY_EXPLAINED_SHARE
+        return Verdict.PARTLY_EXPLAINED if removes_half else Verdict.UNEXPLAINED
 
 
 def all_hold(quantities: tuple[Bounded, ...]) -> bool:

@@ -59,19 +59,17 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def named(self) -> tuple[str, ...]:
         """Words of the effects that may be named."""
-        return tuple(
-            effect_words for effect_words, strength in zip(self.words, self.strengths, strict=True) if strength.is_named
-        )
+        return tuple(words for words, strength in zip(self.words, self.strengths, strict=True) if strength.is_named)
 
 
 def labels_of(effects: Iterable[str]) -> tuple[str, ...]:
     """Unique names of effects: "added_mass", "added_mass_2"."""
-    effect_counts = Counter[str]()
-    effect_labels = []
+    counts = Counter[str]()
+    labels = []
     for effect in effects:
-        effect_counts[effect] += 1
-        effect_labels.append(effect if effect_counts[effect] == 1 else f"{effect}_{effect_counts[effect]}")
-    return tuple(effect_labels)
+        counts[effect] += 1
+        labels.append(effect if counts[effect] == 1 else f"{effect}_{counts[effect]}")
+    return tuple(labels)
 
 
 class Criteria(msgspec.Struct, frozen=True):
@@ -224,9 +222,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """Difference between the nominal rig and the records, judged on the record that was not fitted.
 
     causes are the named effects, then the likeliest sets; the rest of probability one is that of the nominal rig and of
-    something unmeasured. The rollout is that of the first cause. not_seen holds the
-    quantities that the records neither bound nor show; channel_faults the dead and clipped channels, which were left
-    out.
+    something unmeasured. The rollout is that of the first cause. not_seen holds the quantities that the records neither
+    bound nor show; channel_faults the dead and clipped channels, which were left out.
     """
 
     verdict: Verdict

@@ -98,60 +98,57 @@ def bound_words(bound: Bounded) -> str:
     """Quantity that is not bounded, in words: its value, upper bound and limit, or the reason why there are none."""
     if bound.why or bound.value is None:
         return f"the {bound.name} ({bound.why})"
-    value_words, upper_words, limit_words = bound_numbers(bound)
-    at_most_words = "with no upper bound" if bound.upper is None else f"at most {upper_words}"
+    value, upper, limit = bound_numbers(bound)
+    at_most = "with no upper bound" if bound.upper is None else f"at most {upper}"
     if bound.unit == "1":
-        return f"the {bound.name} ({value_words} unexplained, {at_most_words}; {limit_words} matters)"
-    return f"the {bound.name} ({value_words} off, {at_most_words}; three tolerances are {limit_words})"
+        return f"the {bound.name} ({value} unexplained, {at_most}; {limit} matters)"
+    return f"the {bound.name} ({value} off, {at_most}; three tolerances are {limit})"
 
 
 def bound_numbers(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm."""
-    if bound.unit == "1":
-        return [
-            "no bound" if share is None else percent(share) for share in (bound.value, bound.upper, bound.threshold)
-        ]
-    unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
-    return [
-        "no bound" if bound_value is None else f"{number(unit_scale * bound_value, 3)} {unit}"
-        for bound_value in (bound.value, bound.upper, bound.threshold)
-    ]
+    scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
+
+    def words(value: float | None) -> str:
+        if value is None:
+            return "no bound"
+        return percent(value) if unit == "1" else f"{number(scale * value, 3)} {unit}"
+
+    return [words(bound.value), words(bound.upper), words(bound.threshold)]
 
 
 def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     """Named effects of the likeliest cause that have look-alikes, each with these, in words."""
-    if not gap.causes:
-        return []
-    effect_words = {
-        strength.effect: effect_word
+    words_by_effect = {
+        strength.effect: words
         for cause in reversed(gap.causes)
-        for strength, effect_word in zip(cause.strengths, cause.words, strict=True)
+        for strength, words in zip(cause.strengths, cause.words, strict=True)
     }
-    likeliest = gap.causes[0]
     return [
-        (effect_phrases, [effect_words.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
-        for effect_phrases, strength in zip(likeliest.words, likeliest.strengths, strict=True)
+        (words, [words_by_effect.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
+        for cause in gap.causes[:1]
+        for words, strength in zip(cause.words, cause.strengths, strict=True)
         if strength.is_named and strength.instead
     ]
 
 
 def _label_words(label: str) -> str:
     """Label of an effect in words: "added mass of the barrel" of added_mass:barrel."""
-    effect_name, _, place_name = label.partition(":")
-    return effect_name.replace("_", " ") + (f" of the {place_name}" if place_name not in ("", "all") else "")
+    effect, _, place = label.partition(":")
+    return effect.replace("_", " ") + (f" of the {place}" if place not in ("", "all") else "")
 
 
 def findings_heading(gap: Diagnosis) -> str:
     """Sentence that introduces the findings of the check, which knows no force or motion that was not measured."""
-    unmeasured_causes = [
-        effect_words
+    unmeasured = [
+        words
         for cause in gap.causes[:1]
-        for effect, effect_words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
+        for effect, words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
     if gap.unknown and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
-        unmeasured_causes.append("what the difference looks like")
-    reservation = f", which does not know {joined(unmeasured_causes)}," if unmeasured_causes else ""
+        unmeasured.append("what the difference looks like")
+    reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
     return f"The check of the recordings{reservation} says:"
 
 
@@ -162,16 +159,16 @@ def interval(estimate: Value) -> str:
     """
     if estimate.instead:
         return estimate.instead
-    interval_words = wording.interval(estimate.value, estimate.standard_error, estimate.unit)
-    return f"{interval_words} (at the limit of its range)" if estimate.at_limit else interval_words
+    words = wording.interval(estimate.value, estimate.standard_error, estimate.unit)
+    return f"{words} (at the limit of its range)" if estimate.at_limit else words
 
 
 def cause_name(cause: Cause) -> str:
     """Effects of a cause with the places at which they act: "added_mass (barrel) + preload"."""
     labelled_effects = []
     for effect, label in zip(cause.effects, cause.labels, strict=True):
-        place_names = [place for place_key, place in cause.places.items() if place_key.split(".")[0] == label]
-        labelled_effects.append(f"{effect} ({', '.join(place_names)})" if place_names else effect)
+        places = [place for key, place in cause.places.items() if key.split(".")[0] == label]
+        labelled_effects.append(f"{effect} ({', '.join(places)})" if places else effect)
     return " + ".join(labelled_effects)
 
 
@@ -179,8 +176,8 @@ def removed_share_words(cause: Cause) -> str:
     """Removed share of the mismatch with its 95 % interval: "97.0 % (95.1 to 98.2 %)"; "nothing" if negligible."""
     if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < DESCRIPTION_EXPLAINED:
         return "nothing"
-    lower_words, upper_words = (percent(share).removesuffix(" %") for share in cause.interval_95)
-    return f"{percent(cause.explained)} ({lower_words} to {upper_words} %)"
+    lower, upper = (percent(share).removesuffix(" %") for share in cause.interval_95)
+    return f"{percent(cause.explained)} ({lower} to {upper} %)"
 
 
 def is_effective(cause: Cause) -> bool:
@@ -193,14 +190,11 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
 
     Without what noise hides, whose share is zero; "< 0.1 % of the motion" if noise hides all.
     """
-    share_words = [f"{percent(unexplained.share)} of the motion"] if unexplained.share > 0 else []
-    for contact_number, (name, share) in enumerate(
-        (contact_name, contact_share)
-        for contact_name, contact_share in unexplained.contact_shares.items()
-        if contact_share > 0
-    ):
-        share_words.append(f"{percent(share)} of {'that' if contact_number else 'the force'} of {name}")
-    return joined(share_words or [f"{percent(SMALLEST_SHARE)} of the motion"])
+    words = [f"{percent(unexplained.share)} of the motion"] if unexplained.share > 0 else []
+    forces = [(name, share) for name, share in unexplained.contact_shares.items() if share > 0]
+    for index, (name, share) in enumerate(forces):
+        words.append(f"{percent(share)} of {'that' if index else 'the force'} of {name}")
+    return joined(words or [f"{percent(SMALLEST_SHARE)} of the motion"])
 
 
 def stays_unexplained_words(unexplained: UnexplainedShares) -> str:
@@ -219,40 +213,31 @@ def between_records_sentence(between: RecordDifferences) -> str:
     """Sentence on what differs between the records."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
-    differences_sentence = (
-        f"Between the records, {joined([difference_words(comparison) for comparison in between.differing])}."
-    )
-    return (
-        f"{level_words(between.level_dependence)} {differences_sentence}"
-        if between.level_dependence
-        else differences_sentence
-    )
+    sentence = f"Between the records, {joined([difference_words(comparison) for comparison in between.differing])}."
+    return f"{level_words(between.level_dependence)} {sentence}" if between.level_dependence else sentence
 
 
 def level_words(change: LevelDependence) -> str:
     """Sentence on the change of a mode with the level: "The machine softens with the motion: ..."."""
-    frequency_words, damping_words = (
-        f"{100 * relative_change:+.2g} %" for relative_change in (change.frequency_change, change.damping_change)
-    )
+    frequency, damping = (f"{100 * relative:+.2g} %" for relative in (change.frequency_change, change.damping_change))
     if abs(change.frequency_change) < SMALLEST_FREQUENCY_CHANGE:
-        trend_words = f"is damped {'more' if change.damping_change > 0 else 'less'}"
+        trend = f"is damped {'more' if change.damping_change > 0 else 'less'}"
     else:
-        trend_words = "softens" if change.frequency_change < 0 else "stiffens"
-    joint_words = "a stop or a hardening spring" if trend_words == "stiffens" else "friction or clearance in a joint"
+        trend = "softens" if change.frequency_change < 0 else "stiffens"
+    joint = "a stop or a hardening spring" if trend == "stiffens" else "friction or clearance in a joint"
     return (
-        f"The machine {trend_words} with the motion: from {number(change.lowest_n, 2)} to "
-        f"{number(change.highest_n, 2)} N rms the mode of the {change.body} at {number(change.frequency_hz)} Hz "
-        f"changes by {frequency_words} and its damping by {damping_words}, as {joint_words} makes it; a changed mass "
-        "or linear stiffness would be the same at every level."
+        f"The machine {trend} with the motion: from {number(change.lowest_n, 2)} to {number(change.highest_n, 2)} N "
+        f"rms the mode of the {change.body} at {number(change.frequency_hz)} Hz changes by {frequency} and its damping "
+        f"by {damping}, as {joint} makes it; a changed mass or linear stiffness would be the same at every level."
     )
 
 
 def difference_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    value_words = ", ".join(number(value.value) for value in comparison.values)
-    unit_words = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
-    place_words = f" ({comparison.place})" if comparison.place else ""
-    return f"{comparison.parameter}{place_words} {comparison.trend} ({value_words}{unit_words})"
+    values = ", ".join(number(value.value) for value in comparison.values)
+    unit = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
+    place = f" ({comparison.place})" if comparison.place else ""
+    return f"{comparison.parameter}{place} {comparison.trend} ({values}{unit})"
 
 
 def failed_analysis_sentences(gap: Gap) -> list[str]:
@@ -260,16 +245,21 @@ def failed_analysis_sentences(gap: Gap) -> list[str]:
     return [f"Not computed: {ANALYSIS_WORDS[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
-def remaining_probabilities(gap: Gap) -> list[tuple[str, float]]:
-    """Probabilities that are not those of causes: of no effect, and of something unmeasured, each with its words.
+def remaining_probabilities(gap: Gap, shown_causes: int) -> list[tuple[str, float]]:
+    """Probabilities of all but the first causes, each with its words: of further causes together, if there are any, of
+    no effect, and of something unmeasured.
 
-    Where the records certainly differ from rig.json, the former is worded as that of no effect of the library, where
+    Where the records certainly differ from rig.json, no effect is worded as that of no effect of the library, where
     they cannot tell, as that of none that stands out.
     """
+    further = gap.causes[shown_causes:]
     is_considered = gap.unknown is not None or gap.probability_unknown > 0
-    unmeasured_words = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
-    nominal_words = NOMINAL_WORDS.get(gap.verdict, "no effect of the library")
-    return [(nominal_words, gap.probability_nothing), (unmeasured_words, gap.probability_unknown)]
+    unmeasured = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
+    return [
+        *([(f"{len(further)} further causes", sum(cause.probability for cause in further))] if further else []),
+        (NOMINAL_WORDS.get(gap.verdict, "no effect of the library"), gap.probability_nothing),
+        (unmeasured, gap.probability_unknown),
+    ]
 
 
 def probability(value: float) -> str:

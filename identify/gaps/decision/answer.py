@@ -1,7 +1,6 @@
 """Diagnosis: recordings prepared, effects searched, hypotheses judged, and the answer of gap.json assembled."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +14,9 @@ from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, judge
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare, search
 from identify.gaps.decision.sentence import sentence
-from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision
+from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, WeightedHypothesis
 from identify.gaps.residual.likelihood import Misfit
-from identify.gaps.results import (
-    Attribution,
-    Criteria,
-    Diagnosis,
-    FailedAnalysis,
-    Gap,
-    Matters,
-    NextExperiment,
-    RecordDifferences,
-)
+from identify.gaps.results import Attribution, Criteria, Diagnosis, Gap, Matters, NextExperiment, RecordDifferences
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described
 from identify.linear.joined import group_rig_of
@@ -64,17 +54,13 @@ def diagnose(
     Raises RigError if the records do not fit together or allow no diagnosis.
     """
 
-    def causes_progress(start_share: float, stop_share: float) -> Callable[[float], None]:
-        return lambda done_share: progress("causes", start_share + (stop_share - start_share) * done_share)
+    def causes_progress(start: float, stop: float) -> Callable[[float], None]:
+        return lambda share: progress("causes", start + (stop - start) * share)
 
-    prepared = prepare(
-        recordings,
-        validation,
-        simulator,
-        null_reference_path,
-        tolerances,
-        lambda done_share: progress("null_reference", done_share),
-    )
+    def null_progress(share: float) -> None:
+        progress("null_reference", share)
+
+    prepared = prepare(recordings, validation, simulator, null_reference_path, tolerances, null_progress)
     search_result = search(prepared, causes_progress(0.0, 0.7))
     judgement = judge(prepared, search_result, matters, causes_progress(0.7, 0.9))
     gap = describe(prepared, search_result, judgement, matters, ask_next, causes_progress(0.9, 1.0))
@@ -90,99 +76,51 @@ def describe(
     progress: Callable[[float], None] = lambda _: None,
 ) -> Gap:
     """Assemble the answer from the judgement; with ask_next, with the next experiment where two causes stay alike."""
-    decision, record = judgement.decision, prepared.validation_recording.record
-    side_analyses = _side_analyses(prepared, search_result, judgement, matters, ask_next, progress)
-    causes_by_weight = sorted(
-        (
-            weighted_hypothesis
-            for weighted_hypothesis in decision.weighted_hypotheses
-            if weighted_hypothesis.validated.hypothesis.candidates
-        ),
-        key=lambda weighted_hypothesis: weighted_hypothesis.validated is not decision.named_hypothesis,
+    decision, prediction, unmeasured = judgement.decision, judgement.prediction, judgement.unmeasured
+    record, null_reference = prepared.validation_recording.record, prepared.null_reference
+    evidence, rig = decision.evidence, record.rig
+    nominal_misfit, named_misfit = decision.nominal_hypothesis.misfit, decision.named_misfit
+    between = _record_differences(prepared, search_result, decision, lambda share: progress(0.5 * share))
+    force = _unmeasured_force(rig, unmeasured, decision.misfit_to_describe, matters)
+    rival_pair = _rival_hypotheses(decision) if ask_next and record.has_force else None
+    experiments = _next_experiments(prepared, rival_pair)
+    attributed = attempted(
+        "attribution", lambda: attribution(judgement.linearization, judgement.nominal_residual, nominal_misfit)
     )
+    side_analyses = (prediction.rollout_attempt, unmeasured, force, between, experiments, attributed)
+    progress(1.0)
+    with_effects = [weighted for weighted in decision.weighted_hypotheses if weighted.validated.hypothesis.candidates]
+    with_effects.sort(key=lambda weighted: weighted.validated is not decision.named_hypothesis)
     causes = tuple(
-        cause_of(weighted_hypothesis, decision.weighted_hypotheses, record, prepared.null_reference, matters)
-        for weighted_hypothesis in causes_by_weight
+        cause_of(weighted, decision.weighted_hypotheses, record, null_reference, matters) for weighted in with_effects
     )
-    evidence = decision.evidence
     diagnosis = Diagnosis(
         verdict=decision.verdict,
         criteria=Criteria(evidence.differs, evidence.bounded, evidence.named, evidence.enough),
         evidence=evidence,
         not_seen=evidence.not_seen,
-        rollout=judgement.prediction.rollout_attempt.result,
-        ruled_out=tuple(
-            words_of(weighted_hypothesis.hypothesis, record.rig)
-            for weighted_hypothesis in judgement.prediction.ruled_out
-        ),
+        rollout=prediction.rollout_attempt.result,
+        ruled_out=tuple(words_of(validated.hypothesis, rig) for validated in prediction.ruled_out),
         free_decay=not any(observation.record.has_force for observation in prepared.observations),
-        before=unexplained_shares(decision.nominal_hypothesis.misfit, record.rig, evidence.p_value),
-        after=unexplained_shares(decision.named_misfit, record.rig, evidence.p_value_after),
+        before=unexplained_shares(nominal_misfit, rig, evidence.p_value),
+        after=unexplained_shares(named_misfit, rig, evidence.p_value_after),
         matters=matters,
         causes=causes,
         probability_nothing=decision.probability_nothing,
         probability_unknown=decision.probability_unmeasured,
-        nothing_minus_two_log=decision.nominal_hypothesis.misfit.minus_two_log,
-        unknown_gain=judgement.unmeasured.cost_decrease,
-        unknown=side_analyses.unknown,
-        bands=bands_of(decision.nominal_hypothesis.misfit, decision.named_misfit, prepared.null_reference),
-        separate_by=confirming_tests(
-            causes, [weighted_hypothesis.validated for weighted_hypothesis in causes_by_weight]
-        ),
-        next_experiments=side_analyses.next_experiments,
-        next_between=side_analyses.next_between,
-        attribution=side_analyses.attribution,
-        between=side_analyses.between,
+        nothing_minus_two_log=nominal_misfit.minus_two_log,
+        unknown_gain=unmeasured.cost_decrease,
+        unknown=force.result,
+        bands=bands_of(nominal_misfit, named_misfit, null_reference),
+        separate_by=confirming_tests(causes, [weighted.validated for weighted in with_effects]),
+        next_experiments=experiments.result or (),
+        next_between=tuple(" + ".join(rival.effects) or "nothing" for rival in rival_pair or ()),
+        attribution=attributed.result or Attribution(),
+        between=between.result,
         channel_faults=prepared.channel_faults,
-        notes=(*judgement.prediction.rollout_attempt.notes, *judgement.unmeasured.notes, *side_analyses.notes),
+        notes=tuple(note for analysis in side_analyses for note in analysis.notes),
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
-
-
-@dataclass(frozen=True)
-class SideAnalyses:
-    """Analyses on which the verdict does not rest; failed ones are left out, with a note."""
-
-    between: RecordDifferences | None
-    unknown: UnmeasuredForce | None
-    next_experiments: tuple[NextExperiment, ...]
-    next_between: tuple[str, ...]
-    attribution: Attribution
-    notes: tuple[FailedAnalysis, ...]
-
-
-def _side_analyses(
-    prepared: PreparedRecordings,
-    search_result: SearchResult,
-    judgement: Judgement,
-    matters: Matters,
-    ask_next: bool,
-    progress: Callable[[float], None],
-) -> SideAnalyses:
-    decision, record = judgement.decision, prepared.validation_recording.record
-    differences_attempt = _record_differences(
-        prepared, search_result, decision, lambda done_share: progress(0.5 * done_share)
-    )
-    force_attempt = _unmeasured_force(record.rig, judgement.unmeasured, decision.misfit_to_describe, matters)
-    rival_pair = _rival_hypotheses(decision) if ask_next and record.has_force else None
-    experiments_attempt = _next_experiments(prepared, rival_pair)
-    attribution_attempt = attempted(
-        "attribution",
-        lambda: attribution(judgement.linearization, judgement.nominal_residual, decision.nominal_hypothesis.misfit),
-    )
-    progress(1.0)
-    return SideAnalyses(
-        between=differences_attempt.result,
-        unknown=force_attempt.result,
-        next_experiments=experiments_attempt.result or (),
-        next_between=tuple(" + ".join(rival.effects) or "nothing" for rival in rival_pair or ()),
-        attribution=attribution_attempt.result or Attribution(),
-        notes=tuple(
-            note
-            for attempt in (force_attempt, differences_attempt, experiments_attempt, attribution_attempt)
-            for note in attempt.notes
-        ),
-    )
 
 
 def _record_differences(
@@ -191,24 +129,15 @@ def _record_differences(
     """Differences between the records, where more than one was fitted."""
     if not prepared.fits_several:
         return Attempt()
-    records = [observation.record for observation in prepared.observations]
-    variances_by_record = [observation.nominal_variances for observation in prepared.observations]
-    named_cause = decision.named_hypothesis if decision.corrects_rig else None
-    force_levels_n = [
-        float(np.sqrt(np.mean(np.sum(observation.recording.forces_n**2, axis=0))))
-        for observation in prepared.observations
-    ]
+    observations = prepared.observations
+    records = [observation.record for observation in observations]
+    variances = [observation.nominal_variances for observation in observations]
+    cause = decision.named_hypothesis if decision.corrects_rig else None
+    forces_n = (observation.recording.forces_n for observation in observations)
+    levels_n = [float(np.sqrt(np.mean(np.sum(record_forces_n**2, axis=0)))) for record_forces_n in forces_n]
+    candidates, titles = search_result.candidates, prepared.record_titles
     return attempted(
-        "between_records",
-        lambda: differences(
-            records,
-            variances_by_record,
-            named_cause,
-            search_result.candidates,
-            prepared.record_titles,
-            force_levels_n,
-            progress,
-        ),
+        "between_records", lambda: differences(records, variances, cause, candidates, titles, levels_n, progress)
     )
 
 
@@ -220,19 +149,15 @@ def _unmeasured_force(
     Both are compared in units of what matters: a force by its share of the unexplained motion, a modulated clearance by
     its share of the unexplained force of its contact.
     """
-    force_fit, clearance_swing = unmeasured.force_fit, unmeasured.clearance_swing
+    force_fit, swing = unmeasured.force_fit, unmeasured.clearance_swing
     force_attempt = attempted("force_description", lambda: described(force_fit)) if force_fit else Attempt()
-    if clearance_swing is None:
+    if swing is None:
         return force_attempt
-    contact_by_name = {contact.name: contact for contact in group_rig_of(rig).contacts}
-    unexplained_contact_share = dict(zip(contact_by_name, misfit.contact_shares, strict=True))[
-        clearance_swing.contact_name
-    ]
+    contacts = {contact.name: contact for contact in group_rig_of(rig).contacts}
+    contact_share = dict(zip(contacts, misfit.contact_shares, strict=True))[swing.contact_name]
     force_size = force_attempt.result.explained * misfit.motion_share / matters.motion if force_attempt.result else 0.0
-    if clearance_swing.variance_share * unexplained_contact_share / matters.contact > force_size:
-        return Attempt(
-            clearance_swing.as_unmeasured_force(contact_by_name[clearance_swing.contact_name]), force_attempt.notes
-        )
+    if swing.variance_share * contact_share / matters.contact > force_size:
+        return Attempt(swing.as_unmeasured_force(contacts[swing.contact_name]), force_attempt.notes)
     return force_attempt
 
 
@@ -241,13 +166,8 @@ def _next_experiments(
 ) -> Attempt[tuple[NextExperiment, ...]]:
     if rival_pair is None:
         return Attempt()
-    validation_recording = prepared.validation_recording
-    return attempted(
-        "next_experiment",
-        lambda: next_experiments(
-            validation_recording.record, validation_recording.recording.forces_n, rival_pair, prepared.simulate
-        ),
-    )
+    record, forces_n = prepared.validation_recording.record, prepared.validation_recording.recording.forces_n
+    return attempted("next_experiment", lambda: next_experiments(record, forces_n, rival_pair, prepared.simulate))
 
 
 def _rival_hypotheses(decision: Decision) -> tuple[Hypothesis, Hypothesis] | None:
@@ -256,20 +176,11 @@ def _rival_hypotheses(decision: Decision) -> tuple[Hypothesis, Hypothesis] | Non
 
     The nominal rig also stands for something unmeasured, which cannot be simulated.
     """
-    probabilities_and_hypotheses = [
-        (
-            weighted_hypothesis.probability
-            + decision.probability_unmeasured * (weighted_hypothesis.validated is decision.nominal_hypothesis),
-            weighted_hypothesis.validated.hypothesis,
-        )
-        for weighted_hypothesis in decision.weighted_hypotheses
-    ]
-    likely_hypotheses = sorted(
-        (
-            probability_and_hypothesis
-            for probability_and_hypothesis in probabilities_and_hypotheses
-            if probability_and_hypothesis[0] > RIVAL_PROBABILITY
-        ),
-        key=lambda probability_and_hypothesis: -probability_and_hypothesis[0],
-    )
-    return (likely_hypotheses[0][1], likely_hypotheses[1][1]) if len(likely_hypotheses) > 1 else None
+
+    def probability_of(weighted: WeightedHypothesis) -> float:
+        is_nominal = weighted.validated is decision.nominal_hypothesis
+        return weighted.probability + decision.probability_unmeasured * is_nominal
+
+    likely = [weighted for weighted in decision.weighted_hypotheses if probability_of(weighted) > RIVAL_PROBABILITY]
+    likely.sort(key=lambda weighted: -probability_of(weighted))
+    return (likely[0].validated.hypothesis, likely[1].validated.hypothesis) if len(likely) > 1 else None

@@ -23,79 +23,62 @@ MAP_CELLS = 12
 
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:
     """Shares of the sum of squares of the residual in its nominal variances, less noise and tolerated model error."""
-    record = linearization.record
+    record, contacts = linearization.record, linearization.model.rig.contacts
     excess_levels = np.maximum(nominal_misfit.levels - 1, 0.0)
-    share_by_channel = _shares_of_sum(
-        dict(zip([observation.name for observation in record.sensors], excess_levels.sum(axis=0), strict=True))
-    )
+    sensor_names = [sensor.name for sensor in record.sensors]
+    channel_shares = _shares_of_sum(dict(zip(sensor_names, excess_levels.sum(axis=0), strict=True)))
     linear_squares = np.sum(residual.linear_residual**2, axis=0)
     contact_squares = [
         contact_fit.residual[: observation.weights.size] ** 2
         for contact_fit, observation in zip(residual.contacts, linearization.observations, strict=True)
     ]
     total_squares = linear_squares + np.sum(contact_squares, axis=0)
-    linear_share = float(linear_squares.sum() / max(total_squares.sum(), 1e-300))
-    residual_shares = {"linear": linear_share}
-    for contact, squares_of_contact in zip(linearization.model.rig.contacts, contact_squares, strict=True):
-        residual_shares[contact.name] = float(squares_of_contact.sum() / max(total_squares.sum(), 1e-300))
-    shares_by_station: dict[str, dict[float, float]] = {}
+    parts, contact_maps = {"linear": _share(linear_squares, total_squares)}, {}
+    for contact, signals, squares in zip(contacts, residual.signals, contact_squares, strict=True):
+        parts[contact.name] = _share(squares, total_squares)
+        eta_m, eta_rate_m_per_s = (eta[:: signals.decimation] for eta in (signals.eta_m, signals.eta_rate_m_per_s))
+        contact_maps[contact.name] = _residual_map(eta_m, eta_rate_m_per_s, squares)
+    station_shares: dict[str, dict[float, float]] = {}
     for sensor in record.sensors:
-        shares_by_position = shares_by_station.setdefault(sensor.station.body, {})
-        position_m = sensor.station.position_m
-        shares_by_position[position_m] = shares_by_position.get(position_m, 0.0) + share_by_channel[sensor.name]
+        body_shares, position_m = station_shares.setdefault(sensor.station.body, {}), sensor.station.position_m
+        body_shares[position_m] = body_shares.get(position_m, 0.0) + channel_shares[sensor.name]
+    intervals = zip(
+        *(np.array_split(series, TIME_INTERVALS) for series in (record.residual_times_s, total_squares)), strict=True
+    )
     return Attribution(
-        channels=share_by_channel,
-        parts=residual_shares,
+        channels=channel_shares,
+        parts=parts,
         modal_equations=_modal_equation_shares(record, residual),
-        positions_m=shares_by_station,
+        positions_m=station_shares,
         band_hz=_band_shares(excess_levels.sum(axis=1)),
         contact_state=_contact_state_shares(linearization, total_squares),
         time_s=tuple(
-            Share(
-                float(interval_times_s[0]),
-                float(interval_times_s[-1]),
-                float(interval_squares.sum() / max(total_squares.sum(), 1e-300)),
-            )
-            for interval_times_s, interval_squares in zip(
-                np.array_split(record.residual_times_s, TIME_INTERVALS),
-                np.array_split(total_squares, TIME_INTERVALS),
-                strict=True,
-            )
+            Share(float(times_s[0]), float(times_s[-1]), _share(squares, total_squares))
+            for times_s, squares in intervals
         ),
-        surface={
-            contact.name: _residual_map(
-                contact_signals.eta_m[:: contact_signals.decimation],
-                contact_signals.eta_rate_m_per_s[:: contact_signals.decimation],
-                squares,
-            )
-            for contact, contact_signals, squares in zip(
-                linearization.model.rig.contacts, residual.signals, contact_squares, strict=True
-            )
-        }
-        or _mass_force_maps(record, residual),
+        surface=contact_maps or _mass_force_maps(record, residual),
     )
+
+
+def _share(part: Float[np.ndarray, "*part"], whole: Float[np.ndarray, "*whole"]) -> float:
+    """Sum of a part over that of the whole; zero where that is zero."""
+    return float(part.sum() / max(whole.sum(), 1e-300))
 
 
 def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMap]:
     """Squared force (N^2) that the linear model lacks, over displacement and velocity of each single mass."""
-    map_by_mass = {}
+    maps, motions = {}, record.displacement_signals
     for response in residual.model.responses:
-        for sensor_index, sensor in enumerate(record.sensors):
+        for index, sensor in enumerate(record.sensors):
             if response.body.is_mass and sensor.station.body == response.body.name:
                 shapes = response.shapes([sensor.station])
-                missing_signals = residual.model.residual[sensor_index] * residual.model.error_deviation[sensor_index]
+                missing_signals = residual.model.residual[index] * residual.model.error_deviation[index]
                 missing_force_n = missing_signals / response.transfer(shapes, shapes)[0, 0]
                 displacement_m, velocity_m_per_s, force_n = record.in_time(
-                    np.stack(
-                        [
-                            record.displacement_signals[sensor_index],
-                            1j * record.omega * record.displacement_signals[sensor_index],
-                            missing_force_n,
-                        ]
-                    )
+                    np.stack([motions[index], 1j * record.omega * motions[index], missing_force_n])
                 )
-                map_by_mass[response.body.name] = _residual_map(displacement_m, velocity_m_per_s, force_n**2)
-    return map_by_mass
+                maps[response.body.name] = _residual_map(displacement_m, velocity_m_per_s, force_n**2)
+    return maps
 
 
 def _shares_of_sum(weight_by_name: dict[str, float]) -> dict[str, float]:
@@ -109,64 +92,48 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     sensor_deviations = np.sqrt(np.mean(residual.model.error_deviation**2, axis=1))
     variance_ratios = {}
     for response in residual.model.responses:
-        body_sensor_indices = [
-            sensor_index
-            for sensor_index, sensor in enumerate(record.sensors)
-            if sensor.station.body == response.body.name
-        ]
-        mode_count = min(len(body_sensor_indices), response.mode_count)
+        body = response.body
+        rows = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        mode_count = min(len(rows), response.mode_count)
         if not mode_count:
             continue
-        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensor_indices])[
-            :, :mode_count
-        ]
+        shapes = response.shapes([record.sensors[index].station for index in rows])[:, :mode_count]
         inverse_shapes = np.linalg.pinv(shapes)
-        mean_squares = np.mean(
-            (
-                inverse_shapes
-                @ (residual.linear_residual[body_sensor_indices] * sensor_deviations[body_sensor_indices, None])
-            )
-            ** 2,
-            axis=1,
-        )
-        error_variances = np.sum((inverse_shapes * sensor_deviations[body_sensor_indices]) ** 2, axis=1)
-        for mode_index in range(mode_count):
-            equation_name = response.body.name if response.body.is_mass else f"{response.body.name} {mode_index + 1}"
-            variance_ratios[equation_name] = float(mean_squares[mode_index] / error_variances[mode_index])
+        body_residual = residual.linear_residual[rows] * sensor_deviations[rows, None]
+        mean_squares = np.mean((inverse_shapes @ body_residual) ** 2, axis=1)
+        error_variances = np.sum((inverse_shapes * sensor_deviations[rows]) ** 2, axis=1)
+        for mode in range(mode_count):
+            equation_name = body.name if body.is_mass else f"{body.name} {mode + 1}"
+            variance_ratios[equation_name] = float(mean_squares[mode] / error_variances[mode])
     return _shares_of_sum(variance_ratios)
 
 
 def _band_shares(band_excess: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
     """Shares in `BAND_EDGES_HZ` of the excess in 2 Hz bands."""
     centre_hz = 2.0 * np.arange(band_excess.size) + 1.0
-    excess_sum = max(float(band_excess.sum()), 1e-300)
     band_shares = []
     for low_hz, high_hz in pairwise(BAND_EDGES_HZ):
         is_in_band = (centre_hz >= low_hz) & (centre_hz < high_hz)
         if np.any(is_in_band):
-            band_shares.append(
-                Share(low_hz, min(high_hz, 2.0 * band_excess.size), float(band_excess[is_in_band].sum() / excess_sum))
-            )
+            share = _share(band_excess[is_in_band], band_excess)
+            band_shares.append(Share(low_hz, min(high_hz, 2.0 * band_excess.size), share))
     return tuple(band_shares)
 
 
 def _contact_state_shares(linearization: Linearization, total_squares: Float[np.ndarray, " times"]) -> dict[str, float]:
     """Shares by the set of closed contacts."""
-    squares_by_state: dict[str, float] = {}
+    state_squares: dict[str, float] = {}
     closed_masks = [observation.closed_mask > 0 for observation in linearization.observations]
-    contact_names = [mask.name for mask in linearization.model.rig.contacts]
+    contact_names = [contact.name for contact in linearization.model.rig.contacts]
     for state_code in range(2 ** len(contact_names)):
-        is_contact_closed = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
-        is_in_state = (
-            np.all([mask == is_closed for mask, is_closed in zip(closed_masks, is_contact_closed, strict=True)], axis=0)
-            if contact_names
-            else np.ones(total_squares.size, bool)
-        )
-        closed_names = " and ".join(
-            name for name, is_closed in zip(contact_names, is_contact_closed, strict=True) if is_closed
-        )
-        squares_by_state[f"{closed_names} closed" if closed_names else "open"] = float(total_squares[is_in_state].sum())
-    return _shares_of_sum(squares_by_state)
+        is_in_state, closed_names = np.ones(total_squares.size, bool), []
+        for index, (name, mask) in enumerate(zip(contact_names, closed_masks, strict=True)):
+            is_closed = bool(state_code >> index & 1)
+            is_in_state &= mask == is_closed
+            closed_names += [name] * is_closed
+        state_words = f"{' and '.join(closed_names)} closed" if closed_names else "open"
+        state_squares[state_words] = float(total_squares[is_in_state].sum())
+    return _shares_of_sum(state_squares)
 
 
 def _residual_map(
@@ -175,12 +142,8 @@ def _residual_map(
     residual_squares: Float[np.ndarray, " times"],
 ) -> ResidualMap:
     """Shares of the squares in `MAP_CELLS` x `MAP_CELLS` cells of relative displacement and velocity."""
-    squares_by_cell, eta_edges, rate_edges = np.histogram2d(
-        eta_m, eta_rate_m_per_s, bins=MAP_CELLS, weights=residual_squares
-    )
-    share_by_cell = squares_by_cell / max(float(squares_by_cell.sum()), 1e-300)
+    squares, eta_edges, rate_edges = np.histogram2d(eta_m, eta_rate_m_per_s, bins=MAP_CELLS, weights=residual_squares)
+    shares = squares / max(float(squares.sum()), 1e-300)
     return ResidualMap(
-        tuple(eta_edges.tolist()),
-        tuple(rate_edges.tolist()),
-        tuple(tuple(cell_row) for cell_row in share_by_cell.tolist()),
+        tuple(eta_edges.tolist()), tuple(rate_edges.tolist()), tuple(tuple(row) for row in shares.tolist())
     )

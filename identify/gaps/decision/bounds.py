@@ -73,58 +73,44 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     squared_shares = misfit.squared_share_by_second
     # noise that is estimated too high puts them below zero, which bounds nothing
     squared_shares = squared_shares + max(misfit.motion_share**2 - squared_shares.mean(), 0.0)
-    bounded_shares = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
-    for contact_index, contact_name in enumerate(contact_names):
-        weights = misfit.nominal_variances.observations[contact_index].weights
+    bounds = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
+    for index, contact_name in enumerate(contact_names):
+        weights = misfit.nominal_variances.observations[index].weights
         noise_square_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        mean_square_force_n2 = max(float(np.mean(misfit.force_n2[:, contact_index])), 1e-300)
-        squared_shares = misfit.contact_excess_n2[:, contact_index] / mean_square_force_n2
-        bounded_shares.append(
-            contact_bound(contact_name, squared_shares, noise_square_n2 / mean_square_force_n2, matters.contact)
-        )
-    return tuple(bounded_shares)
+        force_square_n2 = max(float(np.mean(misfit.force_n2[:, index])), 1e-300)
+        squared_shares = misfit.contact_excess_n2[:, index] / force_square_n2
+        bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
+    return tuple(bounds)
 
 
 def contact_bound(
-    contact_name: str, squared_share_by_second: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
+    name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
 ) -> Bounded:
     """Bounded unexplained share of a contact force, from its squares second by second and the noise's share of the
     force's mean square."""
-    unexplained_share = float(np.sqrt(max(squared_share_by_second.mean(), 0.0)))
+    share = float(np.sqrt(max(squared_shares.mean(), 0.0)))
     if noise_share > HIDING_NOISE_SHARE:
-        return Bounded(contact_name, "1", unexplained_share, None, threshold, "noise hides it", LOUDER_ADVICE)
-    if unexplained_share > 1:
-        return Bounded(contact_name, "1", None, None, threshold, *LAW_FAR_OFF)
-    return _bounded_share(contact_name, unexplained_share, squared_share_by_second, threshold)
+        return Bounded(name, "1", share, None, threshold, "noise hides it", LOUDER_ADVICE)
+    if share > 1:
+        return Bounded(name, "1", None, None, threshold, *LAW_FAR_OFF)
+    return _bounded_share(name, share, squared_shares, threshold)
 
 
-def _bounded_share(
-    quantity_name: str,
-    unexplained_share: float,
-    squared_share_by_second: Float[np.ndarray, " seconds"],
-    threshold: float,
-) -> Bounded:
-    upper_share = _upper_share(squared_share_by_second)
-    if upper_share is not None:
-        return Bounded(quantity_name, "1", unexplained_share, max(unexplained_share, upper_share), threshold)
-    return Bounded(
-        quantity_name, "1", unexplained_share, None, threshold, *(TOO_SHORT if unexplained_share < threshold else ())
-    )
+def _bounded_share(name: str, share: float, squared_shares: Float[np.ndarray, " seconds"], threshold: float) -> Bounded:
+    upper = _upper_share(squared_shares)
+    if upper is not None:
+        return Bounded(name, "1", share, max(share, upper), threshold)
+    return Bounded(name, "1", share, None, threshold, *(TOO_SHORT if share < threshold else ()))
 
 
-def _upper_share(squared_share_by_second: Float[np.ndarray, " seconds"]) -> float | None:
+def _upper_share(squared_shares: Float[np.ndarray, " seconds"]) -> float | None:
     """Upper 97.5 % bound of sqrt(mean(squares)) by Student's distribution; None for a single second."""
-    if squared_share_by_second.size < 2:
+    second_count = squared_shares.size
+    if second_count < 2:
         return None
-    standard_error = float(squared_share_by_second.std(ddof=1)) / np.sqrt(squared_share_by_second.size)
-    return float(
-        np.sqrt(
-            max(
-                squared_share_by_second.mean() + student.ppf(0.975, squared_share_by_second.size - 1) * standard_error,
-                0.0,
-            )
-        )
-    )
+    standard_error = float(squared_shares.std(ddof=1)) / np.sqrt(second_count)
+    upper_square = squared_shares.mean() + student.ppf(0.975, second_count - 1) * standard_error
+    return float(np.sqrt(max(upper_square, 0.0)))
 
 
 def contact_distances(
@@ -134,44 +120,32 @@ def contact_distances(
     outcomes_of: Callable[[Recording, Rig, Tolerances], LawOutcomes] = law_outcomes,
 ) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
-    outcomes_by_record = [outcomes_of(recording, rig, tolerances) for recording in recordings if rig.contacts]
-    parameter_bounds: list[Bounded] = []
-    p_values: list[float] = []
-    pooled_estimates: list[LawEstimate] = []
+    outcomes = [outcomes_of(recording, rig, tolerances) for recording in recordings if rig.contacts]
+    bounds, p_values, pooled_estimates = list[Bounded](), list[float](), list[LawEstimate]()
     for contact in rig.contacts:
-        record_estimates = [
-            estimate
-            for record_outcome in outcomes_by_record
-            for estimate in record_outcome.estimates
-            if estimate.contact_name == contact.name
+        name = contact.name
+        estimates = [
+            estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact_name == name
         ]
-        if record_estimates and contact.law.piecewise_linear:
-            estimate = pooled_estimate(record_estimates)
-            parameter_bounds += _parameter_bounds(contact, estimate, tolerances)
-            p_values.append(_law_p_value(contact, estimate, tolerances))
-            pooled_estimates.append(estimate)
-        else:
-            parameter_bounds.append(
-                _undetermined_parameters(
-                    contact,
-                    [
-                        record_outcome.refusals[contact.name]
-                        for record_outcome in outcomes_by_record
-                        if contact.name in record_outcome.refusals
-                    ],
-                )
-            )
-    return ContactDistances(tuple(parameter_bounds), tuple(p_values), tuple(pooled_estimates))
+        if not (estimates and contact.law.piecewise_linear):
+            refusals = [outcome.refusals[name] for outcome in outcomes if name in outcome.refusals]
+            bounds.append(_undetermined_parameters(contact, refusals))
+            continue
+        estimate = pooled_estimate(estimates)
+        distance = law_distance(estimate, contact, contact, tolerances)
+        bounds += _parameter_bounds(contact, estimate, distance, tolerances)
+        p_values.append(float(chi2.sf(distance.chi_squared, distance.parameter_distances.size)))
+        pooled_estimates.append(estimate)
+    return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled_estimates))
 
 
 def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
     """Parameters of a contact that no record determines, without a bound, and the reason."""
-    clearance_word = "clearance, " if contact.law.has_stops else ""
-    parameter_names = f"{clearance_word}stiffness and damping of {contact.name}"
-    if not contact.law.piecewise_linear:
-        return Bounded(parameter_names, "", None, None, 0.0, "its law is no dead zone")
-    reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
-    return Bounded(parameter_names, "", None, None, 0.0, reason, remedy)
+    names = f"{'clearance, ' if contact.law.has_stops else ''}stiffness and damping of {contact.name}"
+    reason, remedy = "its law is no dead zone", ""
+    if contact.law.piecewise_linear:
+        reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
+    return Bounded(names, "", None, None, 0.0, reason, remedy)
 
 
 @dataclass(frozen=True)
@@ -190,39 +164,25 @@ class LawDistance:
 def law_distance(
     law_estimate: LawEstimate, contact: Contact, nominal_contact: Contact, tolerances: Tolerances
 ) -> LawDistance:
-    parameter_distances = np.asarray(
+    distances = np.asarray(
         law_estimate.quantity_values - law_estimate.quantity_weights @ parameters_of_law(contact.law)
     )
-    nominal_deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
-    stated_variances = np.diag(np.square(nominal_deviations[: parameter_distances.size]))
-    return LawDistance(parameter_distances, law_estimate.covariance + stated_variances)
+    deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
+    stated_variances = np.diag(np.square(deviations[: distances.size]))
+    return LawDistance(distances, law_estimate.covariance + stated_variances)
 
 
-def _law_p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
-    measured_distance = law_distance(estimate, contact, contact, tolerances)
-    return float(chi2.sf(measured_distance.chi_squared, measured_distance.parameter_distances.size))
-
-
-def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distance_by_parameter = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
-    half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
-    parameter_names, parameter_units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
-    parameter_deviations = stated_deviations(contact, tolerances)
-    described_parameters = [
-        (parameter_names[parameter_index], parameter_units[parameter_index], parameter_deviations[parameter_index])
-        for parameter_index in _parameter_indices(contact)
-    ]
-    parameters_and_distances = zip(described_parameters, distance_by_parameter, half_widths, strict=False)
-    return [
-        Bounded(
-            f"{parameter_name} of {contact.name}",
-            unit,
-            float(distance),
-            float(distance + half_width),
-            PARAMETER_DEVIATIONS * parameter_deviation,
-        )
-        for (parameter_name, unit, parameter_deviation), distance, half_width in parameters_and_distances
-    ]
+def _parameter_bounds(
+    contact: Contact, estimate: LawEstimate, distance: LawDistance, tolerances: Tolerances
+) -> list[Bounded]:
+    names_and_units = ("clearance", "m"), ("stiffness", "N/m"), ("damping", "N s/m"), ("offset", "m")
+    deviations = stated_deviations(contact, tolerances)
+    sizes, half_widths = np.abs(distance.parameter_distances), COVERED * np.sqrt(np.diag(estimate.covariance))
+    bounds = []
+    for index, size, half_width in zip(_parameter_indices(contact), sizes, half_widths, strict=False):
+        (name, unit), threshold = names_and_units[index], PARAMETER_DEVIATIONS * deviations[index]
+        bounds.append(Bounded(f"{name} of {contact.name}", unit, float(size), float(size + half_width), threshold))
+    return bounds
 
 
 def _parameter_indices(contact: Contact) -> list[int]:
@@ -235,10 +195,8 @@ def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, 
 
     Those of a laboratory where none are stated, as no record bounds a distance by zero.
     """
-    law = contact.law
-    clearance_tolerance, stiffness_tolerance, damping_tolerance_s = (
-        getattr(tolerances, tolerance_name) or getattr(LABORATORY, tolerance_name)
-        for tolerance_name in CONTACT_TOLERANCES
+    clearance, stiffness, damping_s = (
+        getattr(tolerances, name) or getattr(LABORATORY, name) for name in CONTACT_TOLERANCES
     )
-    clearance_m, stiffness_n_per_m = clearance_tolerance * law.clearance_m, law.stiffness_n_per_m
-    return clearance_m, stiffness_tolerance * stiffness_n_per_m, damping_tolerance_s * stiffness_n_per_m, clearance_m
+    clearance_m, stiffness_n_per_m = clearance * contact.law.clearance_m, contact.law.stiffness_n_per_m
+    return clearance_m, stiffness * stiffness_n_per_m, damping_s * stiffness_n_per_m, clearance_m

@@ -33,32 +33,27 @@ def phrase(
     candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True
 ) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
-    word_fields = {
+    words = {
         parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
         for parameter, value in zip(candidate.parameters, effect_values, strict=True)
     }
-    for place_field, place in candidate.place.items():
-        word_fields[place_field] = _place_words(place_field, place, rig)
-    for place_field in candidate.typical_effect.__struct_fields__:
-        word_fields.setdefault(place_field, str(getattr(candidate.typical_effect, place_field)))
-    word_fields["at"] = ""
+    words |= {field: _place_words(field, place, rig) for field, place in candidate.place.items()}
+    for field in candidate.typical_effect.__struct_fields__:
+        words.setdefault(field, str(getattr(candidate.typical_effect, field)))
+    words["at"] = ""
     if "relative_position" in candidate.parameters.names:
         relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
-        body_name = candidate.place.get("body") or rig.first_driven
-        word_fields["at"] = f" at {relative_position * rig.body(body_name).length_m:.2f} m"
-    return candidate.kind.words.format_map(word_fields)
+        length_m = rig.body(candidate.place.get("body") or rig.first_driven).length_m
+        words["at"] = f" at {relative_position * length_m:.2f} m"
+    return candidate.kind.words.format_map(words)
 
 
 def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is_known: bool) -> str:
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
         return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
-    negative_words, positive_words, undetermined_words = candidate.kind.signed_words[parameter.name]
-    return (
-        f"{_value_words(parameter, abs(value))} {negative_words if value < 0 else positive_words}"
-        if is_known
-        else undetermined_words
-    )
+    negative, positive, undetermined = candidate.kind.signed_words[parameter.name]
+    return f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}" if is_known else undetermined
 
 
 def _value_words(parameter: Parameter, value: float) -> str:
@@ -77,22 +72,20 @@ MILLI_UNITS = ("m", "s")
 """Units that are stated in thousandths."""
 
 
-def _place_words(place_field: str, place: str | None, rig: Rig) -> str:
-    if place_field == "contact":
+def _place_words(field: str, place: str | None, rig: Rig) -> str:
+    if field == "contact":
         return place or "all contacts"
-    if place_field == "side":
+    if field == "side":
         return str(place)
-    if place_field == "sensor":
+    if field == "sensor":
         return f"sensor {place or rig.sensors[-1].name}"
     return f"the {place}" if place else "all bodies"
 
 
 def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
     """Phrases of the effects of a hypothesis, with values and places."""
-    return tuple(
-        phrase(candidate, effect_values, rig)
-        for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
-    )
+    effects = zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
+    return tuple(phrase(candidate, values, rig) for candidate, values in effects)
 
 
 LIMIT_MARGIN = 1e-3
@@ -101,9 +94,9 @@ LIMIT_MARGIN = 1e-3
 
 def is_at_limit(parameter: Parameter, value: float) -> bool:
     """True if the true value may lie beyond the range: at an end that is neither neutral nor the end of a body."""
-    limit_margin = LIMIT_MARGIN * (parameter.high - parameter.low)
-    is_at_low_end = value < parameter.low + limit_margin and parameter.low != parameter.neutral
-    return parameter.name != "relative_position" and (is_at_low_end or value > parameter.high - limit_margin)
+    margin = LIMIT_MARGIN * (parameter.high - parameter.low)
+    is_at_low_end = value < parameter.low + margin and parameter.low != parameter.neutral
+    return parameter.name != "relative_position" and (is_at_low_end or value > parameter.high - margin)
 
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
@@ -118,8 +111,8 @@ def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedS
 
 
 def cause_of(
-    weighted_hypothesis: WeightedHypothesis,
-    all_weighted_hypotheses: Sequence[WeightedHypothesis],
+    weighted: WeightedHypothesis,
+    weighted_hypotheses: Sequence[WeightedHypothesis],
     record: Record,
     null_reference: NullReference,
     matters: Matters,
@@ -128,44 +121,37 @@ def cause_of(
 
     Standard errors include model error: residuals were weighted by scales estimated from them.
     """
-    validated, hypothesis = weighted_hypothesis.validated, weighted_hypothesis.validated.hypothesis
-    parameter_values: dict[str, Value] = {}
-    place_by_field: dict[str, str] = {}
+    validated, hypothesis = weighted.validated, weighted.validated.hypothesis
+    misfits = validated.nominal_misfit, validated.misfit
+    parameters: dict[str, Value] = {}
+    places: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
-    effect_words, first_column = [], 0
+    words, stop = [], 0
     for label, candidate in zip(labels_of(hypothesis.effects), hypothesis.candidates, strict=True):
-        parameter_slice = slice(first_column, first_column + len(candidate.parameters))
-        first_column = parameter_slice.stop
-        effect_values, effect_errors = hypothesis.values[parameter_slice], standard_errors[parameter_slice]
-        determined_change = identifiable_change(
-            record.rig,
-            candidate,
-            effect_values,
-            hypothesis.covariance[parameter_slice, parameter_slice],
-            record.highest_hz,
-        )
-        effect_words.append(phrase(candidate, effect_values, record.rig, with_strength=not determined_change))
+        columns = slice(stop, stop := stop + len(candidate.parameters))
+        values, covariance = hypothesis.values[columns], hypothesis.covariance[columns, columns]
+        instead = identifiable_change(record.rig, candidate, values, covariance, record.highest_hz)
+        words.append(phrase(candidate, values, record.rig, with_strength=not instead))
         for parameter, value, standard_error in zip(
-            candidate.parameters, effect_values.tolist(), effect_errors.tolist(), strict=True
+            candidate.parameters, values.tolist(), standard_errors[columns].tolist(), strict=True
         ):
-            is_strength = parameter.neutral is not None
-            parameter_values[f"{label}.{parameter.name}"] = Value(
+            parameters[f"{label}.{parameter.name}"] = Value(
                 value,
                 standard_error,
                 parameter.unit,
                 is_at_limit(parameter, value),
-                determined_change if is_strength else "",
+                "" if parameter.neutral is None else instead,
             )
-        place_by_field |= {f"{label}.{place_field}": place or "all" for place_field, place in candidate.place.items()}
+        places |= {f"{label}.{field}": place or "all" for field, place in candidate.place.items()}
     return Cause(
         effects=hypothesis.effects,
-        words=tuple(effect_words),
-        strengths=strengths_of(hypothesis, all_weighted_hypotheses),
-        probability=weighted_hypothesis.probability,
-        parameters=parameter_values,
-        places=place_by_field,
-        explained=explained_share(validated.nominal_misfit, validated.misfit, matters),
-        interval_95=explained_share_interval(validated.nominal_misfit, validated.misfit, matters),
+        words=tuple(words),
+        strengths=strengths_of(hypothesis, weighted_hypotheses),
+        probability=weighted.probability,
+        parameters=parameters,
+        places=places,
+        explained=explained_share(*misfits, matters),
+        interval_95=explained_share_interval(*misfits, matters),
         left=unexplained_shares(validated.misfit, validated.rig, p_value(null_reference, validated.misfit)),
         log_prior=validated.log_prior,
         minus_two_log=validated.misfit.minus_two_log,
@@ -174,36 +160,32 @@ def cause_of(
 
 def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
+    shares = zip(
+        nominal_misfit.share_by_band, corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False
+    )
     return tuple(
         Band(
-            low_hz=BAND_WIDTH_HZ * band_index,
-            high_hz=BAND_WIDTH_HZ * (band_index + 1),
-            before=float(nominal_share),
-            after=float(corrected_share),
-            usual=float(usual_share),
+            low_hz=BAND_WIDTH_HZ * index,
+            high_hz=BAND_WIDTH_HZ * (index + 1),
+            before=float(before),
+            after=float(after),
+            usual=float(usual),
         )
-        for band_index, (nominal_share, corrected_share, usual_share) in enumerate(
-            zip(
-                nominal_misfit.share_by_band,
-                corrected_misfit.share_by_band,
-                null_reference.usual_shares(),
-                strict=False,
-            )
-        )
+        for index, (before, after, usual) in enumerate(shares)
     )
 
 
 def confirming_tests(causes: tuple[Cause, ...], ranked_hypotheses: list[ValidatedHypothesis]) -> tuple[str, ...]:
     """Tests that confirm or refute each effect of the causes that are likely or remove a part of the mismatch."""
-    kind_by_name = {
+    kinds = {
         candidate.kind.name: candidate.kind
-        for ranked_hypothesis in ranked_hypotheses
-        for candidate in ranked_hypothesis.hypothesis.candidates
+        for validated in ranked_hypotheses
+        for candidate in validated.hypothesis.candidates
     }
     likely_causes = [
-        possible_cause
-        for cause_rank, possible_cause in enumerate(causes)
-        if possible_cause.probability > RIVAL_PROBABILITY or (cause_rank == 0 and possible_cause.interval_95[0] > 0)
+        cause
+        for rank, cause in enumerate(causes)
+        if cause.probability > RIVAL_PROBABILITY or (rank == 0 and cause.interval_95[0] > 0)
     ]
     effect_names = dict.fromkeys(effect for cause in likely_causes for effect in cause.effects)
-    return tuple(f"{effect_name}: {kind_by_name[effect_name].separated_by}" for effect_name in effect_names)
+    return tuple(f"{name}: {kinds[name].separated_by}" for name in effect_names)

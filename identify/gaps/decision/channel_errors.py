@@ -35,27 +35,21 @@ def channel_errors_of(record: Record) -> ChannelErrors:
 def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, seed: int) -> Recording:
     """Simulated recording with errors of its channels that no rig has, the same for the same seed."""
     rng, tolerances = np.random.default_rng([seed, 79]), channel_errors.tolerances
-    force_count = len(channel_errors.force_noise_n)
-    gain_tolerance = tolerances.force_gain if force_count > 1 else 0.0  # of one force the rig that is drawn has it
-    noisy_recording = with_force_noise(recording, channel_errors.force_noise_n, gain_tolerance, rng)
-    lateral_share, silent_samples = tolerances.lateral_motion, channel_errors.silent_samples
-    lateral_recording = with_lateral_motion(noisy_recording, lateral_share, silent_samples, rng)
-    return with_crosstalk(lateral_recording, tolerances.crosstalk, rng)
+    force_noise_n = channel_errors.force_noise_n
+    gain_tolerance = tolerances.force_gain if force_noise_n.size > 1 else 0.0  # of one force the drawn rig has it
+    recording = with_force_noise(recording, force_noise_n, gain_tolerance, rng)
+    recording = with_lateral_motion(recording, tolerances.lateral_motion, channel_errors.silent_samples, rng)
+    return with_crosstalk(recording, tolerances.crosstalk, rng)
 
 
 def with_force_noise(
-    recording: Recording,
-    force_noise_n: Float[np.ndarray, " forces"],
-    force_gain: float,
-    rng: np.random.Generator,
+    recording: Recording, force_noise_n: Float[np.ndarray, " forces"], force_gain: float, rng: np.random.Generator
 ) -> Recording:
     """Recording with noise and gain errors of the force channels, which the simulator does not know."""
-    force_signals = recording.signals["force"]
-    noisy_forces_n = force_signals.values + force_noise_n[:, None] * rng.standard_normal(force_signals.values.shape)
-    noisy_forces_n = noisy_forces_n * (1 + force_gain * rng.standard_normal((len(noisy_forces_n), 1)))
-    return with_fields(
-        recording, signals={**recording.signals, "force": with_fields(force_signals, values=noisy_forces_n)}
-    )
+    signals = recording.signals["force"]
+    forces_n = signals.values + force_noise_n[:, None] * rng.standard_normal(signals.values.shape)
+    forces_n = forces_n * (1 + force_gain * rng.standard_normal((len(forces_n), 1)))
+    return with_fields(recording, signals={**recording.signals, "force": with_fields(signals, values=forces_n)})
 
 
 def with_lateral_motion(
@@ -96,10 +90,8 @@ def with_crosstalk(recording: Recording, crosstalk_share: float, rng: np.random.
     quantity."""
     signals = dict(recording.signals)
     for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors) if crosstalk_share else ():
-        channel_values = signals[quantity].values
-        neighbour_mask = np.eye(len(channel_values), k=1) + np.eye(len(channel_values), k=-1)
-        mixing_matrix = np.eye(len(channel_values)) + crosstalk_share * neighbour_mask * rng.standard_normal(
-            neighbour_mask.shape
-        )
-        signals[quantity] = with_fields(signals[quantity], values=mixing_matrix @ channel_values)
+        values = signals[quantity].values
+        neighbours = np.eye(len(values), k=1) + np.eye(len(values), k=-1)
+        mixing = np.eye(len(values)) + crosstalk_share * neighbours * rng.standard_normal(neighbours.shape)
+        signals[quantity] = with_fields(signals[quantity], values=mixing @ values)
     return with_fields(recording, signals=signals)

@@ -85,9 +85,9 @@ class ValidatedHypothesis:
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 
-def nominal_of(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
+def nominal_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
     """Hypothesis of the nominal rig."""
-    return next(validated for validated in ranked_hypotheses if not validated.hypothesis.candidates)
+    return next(validated for validated in ranked if not validated.hypothesis.candidates)
 
 
 def validate_hypotheses(
@@ -105,29 +105,28 @@ def validate_hypotheses(
     """
     validated_hypotheses = []
     unchanged_misfit = misfit(record, nominal_variances, nominal_residual)
-    for hypothesis_index, hypothesis in enumerate(hypotheses):
+    for index, hypothesis in enumerate(hypotheses):
         rigs_and_misfits = (record.rig, record.rig, unchanged_misfit, unchanged_misfit)
         if hypothesis.candidates:
             try:
                 rigs_and_misfits = _rigs_and_misfits(record, nominal_variances, unchanged_misfit, hypothesis)
             except RigError:
                 continue
-        validated_hypotheses.append(
-            ValidatedHypothesis(hypothesis, *rigs_and_misfits, log_prior_by_effects[hypothesis.effect_names])
-        )
-        progress((hypothesis_index + 1) / len(hypotheses))
-    return sorted(validated_hypotheses, key=lambda validated_hypothesis: -validated_hypothesis.log_posterior)
+        prior = log_prior_by_effects[hypothesis.effect_names]
+        validated_hypotheses.append(ValidatedHypothesis(hypothesis, *rigs_and_misfits, prior))
+        progress((index + 1) / len(hypotheses))
+    return sorted(validated_hypotheses, key=lambda validated: -validated.log_posterior)
 
 
 def _rigs_and_misfits(
     record: Record, nominal_variances: NominalVariances, unchanged_misfit: Misfit, hypothesis: Hypothesis
 ) -> tuple[Rig, Rig, Misfit, Misfit]:
     """Rig with the effects, corrected rig, its misfit and that of the nominal rig, of a `ValidatedHypothesis`."""
-    hypothesis_rig = record_specific_rig(record, hypothesis)
-    linearization, residual = fit_nuisance(record, hypothesis_rig)
+    rig = record_specific_rig(record, hypothesis)
+    linearization, residual = fit_nuisance(record, rig)
     nominal_misfit = nominal_misfit_beside(record, nominal_variances, linearization, residual)
     effects_misfit = misfit(record, nominal_variances, residual)
-    return hypothesis_rig, residual.corrected_rig, effects_misfit, nominal_misfit or unchanged_misfit
+    return rig, residual.corrected_rig, effects_misfit, nominal_misfit or unchanged_misfit
 
 
 def nominal_misfit_beside(
@@ -140,43 +139,31 @@ def nominal_misfit_beside(
     if (linearization.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
     contact_unknowns = tuple(contact.unknowns for contact in residual.contacts)
-    return misfit(
-        record, nominal_variances, residual_of(linearization, record.rig, residual.nuisance_pulls, contact_unknowns)
-    )
+    nominal_residual = residual_of(linearization, record.rig, residual.nuisance_pulls, contact_unknowns)
+    return misfit(record, nominal_variances, nominal_residual)
 
 
 def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
     """Rig with the hypothesis, with its record-specific parameters (the phase of a tone) fitted to this record."""
     specific_names = {candidate.name: candidate.kind.of_a_record for candidate in hypothesis.candidates}
-    specific_indices = [
-        parameter_index
-        for parameter_index, parameter in enumerate(hypothesis.parameters)
-        if parameter.name in specific_names[parameter.of]
+    columns = [
+        index for index, parameter in enumerate(hypothesis.parameters) if parameter.name in specific_names[parameter.of]
     ]
-    if not specific_indices:
+    if not columns:
         return hypothesis.applied_to(record.rig)
 
     def build(specific_values: Float[np.ndarray, " specific"]) -> Rig:
         all_values = hypothesis.values.copy()
-        all_values[specific_indices] = specific_values
+        all_values[columns] = specific_values
         return with_effects(record.rig, hypothesis.candidates, all_values)
 
     start_rig = record.rig  # with a base motion's row, if there is one
-    for candidate, effect_values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
-        start_rig = candidate.applied(start_rig, effect_values) if candidate.kind.stochastic else start_rig
+    for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
+        start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
-    specific_steps = steps_of(hypothesis.candidates)[specific_indices]
-    lower_bounds, upper_bounds = (bounds[specific_indices] for bounds in hypothesis.parameters.bounds)
-    return build(
-        fit(
-            linearization,
-            build,
-            hypothesis.values[specific_indices],
-            specific_steps,
-            (lower_bounds, upper_bounds),
-            residual,
-        ).values
-    )
+    steps = steps_of(hypothesis.candidates)[columns]
+    lower, upper = (bounds[columns] for bounds in hypothesis.parameters.bounds)
+    return build(fit(linearization, build, hypothesis.values[columns], steps, (lower, upper), residual).values)
 
 
 def log_priors(hypotheses: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
@@ -193,13 +180,9 @@ def log_prior(effect_names: Sequence[str], place_counts: Mapping[str, int]) -> f
     effect_count = len(effect_names)
     if not effect_count:
         return float(np.log(PRIOR_NOTHING))
-    set_prior = (
-        PRIOR_EFFECTS
-        * (1 - FURTHER_EFFECT_SHARE)
-        * FURTHER_EFFECT_SHARE ** (effect_count - 1)
-        / comb(max(1, len(place_counts)) + effect_count - 1, effect_count)
-    )
-    return float(np.log(set_prior) - sum(np.log(place_counts[effect_name]) for effect_name in effect_names))
+    size_prior = PRIOR_EFFECTS * (1 - FURTHER_EFFECT_SHARE) * FURTHER_EFFECT_SHARE ** (effect_count - 1)
+    set_prior = size_prior / comb(max(1, len(place_counts)) + effect_count - 1, effect_count)
+    return float(np.log(set_prior) - sum(np.log(place_counts[name]) for name in effect_names))
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
@@ -208,19 +191,16 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
 
 
-def with_rival_spread(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> list[ValidatedHypothesis]:
+def with_rival_spread(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHypothesis]:
     """Hypotheses whose covariances of the effects hold the values of their rivals, too.
 
     With the values v and the covariance C of an effect in a hypothesis, and v_i in those that hold it too, of the
     probabilities P_i: C + sum_i P_i (v_i - v)(v_i - v)' / sum_i P_i, the mean square about the hypothesis' own values
-    of model averaging (Hoeting et al., Statistical Science 14, 1999). Several effects of one name
-    are paired so that they are nearest in standard errors.
+    of model averaging (Hoeting et al., Statistical Science 14, 1999). Several effects of one name are paired so that
+    they are nearest in standard errors.
     """
-    weights = probabilities(np.array([validated.log_posterior for validated in ranked_hypotheses]))
-    return [
-        replace(validated, hypothesis=_with_spread(validated.hypothesis, ranked_hypotheses, weights))
-        for validated in ranked_hypotheses
-    ]
+    weights = probabilities(np.array([validated.log_posterior for validated in ranked]))
+    return [replace(validated, hypothesis=_with_spread(validated.hypothesis, ranked, weights)) for validated in ranked]
 
 
 def _with_spread(
@@ -243,10 +223,7 @@ def _deviations_of_same_effects(
     standard_errors = np.maximum(standard_errors, 1e-9 * np.abs(hypothesis.values) + 1e-12)  # zero at a limit
     for effect_name in dict.fromkeys(candidate.name for candidate in hypothesis.candidates):
         columns, rival_columns = (_columns_of(effect_name, holder.candidates) for holder in (hypothesis, rival))
-        deviations = [
-            [rival.values[rival_column] - hypothesis.values[column] for rival_column in rival_columns]
-            for column in columns
-        ]
+        deviations = [[rival.values[theirs] - hypothesis.values[ours] for theirs in rival_columns] for ours in columns]
         squared_distances = np.zeros((len(columns), len(rival_columns)))
         for row, column in np.ndindex(squared_distances.shape):
             squared_distances[row, column] = np.sum((deviations[row][column] / standard_errors[columns[row]]) ** 2)
@@ -256,15 +233,15 @@ def _deviations_of_same_effects(
 
 def _columns_of(effect_name: str, candidates: Sequence[Candidate]) -> list[slice]:
     """Columns of the parameters of each effect of this name."""
-    stop_columns = np.cumsum([len(candidate.parameters) for candidate in candidates], dtype=int)
+    stops = np.cumsum([len(candidate.parameters) for candidate in candidates], dtype=int)
     return [
-        slice(stop_column - len(candidate.parameters), stop_column)
-        for stop_column, candidate in zip(stop_columns, candidates, strict=True)
+        slice(stop - len(candidate.parameters), stop)
+        for stop, candidate in zip(stops, candidates, strict=True)
         if candidate.name == effect_name
     ]
 
 
-def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:
+def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     """p-value of the nominal rig against hypotheses that were fitted on another record.
 
     With S = -2 ln p on the record that was not fitted, the split likelihood ratio of their mixture gives (Wasserman,
@@ -275,16 +252,14 @@ def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:
     for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
     fitted record.
     """
-    hypotheses_with_effects = [validated for validated in ranked_hypotheses if validated.hypothesis.candidates]
-    if not hypotheses_with_effects:
+    affecting = [validated for validated in ranked if validated.hypothesis.candidates]
+    if not affecting:
         return 1.0
-    fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
-    weights = probabilities(
-        np.array([validated.log_prior for validated in hypotheses_with_effects]) - fitted_costs / (2 * TEMPERATURE)
-    )
-    gains = nominal_of(ranked_hypotheses).misfit.minus_two_log - np.array(
-        [validated.misfit.minus_two_log for validated in hypotheses_with_effects]
-    )
+    priors = np.array([validated.log_prior for validated in affecting])
+    fitted_costs = np.array([validated.hypothesis.cost for validated in affecting])
+    costs = np.array([validated.misfit.minus_two_log for validated in affecting])
+    weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
+    gains = nominal_of(ranked).misfit.minus_two_log - costs
     return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))
 
 
@@ -319,10 +294,9 @@ def explained_share_interval(nominal_misfit: Misfit, corrected_misfit: Misfit, m
     """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
     second_count = len(corrected_misfit.variance_by_second)
-    drawn_seconds = rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
-    explained_shares = [
-        explained_share(nominal_misfit.resampled(second_indices), corrected_misfit.resampled(second_indices), matters)
-        for second_indices in drawn_seconds
+    shares = [
+        explained_share(nominal_misfit.resampled(seconds), corrected_misfit.resampled(seconds), matters)
+        for seconds in rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
     ]
-    lower_share, upper_share = np.quantile(explained_shares, [0.025, 0.975])
-    return float(lower_share), float(upper_share)
+    lower, upper = np.quantile(shares, [0.025, 0.975])
+    return float(lower), float(upper)

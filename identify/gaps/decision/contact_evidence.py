@@ -10,22 +10,31 @@ The expectation n is subtracted, so that a law of another kind, to which the fit
 nor penalised. Values of the fit beyond their tolerances make a hypothesis of their own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import NominalDifference, law_distance
 from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, validate_hypotheses
 from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.residual.likelihood import misfit
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.contact_laws import LawEstimate, numbers_alone_differ, with_contact_fit
+from identify.gaps.search.contact_laws import (
+    LawEstimate,
+    LawOutcomes,
+    law_outcomes,
+    numbers_alone_differ,
+    with_contact_fit,
+)
 from identify.gaps.search.hypothesis import CHANCE_PULL, Hypothesis
 from identify.gaps.search.nominal import fit_nuisance
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import Tolerances
+from rig.recording import Recording
 
 CONTACT_EFFECTS = ("contact_clearance", "contact_stiffness", "contact_damping")
 """Effects on the quantities of a contact fit, in their order."""
@@ -34,7 +43,7 @@ CONTACT_EFFECTS = ("contact_clearance", "contact_stiffness", "contact_damping")
 def with_contact_evidence(
     prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
-    ranked_hypotheses: Sequence[ValidatedHypothesis],
+    ranked: Sequence[ValidatedHypothesis],
     difference: NominalDifference,
     validation_residual: Residual,
 ) -> list[ValidatedHypothesis]:
@@ -42,27 +51,27 @@ def with_contact_evidence(
 
     validation_residual is that of the nominal rig on the validation record.
     """
-    law_estimates, validation = difference.contact_estimates, prepared.validation_recording
-    record, hypotheses = validation.record, list(ranked_hypotheses)
-    contact_hypothesis = _hypothesis_of_contact_fit(
-        prepared, candidates, law_estimates, nominal_of(ranked_hypotheses).hypothesis
-    )
-    if contact_hypothesis is not None and all(
-        contact_hypothesis.effect_names != ranked_hypothesis.hypothesis.effect_names
-        for ranked_hypothesis in ranked_hypotheses
+    estimates, validation = difference.contact_estimates, prepared.validation_recording
+    contact_hypothesis = _hypothesis_of_contact_fit(prepared, candidates, estimates, nominal_of(ranked).hypothesis)
+    hypotheses = list(ranked)
+    if contact_hypothesis and all(
+        contact_hypothesis.effect_names != validated.hypothesis.effect_names for validated in ranked
     ):
         log_prior_by_effects = log_priors([contact_hypothesis], candidates)
+        record, variances = validation.record, validation.nominal_variances
         hypotheses += validate_hypotheses(
-            record, validation.nominal_variances, validation_residual, [contact_hypothesis], log_prior_by_effects
+            record, variances, validation_residual, [contact_hypothesis], log_prior_by_effects
         )
-    with_evidence = []
-    for hypothesis in hypotheses:
-        contact_costs = (
-            contact_minus_two_log(law_estimate, record.rig, hypothesis.rig, record.tolerances)
-            for law_estimate in law_estimates
-        )
-        with_evidence.append(replace(hypothesis, contact_minus_two_log=float(sum(contact_costs))))
-    return sorted(with_evidence, key=lambda ranked_hypothesis: -ranked_hypothesis.log_posterior)
+    with_costs = [with_contact_cost(validated, estimates, validation.record) for validated in hypotheses]
+    return sorted(with_costs, key=lambda validated: -validated.log_posterior)
+
+
+def with_contact_cost(
+    validated: ValidatedHypothesis, estimates: Sequence[LawEstimate], record: Record
+) -> ValidatedHypothesis:
+    """Hypothesis with the `contact_minus_two_log` of all contacts that the fit determines."""
+    costs = (contact_minus_two_log(estimate, record.rig, validated.rig, record.tolerances) for estimate in estimates)
+    return replace(validated, contact_minus_two_log=float(sum(costs)))
 
 
 def contact_minus_two_log(
@@ -83,34 +92,45 @@ def _contact_of_estimate(rig: Rig, estimate: LawEstimate) -> Contact:
 def _hypothesis_of_contact_fit(
     prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
-    law_estimates: Sequence[LawEstimate],
+    estimates: Sequence[LawEstimate],
     nominal_hypothesis: Hypothesis,
 ) -> Hypothesis | None:
-    """Effects on all parameters that the fit puts more than `CHANCE_PULL` standard deviations off; None without any."""
-    record, effect_names = prepared.searched_recording.record, list[str]()
-    for estimate in law_estimates:
-        contact = _contact_of_estimate(record.rig, estimate)
-        measured_distance = law_distance(estimate, contact, contact, record.tolerances)
-        is_off = np.abs(measured_distance.parameter_distances) > CHANCE_PULL * np.sqrt(
-            np.diag(measured_distance.covariance)
-        )
-        effect_names += [
-            f"{CONTACT_EFFECTS[quantity_index]}:{contact.name}"
-            for quantity_index in np.flatnonzero(is_off[: len(CONTACT_EFFECTS)])
-        ]
-    selected_candidates = tuple(candidate for candidate in candidates if candidate.name in effect_names)
-    if not selected_candidates:
+    """Nominal rig with the effects of the contact fit, on the searched record; None without any."""
+    fitted = fitted_contact_effects(prepared, candidates, estimates, nominal_hypothesis)
+    if fitted is None:
         return None
-    neutral_strengths = np.array([candidate.neutral_strength for candidate in selected_candidates])
-    initial_hypothesis = Hypothesis(
-        selected_candidates,
-        neutral_strengths,
-        np.zeros((neutral_strengths.size, neutral_strengths.size)),
-        nominal_hypothesis.misfit,
+    searched = prepared.searched_recording
+    residual = fit_nuisance(searched.record, fitted.applied_to(searched.record.rig))[1]
+    return replace(fitted, misfit=misfit(searched.record, searched.nominal_variances, residual))
+
+
+def fitted_contact_effects(
+    prepared: PreparedRecordings,
+    candidates: Sequence[Candidate],
+    estimates: Sequence[LawEstimate],
+    hypothesis: Hypothesis,
+    outcomes_of: Callable[[Recording, Rig, Tolerances], LawOutcomes] = law_outcomes,
+) -> Hypothesis | None:
+    """Hypothesis with effects on all parameters that the fit puts more than `CHANCE_PULL` standard deviations off.
+
+    Their values are those of the contact fit of the fitted records. None where none is off, or the fit determines none.
+    """
+    record, off_names = prepared.validation_recording.record, set[str]()
+    for estimate in estimates:
+        contact = _contact_of_estimate(record.rig, estimate)
+        distance = law_distance(estimate, contact, contact, record.tolerances)
+        is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
+        off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, is_off, strict=False) if off}
+    added = tuple(candidate for candidate in candidates if candidate.name in off_names)
+    if not added:
+        return None
+    neutral_strengths = np.array([candidate.neutral_strength for candidate in added])
+    initial = Hypothesis(
+        (*hypothesis.candidates, *added),
+        np.append(hypothesis.values, neutral_strengths),
+        block_diag(hypothesis.covariance, np.zeros((neutral_strengths.size, neutral_strengths.size))),
+        hypothesis.misfit,
     )
     recordings = [observation.recording for observation in prepared.fitted_recordings]
-    fitted_hypothesis = with_contact_fit(initial_hypothesis, recordings, record.tolerances)
-    if fitted_hypothesis is initial_hypothesis:
-        return None
-    residual = fit_nuisance(record, fitted_hypothesis.applied_to(record.rig))[1]
-    return replace(fitted_hypothesis, misfit=misfit(record, prepared.searched_recording.nominal_variances, residual))
+    fitted = with_contact_fit(initial, recordings, record.tolerances, outcomes_of)
+    return None if fitted is initial else fitted

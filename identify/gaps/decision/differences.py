@@ -66,9 +66,8 @@ class EffectValues:
         """Effects with these values of one of them, which is replaced or added."""
         if candidate.name in self.effect_names:
             return self.with_values(slice(None), self.columns_of(candidate.name), values)
-        return replace(
-            self, candidates=(*self.candidates, candidate), by_record=np.concatenate([self.by_record, values], axis=1)
-        )
+        by_record = np.concatenate([self.by_record, values], axis=1)
+        return replace(self, candidates=(*self.candidates, candidate), by_record=by_record)
 
     def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
         """Strengths of an effect, free in each record."""
@@ -103,11 +102,11 @@ class VaryingParameters:
         lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
         return lower_bounds[self.columns], upper_bounds[self.columns]
 
-    def information(self, record_index: int, linearised_record: LinearizedRecord) -> RecordInformation:
-        def build(record_values: Values) -> Rig:
-            return self.effects.with_values(record_index, self.columns, record_values).rig(record_index)
+    def information(self, record_index: int, linearized: LinearizedRecord) -> RecordInformation:
+        def build(values: Values) -> Rig:
+            return self.effects.with_values(record_index, self.columns, values).rig(record_index)
 
-        return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
+        return linearized.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
     def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
         return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
@@ -146,7 +145,7 @@ class _RecordSet:
 
     def screened_tests(self, effects: EffectValues, excluded_names: Sequence[str]) -> list[HomogeneityTest]:
         """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
-        varying_trials = [
+        trials = [
             (candidate, effects.varying_strengths(candidate))
             for candidate in effects.candidates
             if candidate.name not in excluded_names
@@ -154,19 +153,19 @@ class _RecordSet:
         for candidate in self.candidates:
             for start_values in candidate.start_values() if candidate.name not in effects.effect_names else ():
                 with_candidate = effects.with_effect(candidate, np.tile(start_values, (len(self.records), 1)))
-                varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
-        trial_information: list[list[RecordInformation]] = [[] for _ in varying_trials]
+                trials.append((candidate, with_candidate.varying_strengths(candidate)))
+        trial_information: list[list[RecordInformation]] = [[] for _ in trials]
         for record_index in range(len(self.records)):
-            linearised_record = self.linearized_record(effects, record_index)
-            for record_information, (_, values) in zip(trial_information, varying_trials, strict=True):
+            linearized = self.linearized_record(effects, record_index)
+            for information, (_, varying) in zip(trial_information, trials, strict=True):
                 with suppress(RigError):
-                    record_information.append(values.information(record_index, linearised_record))
+                    information.append(varying.information(record_index, linearized))
         best_tests: dict[str, HomogeneityTest] = {}
-        for record_information, (candidate, values) in zip(trial_information, varying_trials, strict=True):
-            if len(record_information) == len(self.records):
-                estimate = values.pooled(record_information)
+        for information, (candidate, varying) in zip(trial_information, trials, strict=True):
+            if len(information) == len(self.records):
+                estimate = varying.pooled(information)
                 if candidate.name not in best_tests or estimate.cost < best_tests[candidate.name].cost:
-                    best_tests[candidate.name] = _homogeneity_test(candidate, values.at_estimate(estimate), estimate)
+                    best_tests[candidate.name] = _homogeneity_test(candidate, varying.at_estimate(estimate), estimate)
         return sorted(best_tests.values(), key=lambda test: test.cost)
 
     def joint_fit(self, initial_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
@@ -185,15 +184,14 @@ class _RecordSet:
 
     def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
-        screened_tests = self.screened_tests(effects, excluded)
-        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
+        screened = self.screened_tests(effects, excluded)
+        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened))))
         fitted_tests = []
-        for screened_test in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
+        for test in [test for test in screened if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                own_values, estimate = self.joint_fit(screened_test.own_values)
-                fitted_tests.append(_homogeneity_test(screened_test.candidate, own_values, estimate))
+                fitted_tests.append(_homogeneity_test(test.candidate, *self.joint_fit(test.own_values)))
         significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
-        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
+        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened)
 
 
 def _homogeneity_test(candidate: Candidate, own_values: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
@@ -215,21 +213,26 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
-    comparable_candidates = [effect for effect in candidates if not (effect.kind.stochastic or effect.kind.of_a_record)]
-    record_set = _RecordSet(records, variances_by_record, comparable_candidates)
+    comparable = [
+        candidate for candidate in candidates if not (candidate.kind.stochastic or candidate.kind.of_a_record)
+    ]
+    record_set = _RecordSet(records, variances_by_record, comparable)
     initial_effects = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
     records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
     varied, differing = _fit_differing_values(record_set, initial_effects, tests, tested_effect_count, records_by_level)
     differing_names = [test.candidate.name for test in tests]
-    shared = _pool_shared_values(record_set, varied.effects, initial_effects.effect_names, differing_names)
+    shared_names = [name for name in initial_effects.effect_names if name not in differing_names]
+    shared_columns = [column for name in shared_names for column in varied.effects.columns_of(name)]
+    shared = VaryingParameters(varied.effects, shared_columns)
+    estimate = record_set.pooled_estimate(shared) if shared_columns else None
     progress(1.0)
-    rig_by_record = [varied.effects.rig(record) for record in range(len(records))]
+    rig_by_record = [varied.effects.rig(index) for index in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
         records=tuple(record_titles),
-        cause=tuple(_parameters_by_record(shared[0], shared[1], 0)) if shared else (),
-        cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
+        cause=tuple(_parameters_by_record(shared, estimate, 0)) if estimate else (),
+        cause_p_value=float(np.exp(_homogeneity_log_p(estimate, shared.record_values.shape))) if estimate else None,
         differing=tuple(differing),
         looked_at=tested_effect_count,
         level_dependence=level_dependence(rig_by_record, force_levels_n, differing, highest_hz),
@@ -243,20 +246,19 @@ def _differing_effects(
 
     Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first_test, tested_effect_count = record_set.most_different(initial_effects, ())
+    first, tested_count = record_set.most_different(initial_effects, ())
     progress(0.3)
-    if first_test is None:
-        return (), tested_effect_count
-    second_test, _ = record_set.most_different(first_test.own_values.effects, [first_test.candidate.name])
+    if first is None:
+        return (), tested_count
+    second, _ = record_set.most_different(first.own_values.effects, [first.candidate.name])
     progress(0.6)
-    if second_test is None:
-        return (first_test,), tested_effect_count
-    second_only = initial_effects.with_effect(second_test.candidate, second_test.effect_values)
-    first_again, _ = record_set.most_different(second_only, [second_test.candidate.name])
-    return (second_test, first_again) if first_again and first_again.cost < second_test.cost else (
-        first_test,
-        second_test,
-    ), tested_effect_count
+    if second is None:
+        return (first,), tested_count
+    second_only = initial_effects.with_effect(second.candidate, second.effect_values)
+    first_again, _ = record_set.most_different(second_only, [second.candidate.name])
+    if first_again and first_again.cost < second.cost:
+        return (second, first_again), tested_count
+    return (first, second), tested_count
 
 
 def _fit_differing_values(
@@ -278,15 +280,6 @@ def _fit_differing_values(
     return own_values, _parameters_by_record(own_values, estimate, tested_effect_count, records_by_level)
 
 
-def _pool_shared_values(
-    record_set: _RecordSet, effects: EffectValues, cause_effects: Sequence[str], differing_names: Sequence[str]
-) -> tuple[VaryingParameters, PooledEstimate] | None:
-    """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
-    shared_names = [name for name in cause_effects if name not in differing_names]
-    shared_values = VaryingParameters(effects, [column for name in shared_names for column in effects.columns_of(name)])
-    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.columns else None
-
-
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
     """Effects of the cause, if every record can have values of its own; else rigs that hold them."""
     candidates = cause.hypothesis.candidates if cause else ()
@@ -302,8 +295,8 @@ def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], paramet
     record_count, parameter_count = shape
     parameter_rows = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
     contrasts = np.kron(np.diff(np.eye(record_count), axis=0), parameter_rows)
-    value_differences = contrasts @ estimate.values
-    chi_squared = value_differences @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, value_differences)
+    steps = contrasts @ estimate.values
+    chi_squared = steps @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, steps)
     return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrasts)))
 
 
@@ -316,35 +309,38 @@ def _parameters_by_record(
     """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
     record_count, parameter_count = own_values.record_values.shape
     labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
-    parameters_by_record = []
-    for parameter_index, column_index in enumerate(own_values.columns):
-        candidate, parameter = labelled[column_index]
-        value_indices = np.arange(record_count) * parameter_count + parameter_index
-        covariance = TEMPERATURE * estimate.covariance[np.ix_(value_indices, value_indices)]
-        values = estimate.values[value_indices]
-        centring_matrix = np.eye(record_count) - 1 / record_count
-        errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
-        p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, parameter_index)))
-        parameters_by_record.append(
+    centring = np.eye(record_count) - 1 / record_count
+    rows = []
+    for index, column in enumerate(own_values.columns):
+        candidate, parameter = labelled[column]
+        places = np.arange(record_count) * parameter_count + index
+        values, covariance = estimate.values[places], TEMPERATURE * estimate.covariance[np.ix_(places, places)]
+        errors = np.sqrt(np.maximum(np.diag(centring @ covariance @ centring), 0.0))
+        p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, index)))
+        by_level: Trend = "none"
+        if records_by_level is not None:
+            by_level = _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)])
+        rows.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
-                values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
+                values=tuple(
+                    Value(float(value), float(error), parameter.unit)
+                    for value, error in zip(values, errors, strict=True)
+                ),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend_of(values, covariance) if comparison_count else "none",
-                by_level="none"
-                if records_by_level is None
-                else _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
+                by_level=by_level,
             )
         )
-    return parameters_by_record
+    return rows
 
 
 def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
     """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
-    value_steps = np.diff(values)
+    steps = np.diff(values)
     step_errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    significant_steps = value_steps[np.abs(value_steps) > TREND_DEVIATIONS * step_errors]
-    if significant_steps.size and np.all(significant_steps > 0):
+    significant = steps[np.abs(steps) > TREND_DEVIATIONS * step_errors]
+    if significant.size and np.all(significant > 0):
         return "grows"
-    return "falls" if significant_steps.size and np.all(significant_steps < 0) else "differs"
+    return "falls" if significant.size and np.all(significant < 0) else "differs"

@@ -77,17 +77,17 @@ def next_experiments(
     """
     possible_experiments = list(experiments(record, forces_n))
     proposals = []
-    for experiment_index, experiment in enumerate(possible_experiments):
-        nominal_rig = experiment.rig_change(record.rig)
+    for index, experiment in enumerate(possible_experiments):
+        rig = experiment.rig_change(record.rig)
         try:
             cost_differences = [
-                _cost_difference(nominal_rig, true_cause, rival_cause, experiment.forces_n, simulate, record.tolerances)
+                _cost_difference(rig, true_cause, rival_cause, experiment.forces_n, simulate, record.tolerances)
                 for true_cause, rival_cause in (rival_pair, rival_pair[::-1])
             ]
         except RigError:
             continue  # the machine cannot be shaken so
         proposals.append(NextExperiment(experiment.instruction, float(np.mean(cost_differences)) / (2 * TEMPERATURE)))
-        progress((experiment_index + 1) / len(possible_experiments))
+        progress((index + 1) / len(possible_experiments))
     return tuple(sorted(proposals, key=lambda proposal: -proposal.log_odds))
 
 
@@ -95,51 +95,38 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     """Experiments: the same again, other levels, halves of the band, a longer record, other places of a force that acts
     alone, a known mass on every body, displacement sensors."""
     rate_hz, rig = record.sample_rate_hz, record.rig
-    start_sample = round(record.excitation_start_s * rate_hz)
+    start = round(record.excitation_start_s * rate_hz)
     rng = np.random.default_rng(11)
 
     def randomized(given_forces_n: Float[np.ndarray, "forces samples"]) -> Float[np.ndarray, "forces samples"]:
-        return np.array([phase_randomized(force_n, start_sample, rate_hz, rng) for force_n in given_forces_n])
+        return np.array([phase_randomized(force_n, start, rate_hz, rng) for force_n in given_forces_n])
 
     repeated_n = randomized(forces_n)
     yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
-    for force_factor in FORCE_FACTORS:
-        yield Experiment(f"record with {force_factor:g} times the force", _unchanged_rig, force_factor * repeated_n)
-    high_hz = float(record.omega[-1] / (2 * np.pi)) / BAND_REACH
-    for band_half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
-        filter_sections = butter(FILTER_ORDER, SPLIT_SHARE * high_hz, filter_kind, fs=rate_hz, output="sos")
-        band_n = sosfiltfilt(filter_sections, repeated_n)
-        band_n[:, :start_sample] = 0.0
-        scaled_band_n = band_n * (np.std(repeated_n) / max(float(np.std(band_n)), 1e-300))
-        yield Experiment(
-            f"record with the {band_half} part of the band, split at {SPLIT_SHARE * high_hz:.3g} Hz",
-            _unchanged_rig,
-            scaled_band_n,
-        )
-    longer_forces_n, longer_sample_count = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
-    while longer_forces_n.shape[1] < longer_sample_count:
-        longer_forces_n = np.concatenate(
-            [longer_forces_n, longer_forces_n[:, :start_sample:-1]], axis=1
-        )  # mirrored, so that it does not jump
-    longer_forces_n = randomized(longer_forces_n[:, :longer_sample_count])
-    duration_words = f"record {longer_sample_count / rate_hz:.3g} s"
-    yield Experiment(duration_words, _unchanged_rig, longer_forces_n)
-    yield Experiment(
-        f"{duration_words} with {FORCE_FACTORS[-1]:g} times the force",
-        _unchanged_rig,
-        FORCE_FACTORS[-1] * longer_forces_n,
-    )
+    for factor in FORCE_FACTORS:
+        yield Experiment(f"record with {factor:g} times the force", _unchanged_rig, factor * repeated_n)
+    split_hz = SPLIT_SHARE * (float(record.omega[-1] / (2 * np.pi)) / BAND_REACH)
+    for half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
+        band_n = sosfiltfilt(butter(FILTER_ORDER, split_hz, filter_kind, fs=rate_hz, output="sos"), repeated_n)
+        band_n[:, :start] = 0.0
+        scaled_n = band_n * (np.std(repeated_n) / max(float(np.std(band_n)), 1e-300))
+        instruction = f"record with the {half} part of the band, split at {split_hz:.3g} Hz"
+        yield Experiment(instruction, _unchanged_rig, scaled_n)
+    longer_n, sample_count = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
+    while longer_n.shape[1] < sample_count:  # mirrored, so that it does not jump
+        longer_n = np.concatenate([longer_n, longer_n[:, :start:-1]], axis=1)
+    longer_n, factor = randomized(longer_n[:, :sample_count]), FORCE_FACTORS[-1]
+    instruction = f"record {sample_count / rate_hz:.3g} s"
+    yield Experiment(instruction, _unchanged_rig, longer_n)
+    yield Experiment(f"{instruction} with {factor:g} times the force", _unchanged_rig, factor * longer_n)
     for station in _force_stations(rig) if len(rig.forces) == 1 and not rig.base_sensors else ():
-        yield Experiment(
-            f"move the force to {_station_words(rig, station)}", partial(with_fields, force_at=station), repeated_n
-        )
+        instruction = f"move the force to {_station_words(rig, station)}"
+        yield Experiment(instruction, partial(with_fields, force_at=station), repeated_n)
     for body in rig.bodies:
         mass_kg = ADDED_MASS_SHARE * getattr(body, "mass_kg", 1.0)
-        tip_station = Station(body.name, body.length_m)
-        add_mass = partial(_rig_with_mass, mass=PointMass(station=tip_station, mass_kg=mass_kg))
-        yield Experiment(
-            f"hang a known {1e3 * mass_kg:.3g} g on {_station_words(rig, tip_station)}", add_mass, repeated_n
-        )
+        tip = Station(body.name, body.length_m)
+        add_mass = partial(_rig_with_mass, mass=PointMass(station=tip, mass_kg=mass_kg))
+        yield Experiment(f"hang a known {1e3 * mass_kg:.3g} g on {_station_words(rig, tip)}", add_mass, repeated_n)
     if any(sensor.measures.order and sensor.measures.translates for sensor in rig.sensors):
         yield Experiment("measure displacements in place of accelerations", _rig_with_displacements, repeated_n)
 
@@ -159,20 +146,13 @@ def refit_hypothesis(search_start: Search, hypothesis: Hypothesis, fix_parameter
     Parameters can be fixed; those known by their spectrum alone keep their values. Raises RigError where the rig cannot
     have the cause.
     """
-    record = search_start.linearization.record
-    if fix_parameters or any(candidate.kind.stochastic for candidate in hypothesis.candidates):
-        hypothesis_rig = hypothesis.applied_to(record.rig)
-        return replace(
-            hypothesis,
-            misfit=fit_from(search_start, lambda _: hypothesis_rig, (), np.zeros(0), REFIT_ROUNDS).hypothesis.misfit,
-        )
-    return fit_from(
-        search_start,
-        partial(with_effects, record.rig, hypothesis.candidates),
-        hypothesis.candidates,
-        hypothesis.values,
-        REFIT_ROUNDS,
-    ).hypothesis
+    rig, candidates = search_start.linearization.record.rig, hypothesis.candidates
+    if fix_parameters or any(candidate.kind.stochastic for candidate in candidates):
+        applied_rig = hypothesis.applied_to(rig)
+        refit = fit_from(search_start, lambda _: applied_rig, (), np.zeros(0), REFIT_ROUNDS).hypothesis
+        return replace(hypothesis, misfit=refit.misfit)
+    build = partial(with_effects, rig, candidates)
+    return fit_from(search_start, build, candidates, hypothesis.values, REFIT_ROUNDS).hypothesis
 
 
 def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
@@ -181,21 +161,16 @@ def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
     A typical effect replaces the standard error where it is smaller. A cause that a record hardly shows is fitted as
     almost nothing; simulated so, no experiment would discriminate it from another.
     """
-    enlarged_values = hypothesis.values.copy()
+    values = hypothesis.values.copy()
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     typical_values = np.concatenate([np.zeros(0), *(candidate.typical_values for candidate in hypothesis.candidates)])
-    for parameter_index, parameter in enumerate(hypothesis.parameters):
+    for index, parameter in enumerate(hypothesis.parameters):
         if parameter.neutral is not None:
-            strength_sign = np.sign(enlarged_values[parameter_index] - parameter.neutral) or np.sign(
-                typical_values[parameter_index] - parameter.neutral
-            )
-            enlarged_values[parameter_index] += (
-                strength_sign
-                * ENLARGED_ERRORS
-                * min(standard_errors[parameter_index], abs(typical_values[parameter_index] - parameter.neutral))
-            )
-            enlarged_values[parameter_index] = np.clip(enlarged_values[parameter_index], parameter.low, parameter.high)
-    return replace(hypothesis, values=enlarged_values)
+            typical_strength = typical_values[index] - parameter.neutral
+            sign = np.sign(values[index] - parameter.neutral) or np.sign(typical_strength)
+            values[index] += sign * ENLARGED_ERRORS * min(standard_errors[index], abs(typical_strength))
+            values[index] = np.clip(values[index], parameter.low, parameter.high)
+    return replace(hypothesis, values=values)
 
 
 def disagreement(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
@@ -208,9 +183,9 @@ def disagreement(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
         for candidate in first_fit.candidates
         for parameter in candidate.parameters
     ]
-    value_differences = (first_fit.values - second_fit.values)[is_shared]
+    change = (first_fit.values - second_fit.values)[is_shared]
     covariance = (first_fit.covariance + second_fit.covariance)[np.ix_(is_shared, is_shared)]
-    return float(value_differences @ np.linalg.pinv(covariance, hermitian=True) @ value_differences)
+    return float(change @ np.linalg.pinv(covariance, hermitian=True) @ change)
 
 
 def _unchanged_rig(rig: Rig) -> Rig:
@@ -254,9 +229,8 @@ def _cost_difference(
     """-2 ln p of the rival less that of the true cause, on a recording that is simulated with the true cause."""
     enlarged_cause = enlarge_strengths(true_cause)
     actual_rig = enlarged_cause.applied_to(nominal_rig)
-    simulated_record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
-    common_start = initial_search(simulated_record, actual_rig)
-    true_refit = refit_hypothesis(common_start, enlarged_cause)
-    rival_refit = refit_hypothesis(common_start, rival_cause)
-    disagreement_excess = disagreement(rival_cause, rival_refit) - disagreement(true_cause, true_refit)
-    return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + disagreement_excess
+    record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
+    search_start = initial_search(record, actual_rig)
+    true_refit, rival_refit = (refit_hypothesis(search_start, cause) for cause in (enlarged_cause, rival_cause))
+    excess = disagreement(rival_cause, rival_refit) - disagreement(true_cause, true_refit)
+    return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + excess

@@ -19,16 +19,11 @@ from identify.gaps.decision.comparison import (
     with_rival_spread,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
-from identify.gaps.decision.notes import attempted
+from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import NullReference, combined_p_value, p_value, p_values, with_bound
 from identify.gaps.decision.predicted import PredictedDecision, predicted_decision, predicted_rollout
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
-from identify.gaps.decision.verdict import (
-    Decision,
-    ForceRivals,
-    acts_at_effects,
-    decide,
-)
+from identify.gaps.decision.verdict import Decision, ForceRivals, acts_at_effects, decide
 from identify.gaps.decision_table import (
     DIFFERENCE_P_VALUE,
     PARTLY_EXPLAINED_SHARE,
@@ -40,8 +35,9 @@ from identify.gaps.decision_table import (
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
 from identify.gaps.results import FailedAnalysis, Matters
+from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.contact_laws import with_contact_fit
-from identify.gaps.search.hypothesis import MIN_GAIN
+from identify.gaps.search.hypothesis import MIN_GAIN, Hypothesis
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
@@ -93,26 +89,16 @@ def judge(
     Where an unmeasured force may be behind it (`may_hide_force`), it and a modulated clearance are looked for.
     """
     validation = prepared.validation_recording
-    record = validation.record
+    record, candidates = validation.record, search_result.candidates
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
-    log_prior_by_effects = log_priors(search_result.hypotheses, search_result.candidates)
-    ranked_hypotheses = validate_hypotheses(
-        record, validation.nominal_variances, residual, search_result.hypotheses, log_prior_by_effects, progress
-    )
-    ranked_hypotheses = [
-        with_lasting_error(ranked_hypothesis, prepared.null_reference) for ranked_hypothesis in ranked_hypotheses
-    ]
-    ranked_hypotheses = _refit_contact_laws(prepared, ranked_hypotheses, residual)
-    difference = difference_of(
-        prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked_hypotheses)
-    )
-    ranked_hypotheses = with_rival_spread(
-        with_contact_evidence(prepared, search_result.candidates, ranked_hypotheses, difference, residual)
-    )
+    ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, residual, progress)
+    ranked = _refit_contact_laws(prepared, ranked, residual)
+    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
+    ranked = with_rival_spread(with_contact_evidence(prepared, candidates, ranked, difference, residual))
     basis = _DecisionBasis(prepared, difference, residual, matters)
     prediction = predicted_decision(
-        ranked_hypotheses,
+        ranked,
         basis.decide,
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
@@ -120,6 +106,22 @@ def judge(
     if may_hide_force(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked, decision)
     return Judgement(decision, prediction, unmeasured_causes, linearization, residual)
+
+
+def validated_hypotheses(
+    prepared: PreparedRecordings,
+    hypotheses: Sequence[Hypothesis],
+    candidates: Sequence[Candidate],
+    residual: Residual,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[ValidatedHypothesis]:
+    """Hypotheses on the validation record with their lasting errors, the likeliest first; candidates are all that were
+    tried, and residual that of the nominal rig on this record."""
+    validation, log_prior_by_effects = prepared.validation_recording, log_priors(hypotheses, candidates)
+    ranked = validate_hypotheses(
+        validation.record, validation.nominal_variances, residual, hypotheses, log_prior_by_effects, progress
+    )
+    return [with_lasting_error(validated, prepared.null_reference) for validated in ranked]
 
 
 def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
@@ -130,17 +132,15 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     max(1, median of s_b / s_0b, weighted by the power of the bands) where p < `USUAL_P_VALUE`, after Birge (Phys. Rev.
     40, 1932). The median keeps a tone that nothing names from widening all else.
     """
-    remaining_misfit = validated.misfit
-    if p_value(null_reference, remaining_misfit) >= USUAL_P_VALUE:
+    remaining = validated.misfit
+    if p_value(null_reference, remaining) >= USUAL_P_VALUE:
         return validated
-    shares_and_limits = zip(remaining_misfit.share_by_band, null_reference.usual_shares(), strict=False)
-    growth_by_band = np.array(
-        [remaining_share / usual_share if usual_share else 1.0 for remaining_share, usual_share in shares_and_limits]
-    )
+    shares = zip(remaining.share_by_band, null_reference.usual_shares(), strict=False)
+    growth_by_band = np.array([share / usual_share if usual_share else 1.0 for share, usual_share in shares])
     band_order = np.argsort(growth_by_band)
-    power_below = np.cumsum(remaining_misfit.power_by_band[band_order])
-    error_growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
-    hypothesis = replace(validated.hypothesis, covariance=error_growth**2 * validated.hypothesis.covariance)
+    power_below = np.cumsum(remaining.power_by_band[band_order])
+    growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
+    hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
     return replace(validated, hypothesis=hypothesis)
 
 
@@ -161,14 +161,10 @@ class _DecisionBasis:
     matters: Matters
 
     def decide(
-        self,
-        ranked_hypotheses: Sequence[ValidatedHypothesis],
-        is_vetoed: bool = False,
-        force_rivals: ForceRivals | None = None,
+        self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
     ) -> Decision:
-        return decide(
-            ranked_hypotheses, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed
-        )
+        null_reference = self.prepared.null_reference
+        return decide(ranked, self.difference, null_reference, self.matters, force_rivals, is_vetoed)
 
 
 def difference_of(
@@ -180,23 +176,22 @@ def difference_of(
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
     validation = prepared.validation_recording
-    nominal_misfits = nominal_misfits_of(prepared, searched_misfit, residual)
-    p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
-    p_value = with_bound(combined_p_value(p_value_parts), split_bound)
-    rig = validation.record.rig
+    rig, tolerances = validation.record.rig, validation.record.tolerances
+    misfits = nominal_misfits_of(prepared, searched_misfit, residual)
+    record_p_values = p_values(prepared.null_references, misfits)
+    p_value = with_bound(combined_p_value(record_p_values), split_bound)
     force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
-    motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
+    motion_bound, *contact_bounds = share_bounds(misfits[prepared.validation_index], force_names, matters)
+    difference = NominalDifference(p_value, motion_bound, tuple(contact_bounds))
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
-        return NominalDifference(p_value, motion_bound, tuple(contact_bounds))
+        return difference
     recordings = [observation.recording for observation in prepared.observations]
-    parameter_distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_value_parts, parameter_distances.p_values)), split_bound)
-    return NominalDifference(
-        p_value,
-        motion_bound,
-        tuple(contact_bounds),
-        parameter_distances.parameter_bounds,
-        parameter_distances.law_estimates,
+    distances = contact_distances(recordings, rig, tolerances)
+    return replace(
+        difference,
+        p_value=with_bound(combined_p_value(np.append(record_p_values, distances.p_values)), split_bound),
+        parameter_bounds=distances.parameter_bounds,
+        contact_estimates=distances.law_estimates,
     )
 
 
@@ -207,81 +202,61 @@ def nominal_misfits_of(prepared: PreparedRecordings, searched_misfit: Misfit, re
     def nominal_misfit(observation: PreparedRecording) -> Misfit:
         if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
-        fitted_residual = (
-            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
-        )
-        return misfit(observation.record, observation.nominal_variances, fitted_residual)
+        record = observation.record
+        nominal_residual = residual if observation is validation else fit_nuisance(record, record.rig)[1]
+        return misfit(record, observation.nominal_variances, nominal_residual)
 
     return [nominal_misfit(observation) for observation in prepared.observations]
 
 
 def _refit_contact_laws(
-    prepared: PreparedRecordings, ranked_hypotheses: list[ValidatedHypothesis], residual: Residual
+    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `MIN_GAIN` or more, or where it is the nominal
     rig.
     """
-    likeliest_hypothesis, *lower_ranked = ranked_hypotheses
+    likeliest, *lower_ranked = ranked
+    record, variances = prepared.validation_recording.record, prepared.validation_recording.nominal_variances
     recordings = [observation.recording for observation in prepared.fitted_recordings]
-    record = prepared.validation_recording.record
-    refitted_hypothesis = with_contact_fit(likeliest_hypothesis.hypothesis, recordings, record.tolerances)
-    if refitted_hypothesis is likeliest_hypothesis.hypothesis:
-        return ranked_hypotheses
-    log_prior_by_effects = {refitted_hypothesis.effect_names: likeliest_hypothesis.log_prior}
-    validated_refits = validate_hypotheses(
-        record, prepared.validation_recording.nominal_variances, residual, [refitted_hypothesis], log_prior_by_effects
-    )
-    kept_refits = [
-        refit
-        for refit in validated_refits
-        if refit.misfit.minus_two_log < likeliest_hypothesis.misfit.minus_two_log + MIN_GAIN
-    ]
-    return sorted([*(kept_refits or [likeliest_hypothesis]), *lower_ranked], key=lambda refit: -refit.log_posterior)
+    refit = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
+    if refit is likeliest.hypothesis:
+        return ranked
+    log_prior_by_effects = {refit.effect_names: likeliest.log_prior}
+    highest_cost = likeliest.misfit.minus_two_log + MIN_GAIN
+    validated_refits = validate_hypotheses(record, variances, residual, [refit], log_prior_by_effects)
+    kept_refits = [validated for validated in validated_refits if validated.misfit.minus_two_log < highest_cost]
+    return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
 
 
 def _decide_with_force(
-    basis: _DecisionBasis, ranked_hypotheses: Sequence[ValidatedHypothesis], decision: Decision
+    basis: _DecisionBasis, ranked: Sequence[ValidatedHypothesis], decision: Decision
 ) -> tuple[Decision, UnmeasuredCauses]:
     """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
-    prepared, residual, validation = (basis.prepared, basis.nominal_residual, basis.prepared.validation_recording)
-    record, is_vetoed = validation.record, decision.evidence.vetoed
-    force_in_nominal = attempted(
-        "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, record.rig, record)
-    )
-    nominal_hypothesis = nominal_of(ranked_hypotheses)
-    force_cost = (
-        minus_two_log_with_force(validation, record.rig, force_in_nominal.result, nominal_hypothesis.misfit)
-        if force_in_nominal.result
-        else None
-    )
-    cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
-    decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost))
-    force_attempt, named_set = force_in_nominal, decision.named_hypothesis
-    if (
-        named_set
-        and explained_share(named_set.nominal_misfit, named_set.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE
-    ):
-        named_rig = named_set.rig
-        force_beside = attempted(
-            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, named_rig, record)
-        )
-        companion_force = force_beside.result
-        if companion_force and acts_at_effects(companion_force.on_fit.force_place, record.rig, named_rig):
-            companion_force = None
-        companion_cost = (
-            minus_two_log_with_force(validation, named_rig, companion_force, named_set.misfit)
-            if companion_force
-            else None
-        )
-        decision = basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
+    residual, validation, matters = basis.nominal_residual, basis.prepared.validation_recording, basis.matters
+    record, searched, is_vetoed = validation.record, basis.prepared.searched_recording.record, decision.evidence.vetoed
+
+    def force_in(rig: Rig) -> Attempt[UnmeasuredForceFit]:
+        return attempted("unmeasured_force", lambda: likeliest_force(searched, rig, record))
+
+    force, nominal_misfit = force_in(record.rig), nominal_of(ranked).misfit
+    force_cost = cost_decrease = None
+    if force.result:
+        force_cost = minus_two_log_with_force(validation, record.rig, force.result, nominal_misfit)
+        cost_decrease = nominal_misfit.minus_two_log - force_cost
+    decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
+    named_set = decision.named_hypothesis
+    if named_set and explained_share(named_set.nominal_misfit, named_set.misfit, matters) >= PARTLY_EXPLAINED_SHARE:
+        force_beside, companion_cost = force_in(named_set.rig), None
+        companion = force_beside.result
+        if companion and not acts_at_effects(companion.on_fit.force_place, record.rig, named_set.rig):
+            companion_cost = minus_two_log_with_force(validation, named_set.rig, companion, named_set.misfit)
+        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force_attempt, residual = force_beside, fit_nuisance(record, named_rig)[1]
-    swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
-    return decision, UnmeasuredCauses(
-        force_attempt.result, swing_attempt.result, cost_decrease, (*force_attempt.notes, *swing_attempt.notes)
-    )
+            force, residual = force_beside, fit_nuisance(record, named_set.rig)[1]
+    swing = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
+    return decision, UnmeasuredCauses(force.result, swing.result, cost_decrease, (*force.notes, *swing.notes))
 
 
 def minus_two_log_with_force(
@@ -295,9 +270,9 @@ def minus_two_log_with_force(
     """
     if not force_fit.same_place:
         return misfit_without.minus_two_log
-    record = validation_recording.record
+    record, nominal_variances = validation_recording.record, validation_recording.nominal_variances
     cleared_record = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
-    misfit_with = misfit(cleared_record, validation_recording.nominal_variances, fit_nuisance(cleared_record, rig)[1])
+    misfit_with = misfit(cleared_record, nominal_variances, fit_nuisance(cleared_record, rig)[1])
     followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost

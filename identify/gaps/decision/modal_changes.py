@@ -15,7 +15,7 @@ from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate, attachments_of
 from identify.pages.wording import interval, number
 from rig.errors import RigError
-from rig.model.description import Body, PointDamper, PointMass, PointSpring, Rig, Station
+from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 from rig.model.modes import Modes, basis_places_beside, mode_count, modes_of
 
 DOMINANT_SHARE = 0.5
@@ -41,41 +41,32 @@ def identifiable_change(
 
     values and covariance are those of the effect's parameters; modes up to highest_hz are in the band.
     """
-    attached_elements = attachments_of(rig, candidate.applied(rig, effect_values))
-    added_elements: tuple[PointSpring | PointDamper | PointMass, ...]
-    added_elements = (
-        (*attached_elements.springs, *attached_elements.dampers, *attached_elements.masses) if attached_elements else ()
-    )
-    element_stations = [added_element.station for added_element in added_elements]
-    if len(element_stations) != 1:
+    attached = attachments_of(rig, candidate.applied(rig, effect_values))
+    added: tuple[PointSpring | PointDamper | PointMass, ...]
+    added = (*attached.springs, *attached.dampers, *attached.masses) if attached else ()
+    if len(added) != 1:
         return ""
-    (station,) = element_stations
-    neighbours_m = basis_places_beside(rig.body(station.body), station.position_m)
-    mode_index = _dominant_mode(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
-    if mode_index is None:
+    station = added[0].station
+    body = rig.body(station.body)
+    neighbours_m = basis_places_beside(body, station.position_m)
+    mode = _dominant_mode(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
+    if mode is None:
         return ""
-    modes = modes_of(rig, rig.body(station.body))
-    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode_index + 1)[:, mode_index] ** 2
+    modes = modes_of(rig, body)
+    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode + 1)[:, mode] ** 2
     if shapes_squared.max() < SHAPE_RATIO_LIMIT * shapes_squared.min():
         return ""
     reason_words = "not told, as no sensor stands there and one mode dominates"
-    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode_index + 1)[mode_index]))} Hz"
-    for quantity_index, (quantity_name, quantity_unit, per_unit) in enumerate(
-        (("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))
-    ):
+    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode + 1)[mode]))} Hz"
+    for row, (name, unit, per_unit) in enumerate((("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))):
 
-        def modal_change(
-            parameter_values: Float[np.ndarray, " parameters"], quantity_index: int = quantity_index
-        ) -> float:
-            return float(_modal_changes(rig, candidate, parameter_values, station.body)[quantity_index][mode_index])
+        def modal_change(values: Float[np.ndarray, " parameters"], row: int = row) -> float:
+            return float(_modal_changes(rig, candidate, values, station.body)[row][mode])
 
-        if mode_change := modal_change(effect_values):
-            change_words = interval(
-                per_unit * mode_change,
-                per_unit * _standard_error_of(modal_change, effect_values, covariance),
-                quantity_unit,
-            )
-            return f"{reason_words}; told: the {quantity_name} of {mode_words} changes by {change_words}"
+        if change := modal_change(effect_values):
+            standard_error = _standard_error_of(modal_change, effect_values, covariance)
+            change_words = interval(per_unit * change, per_unit * standard_error, unit)
+            return f"{reason_words}; told: the {name} of {mode_words} changes by {change_words}"
     return f"{reason_words}: {mode_words}"
 
 
@@ -84,13 +75,11 @@ def _modal_changes(
 ) -> Float[np.ndarray, "2 modes"]:
     """Changes of each mode of a body by an effect: natural frequency (Hz) and damping ratio."""
     body, changed_rig = rig.body(body_name), candidate.applied(rig, effect_values)
-    compared_mode_count = mode_count(body, body.max_modes)
-    nominal_modes, changed_modes = modes_of(rig, body), modes_of(changed_rig, body)
-    frequencies_hz = nominal_modes.frequencies_hz(compared_mode_count)
-    added_damping_ratios = damping_ratios_by_dampers(
-        nominal_modes, frequencies_hz, changed_rig.dampers[len(rig.dampers) :]
-    )
-    return np.array([changed_modes.frequencies_hz(compared_mode_count) - frequencies_hz, added_damping_ratios])
+    count = mode_count(body, body.max_modes)
+    modes, changed_modes = modes_of(rig, body), modes_of(changed_rig, body)
+    frequencies_hz = modes.frequencies_hz(count)
+    added_damping = damping_ratios_by_dampers(modes, frequencies_hz, changed_rig.dampers[len(rig.dampers) :])
+    return np.array([changed_modes.frequencies_hz(count) - frequencies_hz, added_damping])
 
 
 def damping_ratios_by_dampers(
@@ -99,8 +88,8 @@ def damping_ratios_by_dampers(
     """Damping ratios c phi^2 / (2 omega) that dampers on a body add to its modes."""
     damping_ratios = np.zeros_like(frequencies_hz)
     for damper in dampers:
-        shape_at_damper = modes.shapes(np.array([damper.station.position_m]), frequencies_hz.size)[0]
-        damping_ratios += damper.damping_n_s_per_m * shape_at_damper**2 / (4 * np.pi * np.maximum(frequencies_hz, 1e-9))
+        shapes = modes.shapes(np.array([damper.station.position_m]), frequencies_hz.size)[0]
+        damping_ratios += damper.damping_n_s_per_m * shapes**2 / (4 * np.pi * np.maximum(frequencies_hz, 1e-9))
     return damping_ratios
 
 
@@ -113,38 +102,34 @@ def _dominant_mode(
     An effect on neither frequencies nor damping ratios (friction, a cubic spring) is treated as a spring.
     """
     body = rig.body(station.body)
-    modes, compared_mode_count = modes_of(rig, body), mode_count(body, body.max_modes)
-    frequencies_hz = modes.frequencies_hz(compared_mode_count)
-    damping_ratios = np.maximum(modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO)
     if body.rigid_modes:
         return None
+    modes, count = modes_of(rig, body), mode_count(body, body.max_modes)
+    frequencies_hz = modes.frequencies_hz(count)
+    damping_ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)
     frequency_changes_hz, damping_changes = _modal_changes(rig, candidate, effect_values, station.body)
     change_in_half_widths = np.hypot(frequency_changes_hz / frequencies_hz, damping_changes) / damping_ratios
     if not change_in_half_widths.any():
-        change_in_half_widths = modes.shapes(np.array([station.position_m]), compared_mode_count)[0] ** 2 / (
-            frequencies_hz**2 * damping_ratios
-        )
+        shapes = modes.shapes(np.array([station.position_m]), count)[0]
+        change_in_half_widths = shapes**2 / (frequencies_hz**2 * damping_ratios)
     squares_in_band = np.where(frequencies_hz < highest_hz, change_in_half_widths, 0.0) ** 2
-    largest_index = int(np.argmax(squares_in_band))
-    return largest_index if squares_in_band[largest_index] > DOMINANT_SHARE * squares_in_band.sum() else None
+    largest = int(np.argmax(squares_in_band))
+    return largest if squares_in_band[largest] > DOMINANT_SHARE * squares_in_band.sum() else None
 
 
 def _standard_error_of(
     quantity_of: Callable[[Float[np.ndarray, " parameters"]], float],
-    parameter_values: Float[np.ndarray, " parameters"],
+    values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
     steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+    def slope(step: Float[np.ndarray, " parameters"]) -> float:
+        return (quantity_of(values + step) - quantity_of(values - step)) / (2 * step.sum()) if step.any() else 0.0
+
     try:
-        slopes = np.array(
-            [
-                (quantity_of(parameter_values + step) - quantity_of(parameter_values - step)) / (2 * step.sum())
-                if step.any()
-                else 0.0
-                for step in steps
-            ]
-        )
+        slopes = np.array([slope(step) for step in steps])
     except RigError:
         return 0.0  # at the end of what the rig can be
     return float(np.sqrt(max(slopes @ covariance @ slopes, 0.0)))
@@ -158,51 +143,44 @@ def have_levels(force_levels_n: Sequence[float]) -> bool:
 def level_dependence(
     rig_by_record: Sequence[Rig],
     force_levels_n: Sequence[float],
-    differing_parameters: Sequence[ParameterByRecord],
+    differing: Sequence[ParameterByRecord],
     highest_hz: float,
 ) -> LevelDependence | None:
     """Change, from the lowest to the highest level, of the mode that changes most; `rig_by_record` has a rig each.
 
     None where a strength does not follow the level, or no mode below `highest_hz` changes.
     """
-    if not differing_parameters or any(
-        parameter.by_level not in ("grows", "falls") for parameter in differing_parameters
-    ):
+    if not differing or any(parameter.by_level not in ("grows", "falls") for parameter in differing):
         return None
-    lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
-    largest_size_and_dependence: tuple[float, LevelDependence] | None = None
-    for body in rig_by_record[lowest_index].bodies:
-        (low_hz, low_damping_ratios), (high_hz, high_damping_ratios) = (
-            _modal_parameters(rig_by_record[record_index], rig_by_record[record_index].body(body.name))
-            for record_index in (lowest_index, highest_index)
-        )
+    lowest, highest = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
+    largest_size, dependence = 0.0, None
+    for body in rig_by_record[lowest].bodies:
+        low_hz, low_damping = _modal_parameters(rig_by_record[lowest], body.name)
         is_elastic = (low_hz > 0) & (low_hz < highest_hz)
         if not is_elastic.any():
             continue
+        high_hz, high_damping = _modal_parameters(rig_by_record[highest], body.name)
         frequency_changes = high_hz[is_elastic] / low_hz[is_elastic] - 1
-        damping_changes = high_damping_ratios[is_elastic] / low_damping_ratios[is_elastic] - 1
-        change_sizes = np.hypot(frequency_changes / low_damping_ratios[is_elastic], damping_changes)
-        most_changed_mode = int(np.argmax(change_sizes))
-        dependence = LevelDependence(
-            lowest_n=float(force_levels_n[lowest_index]),
-            highest_n=float(force_levels_n[highest_index]),
-            body=body.name,
-            frequency_hz=float(low_hz[is_elastic][most_changed_mode]),
-            frequency_change=float(frequency_changes[most_changed_mode]),
-            damping_change=float(damping_changes[most_changed_mode]),
-        )
-        if change_sizes[most_changed_mode] > 0 and (
-            largest_size_and_dependence is None or change_sizes[most_changed_mode] > largest_size_and_dependence[0]
-        ):
-            largest_size_and_dependence = float(change_sizes[most_changed_mode]), dependence
-    return largest_size_and_dependence[1] if largest_size_and_dependence else None
+        damping_changes = high_damping[is_elastic] / low_damping[is_elastic] - 1
+        sizes = np.hypot(frequency_changes / low_damping[is_elastic], damping_changes)
+        mode = int(np.argmax(sizes))
+        if sizes[mode] > largest_size:
+            largest_size = float(sizes[mode])
+            dependence = LevelDependence(
+                lowest_n=float(force_levels_n[lowest]),
+                highest_n=float(force_levels_n[highest]),
+                body=body.name,
+                frequency_hz=float(low_hz[is_elastic][mode]),
+                frequency_change=float(frequency_changes[mode]),
+                damping_change=float(damping_changes[mode]),
+            )
+    return dependence
 
 
-def _modal_parameters(rig: Rig, body: Body) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]:
+def _modal_parameters(rig: Rig, body_name: str) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]:
     """Natural frequencies (Hz) and damping ratios of a body's modes, including the dampers on it."""
-    modes, compared_mode_count = modes_of(rig, body), mode_count(body, body.max_modes)
-    natural_hz = modes.frequencies_hz(compared_mode_count)
-    body_dampers = [damper for damper in rig.dampers if damper.station.body == body.name]
-    return natural_hz, np.maximum(
-        modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO
-    ) + damping_ratios_by_dampers(modes, natural_hz, body_dampers)
+    body = rig.body(body_name)
+    modes, count = modes_of(rig, body), mode_count(body, body.max_modes)
+    natural_hz, own_damping = modes.frequencies_hz(count), np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)
+    dampers = [damper for damper in rig.dampers if damper.station.body == body_name]
+    return natural_hz, own_damping + damping_ratios_by_dampers(modes, natural_hz, dampers)

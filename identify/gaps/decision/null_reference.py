@@ -28,12 +28,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from identify.gaps.decision.channel_errors import ChannelErrors, channel_errors_of, with_channel_errors
-from identify.gaps.decision.null_simulations import (
-    draw_rig,
-    is_impulsive,
-    phase_randomized,
-    standard_normals,
-)
+from identify.gaps.decision.null_simulations import draw_rig, is_impulsive, phase_randomized, standard_normals
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import CountedPart
 from identify.gaps.residual.residual import Residual, linearized
@@ -93,12 +88,7 @@ class NullReference(msgspec.Struct, frozen=True):
     @property
     def statistics(self) -> Float[np.ndarray, "simulations 3"]:
         """-2 ln p without the contacts' part, the contacts' part, and that of the worst band, for every simulation."""
-        return np.array(
-            [
-                [simulation.minus_two_log - simulation.law, simulation.law, simulation.peak]
-                for simulation in self.simulations
-            ]
-        )
+        return np.array([[null.minus_two_log - null.law, null.law, null.peak] for null in self.simulations])
 
     @property
     def predictions(self) -> tuple[NullErrors, ...]:
@@ -107,14 +97,11 @@ class NullReference(msgspec.Struct, frozen=True):
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """Upper 95 % prediction limit of the unexplained share of each band under the null."""
-        band_count = min(
-            len(simulation.shares) for simulation in self.simulations
-        )  # the bands of a record end where its force does
-        shares_by_simulation = np.array([simulation.shares[:band_count] for simulation in self.simulations])
-        limit_deviations = student.ppf(0.95, len(shares_by_simulation) - 1) * np.sqrt(1 + 1 / len(shares_by_simulation))
-        return np.asarray(
-            shares_by_simulation.mean(axis=0) + limit_deviations * shares_by_simulation.std(axis=0, ddof=1)
-        )
+        # the bands of a record end where its force does
+        band_count = min(len(simulation.shares) for simulation in self.simulations)
+        shares = np.array([simulation.shares[:band_count] for simulation in self.simulations])
+        limit_deviations = student.ppf(0.95, len(shares) - 1) * np.sqrt(1 + 1 / len(shares))
+        return np.asarray(shares.mean(axis=0) + limit_deviations * shares.std(axis=0, ddof=1))
 
 
 class _StoredReferences(msgspec.Struct, frozen=True):
@@ -123,7 +110,7 @@ class _StoredReferences(msgspec.Struct, frozen=True):
     null_references: tuple[NullReference, ...]
 
 
-def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
+def p_values(references: Sequence[NullReference], misfits: Sequence[Misfit]) -> Float[np.ndarray, " parts"]:
     """p-values of the misfit of a rig on all records together, one for each statistic.
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
@@ -138,34 +125,24 @@ def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> 
     with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
     place of Student's, as no deviation is estimated.
     """
-    null_statistics = np.sum([reference.statistics for reference, _ in references_and_misfits], axis=0)
-    measured_statistics = np.sum(
-        [
-            [misfit.minus_two_log - misfit.contact_cost, misfit.contact_cost, misfit.peak_band_cost]
-            for _, misfit in references_and_misfits
-        ],
-        axis=0,
-    )
-    is_used = [True, bool(np.any(null_statistics[:, 1])), True]
-    null_statistics, measured_statistics = null_statistics[:, is_used], measured_statistics[is_used]
-    null_deviations = null_statistics.std(axis=0, ddof=1)
-    degrees_of_freedom = np.maximum(null_deviations**2 / 2, 1.0)
-    standardised_excess = (
-        np.sqrt(2 / degrees_of_freedom)
-        * (measured_statistics - null_statistics.mean(axis=0))
-        / np.maximum(null_deviations, 1.0)
-    )
-    cube_root_skew = 2 / (9 * degrees_of_freedom)
-    normal_scores = (np.cbrt(np.maximum(1 + standardised_excess, 0.0)) - 1 + cube_root_skew) / np.sqrt(cube_root_skew)
-    normal_scores -= (1 - np.minimum(null_deviations**2 / 2, 1.0)) * np.sqrt(cube_root_skew)
-    normal_scores /= np.sqrt(1 + 1 / len(null_statistics))
-    return np.where(null_deviations < 1, norm.sf(normal_scores), student.sf(normal_scores, len(null_statistics) - 1))
+    null = np.sum([reference.statistics for reference in references], axis=0)
+    measured = np.sum([[m.minus_two_log - m.contact_cost, m.contact_cost, m.peak_band_cost] for m in misfits], axis=0)
+    is_used = [True, bool(np.any(null[:, 1])), True]
+    null, measured = null[:, is_used], measured[is_used]
+    deviations = null.std(axis=0, ddof=1)
+    freedom = np.maximum(deviations**2 / 2, 1.0)
+    standardised_excess = np.sqrt(2 / freedom) * (measured - null.mean(axis=0)) / np.maximum(deviations, 1.0)
+    skew = 2 / (9 * freedom)
+    scores = (np.cbrt(np.maximum(1 + standardised_excess, 0.0)) - 1 + skew) / np.sqrt(skew)
+    scores -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
+    scores /= np.sqrt(1 + 1 / len(null))
+    return np.where(deviations < 1, norm.sf(scores), student.sf(scores, len(null) - 1))
 
 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     """Combination of p-values under any dependence, by Cauchy's distribution.
 
-    p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi Liu and Xie, J. Am. Stat. Assoc. 115, 2020
+    p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi        (Liu and Xie, J. Am. Stat. Assoc. 115, 2020)
     """
     p_values = np.clip(p_values, 1e-300, MAX_COMBINED_P_VALUE)
     cauchy_values = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
@@ -183,7 +160,7 @@ def with_bound(p_value: float, p_bound: float) -> float:
 
 def p_value(null_reference: NullReference, misfit: Misfit) -> float:
     """p-value of the misfit of a rig on one record."""
-    return combined_p_value(p_values([(null_reference, misfit)]))
+    return combined_p_value(p_values([null_reference], [misfit]))
 
 
 def null_reference_of(
@@ -202,35 +179,26 @@ def null_reference_of(
     named after the key, so that references of many rigs and levels can share it.
     """
     measured_record = record_of(measured_recording, tolerances=tolerances)
-    key_digest = null_key(measured_recording, measured_record.counted_part, tolerances, simulator, simulation_count)
+    counted_part = measured_record.counted_part
+    key = null_key(measured_recording, counted_part, tolerances, simulator, simulation_count)
     if path and path.is_dir():
-        path = path / f"{key_digest[:16]}.json"
+        path = path / f"{key[:16]}.json"
     stored_references = _stored_references(path) if path else ()
-    if null_reference := next(
-        (stored_reference for stored_reference in stored_references if stored_reference.key == key_digest), None
-    ):
-        return replace(null_reference, checksum="")
+    if stored_reference := next((reference for reference in stored_references if reference.key == key), None):
+        return replace(stored_reference, checksum="")
     if path:
         check_target(path, new_folder=True)
-    null_run = _NullRun(
-        measured_recording=measured_recording,
-        tolerances=tolerances,
-        channel_errors=channel_errors_of(measured_record),
-        counted_part=measured_record.counted_part,
-        simulate=simulate,
-        predict=predict,
-    )
+    channel_errors = channel_errors_of(measured_record)
     null_simulations = mapped(
-        null_run,
+        _NullRun(measured_recording, tolerances, channel_errors, counted_part, simulate, predict),
         list(enumerate(standard_normals(measured_recording.rig, simulation_count))),
         report_finished=lambda finished_count: progress(finished_count / simulation_count),
     )
-    null_reference = NullReference(key_digest, tuple(null_simulations))
+    null_reference = NullReference(key, tuple(null_simulations))
     if path:
         make_folder(path.parent)
-        file_content = _StoredReferences(
-            (*stored_references[1 - STORED_REFERENCES :], replace(null_reference, checksum=_checksum(null_reference)))
-        )
+        checked_reference = replace(null_reference, checksum=_checksum(null_reference))
+        file_content = _StoredReferences((*stored_references[1 - STORED_REFERENCES :], checked_reference))
         write_bytes(msgspec.json.encode(file_content), path)
     return null_reference
 
@@ -251,8 +219,7 @@ class _NullRun:
         seed, normals = seed_and_normals
         recording = self._recording_of(seed, draw_rig(self.measured_recording.rig, self.tolerances, normals))
         record = record_of(recording, tolerances=self.tolerances, counted_part=self.counted_part)
-        linearization = linearized(record, record.rig)
-        nominal_variances = nominal_variances_of(linearization)
+        nominal_variances = nominal_variances_of(linearized(record, record.rig))
         residual = fit_nuisance(record, record.rig)[1]
         nominal_misfit = misfit(record, nominal_variances, residual)
         return NullSimulation(
@@ -268,15 +235,13 @@ class _NullRun:
     def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
         """Recording of a machine under a force of the measured one's spectrum, with the errors of its channels."""
         rng, silent_samples = np.random.default_rng([seed, 77]), self.channel_errors.silent_samples
-        rate_hz = self.measured_recording.rig.sample_rate_hz
-        forces_n = np.array(
-            [
-                force_n if is_impulsive(force_n) else phase_randomized(force_n, silent_samples, rate_hz, rng)
-                for force_n in self.measured_recording.forces_n
-            ]
-        )
-        simulated_recording = self.simulate(self.measured_recording.rig, drawn_rig, forces_n, seed)
-        return with_channel_errors(simulated_recording, self.channel_errors, seed)
+        measured_rig, rate_hz = self.measured_recording.rig, self.measured_recording.rig.sample_rate_hz
+        forces_n = [
+            force_n if is_impulsive(force_n) else phase_randomized(force_n, silent_samples, rate_hz, rng)
+            for force_n in self.measured_recording.forces_n
+        ]
+        recording = self.simulate(measured_rig, drawn_rig, np.array(forces_n), seed)
+        return with_channel_errors(recording, self.channel_errors, seed)
 
 
 def _prediction_errors(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:
@@ -301,17 +266,14 @@ def null_key(
     In a free decay the level is that of the motion. The length also counts how long the record is evaluated, in halves
     of a second, and up to which frequency.
     """
-    level_signal = (
-        measured_recording.forces_n
-        if np.any(measured_recording.forces_n)
-        else measured_recording.signals[measured_recording.rig.sensors[-1].quantity].values
-    )
+    rig, forces_n = measured_recording.rig, measured_recording.forces_n
+    level_signal = forces_n if np.any(forces_n) else measured_recording.signals[rig.sensors[-1].quantity].values
     level_number = round(float(np.log(max(np.std(level_signal), 1e-300)) / np.log(LEVEL_FACTOR)))
     extent_words = f"{measured_recording.samples} {counted_part.decimation} {round(2 * counted_part.end_s)}"
     program_version = importlib.metadata.version("rig-identify")
-    blow_words = " blows" * any(is_impulsive(force_n) for force_n in measured_recording.forces_n)
+    blow_words = " blows" * any(is_impulsive(force_n) for force_n in forces_n)
     key_parts = (
-        to_json(replace(measured_recording.rig, tolerances=None)),
+        to_json(replace(rig, tolerances=None)),
         msgspec.json.encode(tolerances),
         f"{simulator} {level_number} {extent_words} {simulation_count} {program_version}{blow_words}".encode(),
     )
@@ -325,15 +287,12 @@ def _stored_references(path: Path) -> tuple[NullReference, ...]:
     """
     if not path.exists():
         return ()
-    file_content = contents(path)
-    if (
-        file_content
-        and not file_content.startswith(b'{"null_references"')
-        and not path.name.endswith(NULL_REFERENCE_SUFFIX)
-    ):
+    content = contents(path)
+    is_null_reference = content.startswith(b'{"null_references"') or path.name.endswith(NULL_REFERENCE_SUFFIX)
+    if content and not is_null_reference:
         raise RigError(f"{path}: is no null reference, and is not written over; give another name, or remove it")
     try:
-        stored_references = msgspec.json.decode(file_content, type=_StoredReferences).null_references
+        stored_references = msgspec.json.decode(content, type=_StoredReferences).null_references
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return ()
     return tuple(reference for reference in stored_references if reference.checksum == _checksum(reference))

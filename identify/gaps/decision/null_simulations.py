@@ -61,30 +61,34 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     drawn_sensors = []
     drawn_stations = {ON_GROUND: ON_GROUND}
     for sensor in rig.sensors:
-        sensor_tolerances = tolerances.of_sensor(sensor.name)
-        if sensor.station not in drawn_stations:  # sensors at one station sit on one block
-            length_m = rig.body(sensor.station.body).length_m
-            position_m = float(
-                np.clip(sensor.station.position_m + sensor_tolerances.position_m * next(next_normals), 0.0, length_m)
-            )
-            drawn_stations[sensor.station] = Station(sensor.station.body, position_m)
-        drawn_gain = 1 + sensor_tolerances.gain * next(next_normals)
-        delay_s = sensor_tolerances.delay_s * next(next_normals)
+        sensor_tolerances, station = tolerances.of_sensor(sensor.name), sensor.station
+        if station not in drawn_stations:  # sensors at one station sit on one block
+            drawn_m = station.position_m + sensor_tolerances.position_m * next(next_normals)
+            position_m = float(np.clip(drawn_m, 0.0, rig.body(station.body).length_m))
+            drawn_stations[station] = Station(station.body, position_m)
+        gain = sensor.gain * (1 + sensor_tolerances.gain * next(next_normals))
+        delay_s = sensor.delay_s + sensor_tolerances.delay_s * next(next_normals)
         corner_hz = abs(sensor_tolerances.high_pass_hz * next(next_normals)) * sensor.measures.ac_coupled
-        chain_values = {"gain": sensor.gain * drawn_gain, "delay_s": sensor.delay_s + delay_s}
-        chain_values["high_pass_hz"] = sensor.high_pass_hz + corner_hz
-        fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
-        drawn_sensors.append(replace(sensor, station=drawn_stations[sensor.station], fibre_m=fibre_m, **chain_values))
-    drawn_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
-    drawn_contacts = tuple(_draw_contact(contact, tolerances, next_normals) for contact in rig.contacts)
-    drawn_bodies = tuple(_draw_body(rig, body, drawn_sensors, tolerances, next_normals) for body in rig.bodies)
-    modal_bodies = {body.name for body in drawn_bodies if not body.is_mass} & {body.name for body in rig.bodies}
+        drawn_sensors.append(
+            replace(
+                sensor,
+                station=drawn_stations[station],
+                fibre_m=rig.fibre_m(sensor) or None,  # a structure does not know how thick it is
+                gain=gain,
+                delay_s=delay_s,
+                high_pass_hz=sensor.high_pass_hz + corner_hz,
+            )
+        )
+    force_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
+    contacts = tuple(_draw_contact(contact, tolerances, next_normals) for contact in rig.contacts)
+    bodies = tuple(_draw_body(rig, body, drawn_sensors, tolerances, next_normals) for body in rig.bodies)
+    modal_bodies = {body.name for body in bodies if not body.is_mass}
     return replace(
         rig,
-        bodies=drawn_bodies,
+        bodies=bodies,
         sensors=tuple(drawn_sensors),
-        contacts=drawn_contacts,
-        force_sensor=replace(rig.force_sensor, gain=drawn_gain),
+        contacts=contacts,
+        force_sensor=replace(rig.force_sensor, gain=force_gain),
         masses=tuple(mass for mass in rig.masses if mass.station.body not in modal_bodies),
         springs=tuple(_remaining_springs(rig, modal_bodies)),
         supports=(),
@@ -96,11 +100,10 @@ def simulated_machines(
     measured_recording: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, machine_count: int
 ) -> Iterator[Recording]:
     """Recordings of machines like `rig`, each off by its own draw of the tolerances, under the measured forces."""
-    for seed, normals in enumerate(standard_normals(measured_recording.rig, machine_count)):
+    measured_rig, forces_n = measured_recording.rig, measured_recording.forces_n
+    for seed, normals in enumerate(standard_normals(measured_rig, machine_count)):
         drawn_rig = draw_rig(rig, channel_errors.tolerances, normals)
-        yield with_channel_errors(
-            simulate(measured_recording.rig, drawn_rig, measured_recording.forces_n, seed), channel_errors, seed
-        )
+        yield with_channel_errors(simulate(measured_rig, drawn_rig, forces_n, seed), channel_errors, seed)
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
@@ -113,16 +116,16 @@ def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
 
 
 def _draw_contact(contact: Contact, tolerances: Tolerances, next_normals: Iterator[float]) -> Contact:
-    nominal_law = contact.law
+    law = contact.law
     clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + tolerances.clearance * next(next_normals))
     stiffness_factor = max(0.01, 1 + tolerances.stiffness * next(next_normals))
-    damping_n_s_per_m = tolerances.contact_damping_s * nominal_law.stiffness_n_per_m * abs(next(next_normals))
+    damping_n_s_per_m = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(next_normals))
     drawn_law = replace(
-        nominal_law,
-        lower_clearance_m=nominal_law.lower_clearance_m * clearance_factor,
-        upper_clearance_m=nominal_law.upper_clearance_m * clearance_factor,
-        stiffness_n_per_m=nominal_law.stiffness_n_per_m * stiffness_factor,
-        damping_n_s_per_m=nominal_law.damping_n_s_per_m + damping_n_s_per_m,
+        law,
+        lower_clearance_m=law.lower_clearance_m * clearance_factor,
+        upper_clearance_m=law.upper_clearance_m * clearance_factor,
+        stiffness_n_per_m=law.stiffness_n_per_m * stiffness_factor,
+        damping_n_s_per_m=law.damping_n_s_per_m + damping_n_s_per_m,
     )
     return replace(contact, law=drawn_law)
 
@@ -133,66 +136,49 @@ def _draw_body(
     mass_factor = 1 + tolerances.mass * next(next_normals)
     frequency_change, log_damping = tolerances.frequency * next(next_normals), tolerances.damping * next(next_normals)
     if body.is_mass:
-        return (
-            body.scale_mass(mass_factor)
-            .scale_frequencies(1 + frequency_change)
-            .scale_damping(float(np.exp(log_damping)))
-        )
-    modes, drawn_mode_count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
-    mode_tolerances = [tolerances.of_mode(body.name, mode_index + 1) for mode_index in range(drawn_mode_count)]
+        drawn_mass = body.scale_mass(mass_factor).scale_frequencies(1 + frequency_change)
+        return drawn_mass.scale_damping(float(np.exp(log_damping)))
+    modes, count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
+    mode_tolerances = [tolerances.of_mode(body.name, mode + 1) for mode in range(count)]
     frequency_factors = np.array(
-        [1 + frequency_change + tolerance.frequency * next(next_normals) for tolerance in mode_tolerances]
+        [1 + frequency_change + mode.frequency * next(next_normals) for mode in mode_tolerances]
     )
-    damping_factors = np.exp([log_damping + tolerance.damping * next(next_normals) for tolerance in mode_tolerances])
-    natural_hz = modes.frequencies_hz(drawn_mode_count) * frequency_factors
-    frequency_order = np.argsort(natural_hz)
-    needed_stations = (
-        [station.station for station in sensors] + [station.station for station in rig.sensors] + [*rig.forces]
-    )
-    needed_stations += [station for contact in rig.contacts for station in contact_stations(contact)] + [
-        load.station for load in rig.loads
-    ]
-    shape_positions = body.places(SHAPE_POSITIONS)
-    positions_m = np.unique(
-        [*shape_positions, *(station.position_m for station in needed_stations if station.body == body.name)]
-    )
+    damping_factors = np.exp([log_damping + mode.damping * next(next_normals) for mode in mode_tolerances])
+    natural_hz = modes.frequencies_hz(count) * frequency_factors
+    order = np.argsort(natural_hz)
+    needed = [*rig.forces, *(sensor.station for sensor in (*sensors, *rig.sensors))]
+    needed += [load.station for load in rig.loads]
+    needed += [station for contact in rig.contacts for station in contact_stations(contact)]
+    needed_m = [station.position_m for station in needed if station.body == body.name]
+    positions_m = np.unique([*body.places(SHAPE_POSITIONS), *needed_m])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
-    shapes = modes.shapes(positions_m, drawn_mode_count) / np.sqrt(mass_factor)
-    participations = np.sqrt(mass_factor) * stated_participation(rig, body, modes, drawn_mode_count)
-    damping_ratios = np.minimum(modes.damping_ratios(drawn_mode_count) * damping_factors, 0.9)
+    shapes = modes.shapes(positions_m, count) / np.sqrt(mass_factor)
+    participations = np.sqrt(mass_factor) * stated_participation(rig, body, modes, count)
+    damping_ratios = np.minimum(modes.damping_ratios(count) * damping_factors, 0.9)
     drawn_body = structure_of(
-        body.name,
-        body.length_m,
-        natural_hz[frequency_order],
-        damping_ratios[frequency_order],
-        positions_m,
-        shapes[:, frequency_order],
+        body.name, body.length_m, natural_hz[order], damping_ratios[order], positions_m, shapes[:, order]
     )
-    ordered_participations = participations[frequency_order] if participations.size else participations
+    ordered_participations = participations[order] if participations.size else participations
     return replace(drawn_body, participations=tuple(ordered_participations.tolist()))
 
 
 def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
     """True for a hammer's force, or none: it is simulated as measured, as random phases would make it noise."""
-    cumulative_energy = np.cumsum(np.sort(force_n**2)[::-1])
-    return bool(
-        np.searchsorted(cumulative_energy, IMPULSE_ENERGY_SHARE * cumulative_energy[-1])
-        < IMPULSE_SAMPLE_SHARE * force_n.size
-    )
+    energy = np.cumsum(np.sort(force_n**2)[::-1])
+    return bool(np.searchsorted(energy, IMPULSE_ENERGY_SHARE * energy[-1]) < IMPULSE_SAMPLE_SHARE * force_n.size)
 
 
 def phase_randomized(
     force_n: Float[np.ndarray, " samples"], silent_samples: int, sample_rate_hz: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
     """Force of the same spectrum with random phases, after `silent_samples` zeros."""
-    excited_force_n = force_n[silent_samples:]
-    force_spectrum = np.fft.rfft(excited_force_n)
-    randomized_force_n = np.fft.irfft(
-        np.abs(force_spectrum) * np.exp(2j * np.pi * rng.uniform(size=force_spectrum.size)), excited_force_n.size
-    )
-    onset_samples = min(round(ONSET_S * sample_rate_hz), excited_force_n.size)
-    randomized_force_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
-    return np.concatenate([np.zeros(silent_samples), randomized_force_n])
+    excited_n = force_n[silent_samples:]
+    spectrum = np.fft.rfft(excited_n)
+    phase_factors = np.exp(2j * np.pi * rng.uniform(size=spectrum.size))
+    randomized_n = np.fft.irfft(np.abs(spectrum) * phase_factors, excited_n.size)
+    onset_samples = min(round(ONSET_S * sample_rate_hz), excited_n.size)
+    randomized_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
+    return np.concatenate([np.zeros(silent_samples), randomized_n])
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
@@ -254,12 +240,10 @@ class FreeDecaySimulator:
     def excitation_n(self) -> Float[np.ndarray, " begin"]:
         """Excitation before the decay, scaled by short simulations of the nominal rig when it is first needed."""
         period_samples = self._longest_period_samples
-        half_sine_samples = [max(2, round(period_share * period_samples)) for period_share in BLOW_PERIODS]
-        unscaled_pulses = [np.sin(np.pi * np.arange(sine_samples) / sine_samples) for sine_samples in half_sine_samples]
-        unscaled_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period_samples)) ** 2)
-        return min(map(self._scaled_excitation, unscaled_pulses), key=lambda distance_and_force: distance_and_force[0])[
-            1
-        ]
+        sine_samples = [max(2, round(periods * period_samples)) for periods in BLOW_PERIODS]
+        pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in sine_samples]
+        pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period_samples)) ** 2)
+        return min(map(self._scaled_excitation, pulses), key=lambda scaled: scaled[0])[1]
 
     @property
     def _longest_period_samples(self) -> int:
@@ -272,60 +256,52 @@ class FreeDecaySimulator:
         self, rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_samples: int, seed: int
     ) -> Recording:
         delay_samples = round(self._longest_period_samples * np.random.default_rng([seed, 78]).uniform())
-        start_sample = excitation_n.size + delay_samples
-        forces_n = np.zeros((len(rig.forces), start_sample + decay_samples))
+        start = excitation_n.size + delay_samples
+        forces_n = np.zeros((len(rig.forces), start + decay_samples))
         forces_n[0, : excitation_n.size] = excitation_n
-        return _with_zero_force(
-            cut_recording(
-                self.simulate(rig, actual_rig, forces_n, seed), slice(start_sample, start_sample + decay_samples)
-            )
-        )
+        recording = self.simulate(rig, actual_rig, forces_n, seed)
+        return _with_zero_force(cut_recording(recording, slice(start, start + decay_samples)))
 
-    def _scaled_excitation(
-        self, unscaled_pulse: Float[np.ndarray, " begin"]
-    ) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def _scaled_excitation(self, pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
         rig, rate_hz, start_s = self.measured.rig, self.record.sample_rate_hz, float(self.record.residual_times_s[0])
-        scaled_samples = min(round((start_s + SCALED_S) * rate_hz), self.measured.samples)
-        counted_slice = slice(round(start_s * rate_hz), scaled_samples)
-        measured_motion = _sensor_motion(self.measured, counted_slice)
-        excitation_n = rig.body(rig.forces[0].body).mass_kg * unscaled_pulse
+        sample_count = min(round((start_s + SCALED_S) * rate_hz), self.measured.samples)
+        counted = slice(round(start_s * rate_hz), sample_count)
+        measured_motion = _sensor_motion(self.measured, counted)
+        excitation_n = rig.body(rig.forces[0].body).mass_kg * pulse
         for _ in range(SCALING_STEPS):
-            simulated_motion = _sensor_motion(
-                self._decay_recording(rig, rig, excitation_n, scaled_samples, 0), counted_slice
-            )
+            simulated_motion = _sensor_motion(self._decay_recording(rig, rig, excitation_n, sample_count, 0), counted)
             excitation_n = excitation_n * _largest_motion(measured_motion) / _largest_motion(simulated_motion)
-        octave_levels, measured_octave_levels = (
-            _octave_levels(sensor_motion, rate_hz, self.record.highest_hz)
-            for sensor_motion in (simulated_motion, measured_motion)
+        levels, measured_levels = (
+            _octave_levels(motion, rate_hz, self.record.highest_hz) for motion in (simulated_motion, measured_motion)
         )
-        return float(np.linalg.norm(octave_levels - measured_octave_levels)), excitation_n
+        return float(np.linalg.norm(levels - measured_levels)), excitation_n
 
 
-def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarray, "sensors samples"]:
+def _sensor_motion(recording: Recording, counted: slice) -> Float[np.ndarray, "sensors samples"]:
     """Signals of all sensors of the last sensor's quantity, without their means."""
-    signals = recording.signals[recording.rig.sensors[-1].quantity].values[:, counted_slice]
+    signals = recording.signals[recording.rig.sensors[-1].quantity].values[:, counted]
     return np.asarray(signals - signals.mean(axis=1, keepdims=True))
 
 
 def _largest_motion(sensor_signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
-    motion_magnitude = np.linalg.norm(sensor_signals, axis=0)
-    largest_magnitude = max(float(motion_magnitude.max()), 1e-300)
-    return largest_magnitude * float(np.mean((motion_magnitude / largest_magnitude) ** LARGE_MOTION_POWER)) ** (
-        1 / LARGE_MOTION_POWER
-    )
+    magnitude = np.linalg.norm(sensor_signals, axis=0)
+    largest = max(float(magnitude.max()), 1e-300)
+    return largest * float(np.mean((magnitude / largest) ** LARGE_MOTION_POWER)) ** (1 / LARGE_MOTION_POWER)
 
 
 def _octave_levels(
     sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
 ) -> Float[np.ndarray, " octaves"]:
     """Logarithm of the rms of all sensors in each octave below a frequency."""
-    fade_window = np.hanning(2 * sensor_signals.shape[1])[sensor_signals.shape[1] :]
-    line_power = np.sum(np.abs(np.fft.rfft(sensor_signals * fade_window, axis=1)) ** 2, axis=0)[1:]
-    lines_hz = np.fft.rfftfreq(sensor_signals.shape[1], 1 / rate_hz)[1:]
-    octave_of_line = np.floor(np.log2(highest_hz / lines_hz[lines_hz <= highest_hz])).astype(int)
-    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octave_of_line, line_power[lines_hz <= highest_hz]), 1e-300)))
+    sample_count = sensor_signals.shape[1]
+    fade = np.hanning(2 * sample_count)[sample_count:]
+    line_power = np.sum(np.abs(np.fft.rfft(sensor_signals * fade, axis=1)) ** 2, axis=0)[1:]
+    lines_hz = np.fft.rfftfreq(sample_count, 1 / rate_hz)[1:]
+    is_below = lines_hz <= highest_hz
+    octaves = np.floor(np.log2(highest_hz / lines_hz[is_below])).astype(int)
+    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octaves, line_power[is_below]), 1e-300)))
 
 
 def _with_zero_force(recording: Recording) -> Recording:

@@ -51,8 +51,8 @@ def predicted_rollout(
     effects."""
     if prepared.predict is None:
         return Rollout(code="not_simulated")
-    validation, predict = prepared.validation_recording, prepared.predict
-    corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
+    validation, predict, named_rig = prepared.validation_recording, prepared.predict, named_set.rig
+    corrected_residual = fit_nuisance(validation.record, named_rig)[1]
     null_errors = prepared.null_reference.predictions
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, null_errors, predict)
     if not rollout.falls_short:
@@ -60,10 +60,10 @@ def predicted_rollout(
     horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
     channel_errors, log_ratios = channel_errors_of(validation.record), []
     for simulation in simulated_machines(
-        validation.recording, named_set.rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
+        validation.recording, named_rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
     ):
         record = record_of(simulation, tolerances=validation.record.tolerances)
-        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_rig))
         log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 
@@ -80,27 +80,24 @@ def predicted_decision(
     predicts as expected. If none does, the first that is not vetoed stays, or the first with its veto. decide takes
     hypotheses, and whether their named effects are vetoed.
     """
-    first_decision = latest_decision = _decision_with_rollout(ranked_hypotheses, decide, predict)
-    accepted_decision = None if first_decision.is_vetoed else first_decision
-    likely_sets = [
-        weighted_hypothesis.validated
-        for weighted_hypothesis in first_decision.decision.weighted_hypotheses
-        if weighted_hypothesis.probability > RIVAL_PROBABILITY
+    first = latest = _decision_with_rollout(ranked_hypotheses, decide, predict)
+    accepted = None if first.is_vetoed else first
+    rivals = [
+        weighted.validated
+        for weighted in first.decision.weighted_hypotheses
+        if weighted.probability > RIVAL_PROBABILITY and strengths_exclude_neutral(weighted.validated.hypothesis)
     ]
-    rival_sets = [rival_set for rival_set in likely_sets if strengths_exclude_neutral(rival_set.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
-    while latest_decision.is_doubtful:
-        doubtful_set = latest_decision.decision.named_hypothesis
-        ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is doubtful_set]
-        rival_sets = [rival_set for rival_set in rival_sets if rival_set is not doubtful_set]
-        if not rival_sets:
-            return accepted_decision or first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rival_sets], decide, predict)
-        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted_decision):
-            accepted_decision = (
-                None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
-            )
-    return accepted_decision or first_decision
+    while latest.is_doubtful:
+        doubtful = latest.decision.named_hypothesis
+        ruled_out += [validated for validated in latest.ranked if validated is doubtful]
+        rivals = [rival for rival in rivals if rival is not doubtful]
+        if not rivals:
+            break
+        latest = _decision_with_rollout([nominal_of(ranked_hypotheses), *rivals], decide, predict)
+        if latest.decision.corrects_rig and not (latest.is_doubtful and accepted):
+            accepted = None if latest.is_vetoed else replace(latest, ruled_out=tuple(ruled_out))
+    return accepted or first
 
 
 def _decision_with_rollout(

@@ -92,11 +92,8 @@ class PreparedRecordings:
 
     @property
     def fitted_recordings(self) -> tuple[PreparedRecording, ...]:
-        return tuple(
-            observation
-            for record_index, observation in enumerate(self.observations)
-            if record_index != self.validation_index
-        )
+        index = self.validation_index
+        return self.observations[:index] + self.observations[index + 1 :]
 
     @property
     def searched_recording(self) -> PreparedRecording:
@@ -111,9 +108,9 @@ class PreparedRecordings:
     @property
     def record_titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{observation_index + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
-            + ", validates" * (observation_index == self.validation_index)
-            for observation_index, observation in enumerate(self.observations)
+            f"{index + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
+            + ", validates" * (index == self.validation_index)
+            for index, observation in enumerate(self.observations)
         )
 
 
@@ -130,37 +127,38 @@ def prepare(
     Tolerances default to those of the rig, then to a laboratory's. Raises RigError if the recordings do not fit
     together or allow no diagnosis.
     """
-    ordered_by_time, validation_index = ordered_recordings(recordings, validation)
-    rig_tolerances = tolerances or ordered_by_time[0].rig.tolerances or LABORATORY
-    ordered_by_time, channel_faults = without_faulty_channels(*ordered_by_time)
-    observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered_by_time)
-    simulate_functions = [
-        null_simulator(prepared_recording.recording, prepared_recording.record, simulator.simulate)
-        for prepared_recording in observations
-    ]
+    ordered, validation_index = ordered_recordings(recordings, validation)
+    tolerances = tolerances or ordered[0].rig.tolerances or LABORATORY
+    ordered, channel_faults = without_faulty_channels(*ordered)
+    observations = tuple(prepare_recording(recording, tolerances) for recording in ordered)
+    simulators = [null_simulator(prepared.recording, prepared.record, simulator.simulate) for prepared in observations]
     null_keys = [
-        null_key(observation.recording, observation.record.counted_part, rig_tolerances, simulator.name)
-        for observation in observations
+        null_key(prepared.recording, prepared.record.counted_part, tolerances, simulator.name)
+        for prepared in observations
     ]
-    references_by_key: dict[str, NullReference] = {}
-    first_index_by_key = {key: index for index, key in reversed(list(enumerate(null_keys)))}
-    for key_number, (key, record_index) in enumerate(first_index_by_key.items()):
+    references: dict[str, NullReference] = {}
+    first_indices = {key: index for index, key in reversed(list(enumerate(null_keys)))}
+    for key_number, (key, index) in enumerate(first_indices.items()):
 
-        def report(done_share: float, key_number: int = key_number) -> None:
-            progress((key_number + done_share) / len(first_index_by_key))
+        def report(share: float, key_number: int = key_number) -> None:
+            progress((key_number + share) / len(first_indices))
 
-        recording, simulate = observations[record_index].recording, simulate_functions[record_index]
-        references_by_key[key] = null_reference_of(
-            recording, rig_tolerances, simulate, simulator.name, report, null_reference_path, predict=simulator.predict
+        references[key] = null_reference_of(
+            observations[index].recording,
+            tolerances,
+            simulators[index],
+            simulator.name,
+            report,
+            null_reference_path,
+            predict=simulator.predict,
         )
-    null_references = tuple(references_by_key[key] for key in null_keys)
     return PreparedRecordings(
         observations,
         validation_index,
         channel_faults,
-        simulate_functions[validation_index],
+        simulators[validation_index],
         simulator.predict,
-        null_references,
+        tuple(references[key] for key in null_keys),
     )
 
 
@@ -189,23 +187,16 @@ def search(
 ) -> SearchResult:
     """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
     parameters. `selected` takes those of the library's candidates that a rig's records show."""
-    strongest_recording, search_share = prepared.searched_recording, 0.6 if prepared.fits_several else 1.0
-    search_result = search_record(
-        strongest_recording.record,
-        strongest_recording.nominal_variances,
-        lambda search_progress: progress(search_share * search_progress),
-        selected,
+    strongest, search_share = prepared.searched_recording, 0.6 if prepared.fits_several else 1.0
+    result = search_record(
+        strongest.record, strongest.nominal_variances, lambda share: progress(search_share * share), selected
     )
     if not prepared.fits_several:
-        return search_result
+        return result
     records = [observation.record for observation in prepared.fitted_recordings]
-    variances_by_record = [observation.nominal_variances for observation in prepared.fitted_recordings]
-    return replace(
-        search_result,
-        hypotheses=tuple(
-            fitted_together(records, variances_by_record, hypothesis) for hypothesis in search_result.hypotheses
-        ),
-    )
+    variances = [observation.nominal_variances for observation in prepared.fitted_recordings]
+    hypotheses = (fitted_together(records, variances, hypothesis) for hypothesis in result.hypotheses)
+    return replace(result, hypotheses=tuple(hypotheses))
 
 
 def search_record(
@@ -216,12 +207,7 @@ def search_record(
 ) -> SearchResult:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
-    library_candidates = candidates(
-        scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force
-    )
-    if selected:
-        library_candidates = selected(library_candidates, record.rig)
-    hypotheses = ranked_hypotheses(
-        Search(nominal_variances, linearization, residual, tuple(library_candidates)), progress
-    )
-    return SearchResult(tuple(hypotheses), tuple(library_candidates), misfit(record, nominal_variances, residual))
+    library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
+    library = selected(library, record.rig) if selected else library
+    hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
+    return SearchResult(tuple(hypotheses), tuple(library), misfit(record, nominal_variances, residual))

@@ -54,59 +54,49 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
 
     Raises RigError if a recording without a force is no free decay.
     """
-    fault_by_channel: dict[str, str] = {}
+    faults: dict[str, str] = {}
     for recording in recordings:
-        fault_by_channel |= sound_channels(recording, excluded_channels=tuple(fault_by_channel))[1]
-    sound_recordings = [
-        with_inertial_force(sound_channels(recording, excluded_channels=tuple(fault_by_channel))[0])
-        for recording in recordings
-    ]
-    for recording in sound_recordings:
+        faults |= sound_channels(recording, excluded_channels=tuple(faults))[1]
+    sound = [with_inertial_force(sound_channels(recording, tuple(faults))[0]) for recording in recordings]
+    for recording in sound:
         if not np.any(recording.forces_n):
             check_decay(recording)
-    return sound_recordings, fault_by_channel
+    return sound, faults
 
 
 def ordered_recordings(
     recordings: Recording | Sequence[Recording], validation: Recording | None
 ) -> tuple[list[Recording], int]:
     """All recordings in their order, and the index of the one that validates."""
-    recordings_in_order = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not recordings_in_order:
+    ordered = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not ordered:
         raise RigError("no recording to diagnose; give one or more of the rig")
-    check_base(recordings_in_order[0].rig)
-    if validation is None and len(recordings_in_order) == 1:
-        return list(_fitted_and_validating(recordings_in_order[0])), 1
-    if validation is not None and not any(validation is recording for recording in recordings_in_order):
-        recordings_in_order.append(validation)
-    _check_base_motion(recordings_in_order[0].rig)
-    for recording_index, recording in enumerate(recordings_in_order):
-        if to_json(recording.rig) != to_json(recordings_in_order[0].rig):
+    rig = ordered[0].rig
+    check_base(rig)
+    if validation is None and len(ordered) == 1:
+        return list(_fitted_and_validating(ordered[0])), 1
+    if validation is not None and not any(validation is recording for recording in ordered):
+        ordered.append(validation)
+    _check_base_motion(rig)
+    for index, recording in enumerate(ordered):
+        if to_json(recording.rig) != to_json(rig):
             raise RigError(
-                f"recording {recording_index + 1} is of another rig (their rig.json differ); give recordings of one rig"
+                f"recording {index + 1} is of another rig (their rig.json differ); give recordings of one rig"
             )
-        if any(
-            _have_same_samples(recording, earlier_recording)
-            for earlier_recording in recordings_in_order[:recording_index]
-        ):
-            raise RigError(f"recording {recording_index + 1} is the same as an earlier one; give each recording once")
-    validation_index = next(
-        (index for index, recording in enumerate(recordings_in_order) if recording is validation),
-        len(recordings_in_order) - 1,
-    )
-    if len(recordings_in_order) == 1:
+        if any(_have_same_samples(recording, earlier) for earlier in ordered[:index]):
+            raise RigError(f"recording {index + 1} is the same as an earlier one; give each recording once")
+    if len(ordered) == 1:
         raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
-    return recordings_in_order, validation_index
+    validating = (index for index, recording in enumerate(ordered) if recording is validation)
+    return ordered, next(validating, len(ordered) - 1)
 
 
 def _check_base_motion(rig: Rig) -> None:
     """Raise RigError if a body is held to a moving base: the null reference describes it by its modes, which cannot
     follow."""
-    held_bodies = (
-        [body.name for body in rig.bodies if not body.is_mass and body.rigid_modes < 2]
-        if rig.base_motion and not rig.base_sensors
-        else []
-    )
+    if not rig.base_motion or rig.base_sensors:
+        return
+    held_bodies = [body.name for body in rig.bodies if not body.is_mass and body.rigid_modes < 2]
     if held_bodies:
         raise RigError(
             f"rig.json of {rig.name!r} has base_motion, and {held_bodies[0]!r} is held to the base: identify gap knows "
@@ -114,11 +104,9 @@ def _check_base_motion(rig: Rig) -> None:
         )
 
 
-def _have_same_samples(first_recording: Recording, second_recording: Recording) -> bool:
-    """True if two recordings hold the same samples."""
+def _have_same_samples(first: Recording, second: Recording) -> bool:
     return all(
-        np.array_equal(channels.values, second_recording.signals[quantity].values)
-        for quantity, channels in first_recording.signals.items()
+        np.array_equal(signals.values, second.signals[quantity].values) for quantity, signals in first.signals.items()
     )
 
 
@@ -131,8 +119,8 @@ def _fitted_and_validating(recording: Recording) -> tuple[Recording, Recording]:
 def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
     """Slice of the samples of a recording, with time zero at its start."""
     cut_signals = {
-        quantity: Signals(channel_signals.channels, 0.0, channel_signals.values[:, sample_slice])
-        for quantity, channel_signals in recording.signals.items()
+        quantity: Signals(signals.channels, 0.0, signals.values[:, sample_slice])
+        for quantity, signals in recording.signals.items()
     }
     return Recording(recording.rig, cut_signals, recording.provenance)
 
@@ -142,37 +130,33 @@ def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()
 
     Raises RigError if the force channel or the sensor on a shaken base is faulty, or no sensor is left.
     """
-    fault_by_channel: dict[str, str] = {}
+    faults: dict[str, str] = {}
     for quantity, signals in recording.signals.items():
-        for channel, channel_values in zip(signals.channels.names, signals.values, strict=True):
-            fault = fault_of(channel_values)
-            if quantity == "force" and not np.any(channel_values):
+        for channel, values in zip(signals.channels.names, signals.values, strict=True):
+            fault = fault_of(values)
+            if not fault or (quantity == "force" and not np.any(values)):
                 continue
-            if fault and quantity == "force":
+            if quantity == "force":
                 raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
-            if fault and recording.rig.base_sensors and channel == base_sensor(recording.rig).name:
+            if recording.rig.base_sensors and channel == base_sensor(recording.rig).name:
                 raise RigError(
                     f"sensor {channel!r} on the ground is {fault}; the diagnosis needs the motion of the base: mend it "
                     "and record again"
                 )
-            if fault and channel not in excluded_channels:
-                fault_by_channel[channel] = fault
-    dropped_channels = {*fault_by_channel, *excluded_channels}
-    if not dropped_channels:
-        return recording, fault_by_channel
-    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped_channels)
+            if channel not in excluded_channels:
+                faults[channel] = fault
+    dropped = {*faults, *excluded_channels}
+    if not dropped:
+        return recording, faults
+    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped)
     if not sensors:
         raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
-    rig = replace(recording.rig, sensors=sensors)
-    sound_signals = {}
+    rig, sound_signals = replace(recording.rig, sensors=sensors), {}
     for quantity, channels in channel_groups(rig).items():
-        quantity_signals = recording.signals[quantity]
-        sound_signals[quantity] = Signals(
-            channels,
-            quantity_signals.start_s,
-            quantity_signals.values[[quantity_signals.channels.names.index(name) for name in channels.names]],
-        )
-    return Recording(rig, sound_signals, recording.provenance), fault_by_channel
+        signals = recording.signals[quantity]
+        rows = [signals.channels.names.index(name) for name in channels.names]
+        sound_signals[quantity] = Signals(channels, signals.start_s, signals.values[rows])
+    return Recording(rig, sound_signals, recording.provenance), faults
 
 
 def check_decay(recording: Recording) -> None:
@@ -181,24 +165,18 @@ def check_decay(recording: Recording) -> None:
     Displacements are judged by their velocity within the band in which the rig rings, as slow swings between stops may
     grow while the energy falls, and noise does not decay.
     """
-    rig = recording.rig
-    sensors = read_sensors(recording)
-    rate_hz, derivative_order = rig.sample_rate_hz, sensors[0].measures.order
-    sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    highest_hz = BAND_FACTOR * highest_ringing_hz(
-        sensor_signals, rate_hz, derivative_order, sensor_densities(recording, sensors, 0)
-    )
-    sensor_signals = _filtered_velocities(sensor_signals, rate_hz, derivative_order, highest_hz)
+    rate_hz, sensors = recording.rig.sample_rate_hz, read_sensors(recording)
+    derivative_order = sensors[0].measures.order
+    signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+    densities = sensor_densities(recording, sensors, 0)
+    highest_hz = BAND_FACTOR * highest_ringing_hz(signals, rate_hz, derivative_order, densities)
+    signals = _filtered_velocities(signals, rate_hz, derivative_order, highest_hz)
     interval_samples = round(min(1.0, recording.duration_s / MIN_INTERVALS) * rate_hz)
-    signals_by_interval = sensor_signals[:, : sensor_signals.shape[1] // interval_samples * interval_samples].reshape(
-        len(sensor_signals), -1, interval_samples
-    )
-    interval_levels = np.linalg.norm(signals_by_interval.std(axis=2), axis=0)
-    lowest_level_so_far = np.maximum(np.minimum.accumulate(interval_levels), LEVEL_FLOOR_SHARE * interval_levels.max())
-    if (
-        np.any(interval_levels > LEVEL_RISE * lowest_level_so_far)
-        or interval_levels.min() > DECAYED_SHARE * interval_levels.max()
-    ):
+    interval_count = signals.shape[1] // interval_samples
+    by_interval = signals[:, : interval_count * interval_samples].reshape(len(signals), -1, interval_samples)
+    levels = np.linalg.norm(by_interval.std(axis=2), axis=0)
+    lowest_before = np.maximum(np.minimum.accumulate(levels), LEVEL_FLOOR_SHARE * levels.max())
+    if np.any(levels > LEVEL_RISE * lowest_before) or levels.min() > DECAYED_SHARE * levels.max():
         raise RigError(NO_DECAY)
 
 
@@ -218,8 +196,8 @@ def _filtered_velocities(
 
 def fault_of(channel_values: Float[np.ndarray, " samples"]) -> str | None:
     """ "dead" if a channel never moves, "clipped" if it stands at its extremes, None if it is sound."""
-    lowest_value, highest_value = float(channel_values.min()), float(channel_values.max())
-    if lowest_value == highest_value:
+    lowest, highest = float(channel_values.min()), float(channel_values.max())
+    if lowest == highest:
         return "dead"
-    extreme_share = max(np.mean(channel_values == highest_value), np.mean(channel_values == lowest_value))
+    extreme_share = max(np.mean(channel_values == highest), np.mean(channel_values == lowest))
     return "clipped" if extreme_share > CLIPPED_SHARE else None

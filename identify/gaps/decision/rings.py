@@ -9,22 +9,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from msgspec.structs import replace as with_numbers
-from scipy.linalg import block_diag
 
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.law_form import DAMPING_GRADIENT, LAW, STIFFNESS_GRADIENT
 from identify.contacts.refusals import ContactRefusedError
 from identify.contacts.space_contacts import space_contacts
-from identify.gaps.decision.bounds import ContactDistances, contact_distances, law_distance
+from identify.gaps.decision.bounds import ContactDistances, contact_distances
 from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, probabilities
-from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, contact_minus_two_log
+from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, fitted_contact_effects, with_contact_cost
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY
 from identify.gaps.residual.unfolding import IN_Z, Unfolding, of_rig
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, with_contact_fit
-from identify.gaps.search.hypothesis import CHANCE_PULL, Hypothesis
+from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
@@ -63,7 +61,7 @@ class RingFit:
         try:
             contacts = space_contacts(recording, "auto", self.tolerances)
         except ContactRefusedError as error:
-            return LawOutcomes((), {c.name: error.refusal for c in recording.rig.contacts})
+            return LawOutcomes((), {contact.name: error.refusal for contact in recording.rig.contacts})
         except RigError:
             return LawOutcomes()
         return LawOutcomes(
@@ -96,7 +94,7 @@ def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Can
 
 def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates that the contact fit of single rings shows."""
-    return [c for c in _with_twins(library_candidates, rig) if c.kind.name in CONTACT_EFFECTS]
+    return [candidate for candidate in _with_twins(library_candidates, rig) if candidate.kind.name in CONTACT_EFFECTS]
 
 
 def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
@@ -138,51 +136,15 @@ def with_ring_fits(
     Hypotheses less likely than `RIVAL_PROBABILITY` by the linear residual are left out, but for the nominal rig.
     """
     record, nominal = prepared.validation_recording.record, nominal_of(ranked_hypotheses)
-    linear_probabilities = probabilities(np.array([item.log_posterior for item in ranked_hypotheses]))
-    likely = [
-        item
-        for item, probability in zip(ranked_hypotheses, linear_probabilities, strict=True)
-        if probability > RIVAL_PROBABILITY or item is nominal
-    ]
+    linear_probabilities = probabilities(np.array([validated.log_posterior for validated in ranked_hypotheses]))
     with_rings = []
-    for item in likely:
-        estimates = ring_distances(prepared.observations, item.rig, ring_fit).law_estimates
-        variants = [item, *_with_ring_effects(prepared, all_candidates, item, estimates, ring_fit)]
-        for variant in variants:
-            costs = (contact_minus_two_log(e, record.rig, variant.rig, record.tolerances) for e in estimates)
-            with_rings.append(replace(variant, contact_minus_two_log=float(sum(costs))))
-    return sorted(with_rings, key=lambda item: -item.log_posterior)
-
-
-def _with_ring_effects(
-    prepared: PreparedRecordings,
-    all_candidates: Sequence[Candidate],
-    validated: ValidatedHypothesis,
-    estimates: Sequence[LawEstimate],
-    ring_fit: RingFit,
-) -> list[ValidatedHypothesis]:
-    """The hypothesis with effects on all ring parameters that are off, with the values of the contact fit of the fitted
-    records; empty if none is off."""
-    record, hypothesis = prepared.validation_recording.record, validated.hypothesis
-    off_names = set[str]()
-    for estimate in estimates:
-        contact = next(c for c in record.rig.contacts if c.name == estimate.contact_name)
-        distance = law_distance(estimate, contact, contact, record.tolerances)
-        is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
-        off_names |= {f"{CONTACT_EFFECTS[k]}:{contact.name}" for k in np.flatnonzero(is_off)}
-    added = tuple(candidate for candidate in all_candidates if candidate.name in off_names)
-    if not added:
-        return []
-    neutral = np.array([candidate.neutral_strength for candidate in added])
-    start = Hypothesis(
-        (*hypothesis.candidates, *added),
-        np.append(hypothesis.values, neutral),
-        block_diag(hypothesis.covariance, np.zeros((neutral.size, neutral.size))),
-        hypothesis.misfit,
-    )
-    recordings = [observation.recording for observation in prepared.fitted_recordings]
-    fitted = with_contact_fit(start, recordings, record.tolerances, ring_fit)
-    if fitted is start:
-        return []
-    prior = log_priors([fitted], all_candidates)[fitted.effect_names]
-    return [replace(validated, hypothesis=fitted, rig=fitted.applied_to(record.rig), log_prior=prior)]
+    for validated, probability in zip(ranked_hypotheses, linear_probabilities, strict=True):
+        if probability > RIVAL_PROBABILITY or validated is nominal:
+            estimates = ring_distances(prepared.observations, validated.rig, ring_fit).law_estimates
+            with_rings.append(with_contact_cost(validated, estimates, record))
+            fitted = fitted_contact_effects(prepared, all_candidates, estimates, validated.hypothesis, ring_fit)
+            if fitted:
+                prior, rig = log_priors([fitted], all_candidates)[fitted.effect_names], fitted.applied_to(record.rig)
+                variant = replace(validated, hypothesis=fitted, rig=rig, log_prior=prior)
+                with_rings.append(with_contact_cost(variant, estimates, record))
+    return sorted(with_rings, key=lambda validated: -validated.log_posterior)

@@ -42,19 +42,17 @@ def sentence(diagnosis: Diagnosis) -> str:
 
 def sentences(diagnosis: Diagnosis) -> list[str]:
     """Diagnosis in words: the verdict, look-alikes, parameters at their limits, what was not seen."""
-    all_sentences = [
+    is_ring_friction_left_out = any(note.analysis == "ring_friction" for note in diagnosis.notes)
+    return [
         *_VERDICTS[diagnosis.verdict](diagnosis),
         *_look_alike_words(diagnosis),
         *_parameters_at_limit(diagnosis),
-    ]
-    all_sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)
-    all_sentences += _ruled_out_sentence(diagnosis)
-    all_sentences += [UNSCALED] if diagnosis.free_decay else []
-    all_sentences += [RING_FRICTION] if any(note.analysis == "ring_friction" for note in diagnosis.notes) else []
-    all_sentences += [between_records_sentence(diagnosis.between)] if diagnosis.between else []
-    return all_sentences + [
-        f"Channel {channel_name} is {fault} and was left out."
-        for channel_name, fault in diagnosis.channel_faults.items()
+        *([] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)),
+        *_ruled_out_sentence(diagnosis),
+        *([UNSCALED] if diagnosis.free_decay else []),
+        *([RING_FRICTION] if is_ring_friction_left_out else []),
+        *([between_records_sentence(diagnosis.between)] if diagnosis.between else []),
+        *(f"Channel {name} is {fault} and was left out." for name, fault in diagnosis.channel_faults.items()),
     ]
 
 
@@ -68,23 +66,20 @@ def _consistent_sentences(gap: Diagnosis) -> list[str]:
 
 def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
     p_words = p_value_words(gap.before.p_value)
-    first_clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
-    exceeding_bounds = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
-    if exceeding_bounds:
-        bounds_text = joined([bound_words(bound) for bound in exceeding_bounds])
-        first_clause += f", though the best value is beyond what matters for {bounds_text}"
-    verdict_sentences = [f"{first_clause}."]
-    if named_cause := _named_cause(gap):
-        verdict_sentences.append(
-            f"{capitalised(joined(named_cause.named))} would explain what is left{_taken_up_words(gap)}."
-        )
+    clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
+    exceeding = [bound_words(bound) for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
+    if exceeding:
+        clause += f", though the best value is beyond what matters for {joined(exceeding)}"
+    verdict_sentences = [f"{clause}."]
+    if cause := _named_cause(gap):
+        verdict_sentences.append(f"{_subject(cause)} would explain what is left{_taken_up_words(gap)}.")
     return verdict_sentences + _not_seen_sentences(gap)
 
 
 def _small_sentences(gap: Diagnosis) -> list[str]:
     bounds = _upper_bound_words(gap.evidence.quantities)
     if cause := _named_cause(gap):
-        return [f"{capitalised(joined(cause.named))} {_verb_be(cause)} there, too small to matter: {bounds}."]
+        return [f"{_subject(cause)} {_inflected(cause, 'is', 'are')} there, too small to matter: {bounds}."]
     return [
         f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
         "No effect of the library is named for it.",
@@ -93,31 +88,29 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
 
 
 def _explained_sentences(gap: Diagnosis) -> list[str]:
-    named = gap.causes[0]
-    explain = "explains" if len(named.named) == 1 else "explain"
+    cause = gap.causes[0]
+    explained, them = f"{_subject(cause)} {_inflected(cause, 'explains', 'explain')} the difference", _pronoun(cause)
+    p_words = p_value_words(gap.evidence.p_value)
     if not gap.evidence.held_back_shows:
         return [
-            f"{capitalised(joined(named.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
-            "all records together: the one that was not fitted shows too little of it."
+            f"{explained} ({p_words}), by all records together: the one that was not fitted shows too little of it."
         ]
     if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
         pull_words = number(gap.before.largest_pull, 2)
         return [
-            f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
-            f"without {_pronoun(named)}: it would be off by {pull_words} standard deviations."
+            f"{explained}, which a tolerance would have to take up without {them}: it would be off by {pull_words} "
+            "standard deviations."
         ]
     if (beyond := _parameters_beyond(gap)) and not gap.before.contact_shares:  # rings, by their contact fit alone
-        p_words = p_value_words(gap.evidence.p_value)
-        return [f"{capitalised(joined(named.named))} {explain} the difference ({p_words}).", *beyond]
-    chance_words = (
-        ""
-        if gap.after.p_value < USUAL_P_VALUE
-        else f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
-    )
+        return [f"{explained} ({p_words}).", *beyond]
+    chance_words = ""
+    if gap.after.p_value >= USUAL_P_VALUE:
+        chance_words = f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
+    shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
+    strain_words = _strain_words(gap) if shares_hold else ""
     return [
-        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
-        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
-        f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}{_taken_up_words(gap)}."
+        f"{explained}: with {them} the model leaves {unexplained_words(gap.after)} unexplained{chance_words}; without "
+        f"{them} {unexplained_words(gap.before)}{strain_words}{_taken_up_words(gap)}."
     ]
 
 
@@ -125,19 +118,13 @@ def _taken_up_words(gap: Diagnosis) -> str:
     """Clause on what the named effects change, where tolerances take that up without them."""
     if not gap.evidence.taken_up:
         return ""
-    changed_quantities = [
+    changed = [
         f"the {percent(bound.value)} of the {bound.name}"
         for bound in gap.evidence.quantities_beside
         if bound.value is not None and not bound.holds
     ]
-    change_verb = "it changes" if len(gap.causes[0].named) == 1 else "they change"
-    return f"; tolerances take up the rest of {joined(changed_quantities)} that {change_verb}"
-
-
-def _strain_words_if_bounded(gap: Diagnosis) -> str:
-    """Clause on the most strained tolerance, where all shares without the named effects are bounded."""
-    shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
-    return _strain_words(gap) if shares_hold else ""
+    change = _inflected(gap.causes[0], "it changes", "they change")
+    return f"; tolerances take up the rest of {joined(changed)} that {change}"
 
 
 def _strain_words(gap: Diagnosis) -> str:
@@ -148,29 +135,24 @@ def _strain_words(gap: Diagnosis) -> str:
 
 def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
     cause = gap.causes[0]
-    explain = "explains" if len(cause.named) == 1 else "explain"
     return [
-        f"{capitalised(joined(cause.named))} {explain} the difference in part: "
-        f"{'it' if len(cause.named) == 1 else 'they'} {_removal_words(gap, '')}, and "
-        f"{stays_unexplained_words(gap.after)}.",
+        f"{_subject(cause)} {_inflected(cause, 'explains', 'explain')} the difference in part: "
+        f"{_inflected(cause, 'it', 'they')} {_removal_words(gap, '')}, and {stays_unexplained_words(gap.after)}.",
         *_veto_sentence(gap),
         _force_description(gap, "The rest"),
     ]
 
 
 def _unexplained_sentences(gap: Diagnosis) -> list[str]:
-    differs_clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
+    clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
     verdict_sentences = [
-        f"{differs_clause}, but noise hides by how much: no motion is left beyond it{_strain_words(gap)}."
+        f"{clause}, but noise hides by how much: no motion is left beyond it{_strain_words(gap)}."
         if _is_hidden(gap)
-        else f"{differs_clause}, which leaves {unexplained_words(gap.before)} unexplained."
+        else f"{clause}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
-    if named_cause := _named_cause(gap):
-        removal_clause = _removal_words(gap, " of the difference")
-        verdict_sentences.append(
-            f"{capitalised(joined(named_cause.named))} {_verb_be(named_cause)} likely, and {removal_clause}."
-        )
-        verdict_sentences += _veto_sentence(gap)
+    if cause := _named_cause(gap):
+        are, removal = _inflected(cause, "is", "are"), _removal_words(gap, " of the difference")
+        verdict_sentences += [f"{_subject(cause)} {are} likely, and {removal}.", *_veto_sentence(gap)]
     else:
         verdict_sentences.append("No effect of the library is named for it.")
     return [*verdict_sentences, *_parameters_beyond(gap), _force_description(gap, "The difference")]
@@ -197,26 +179,28 @@ def _named_cause(gap: Diagnosis) -> Cause | None:
     return gap.causes[0] if gap.causes and gap.causes[0].named else None
 
 
-def _verb_be(cause: Cause) -> str:
-    return "is" if len(cause.named) == 1 else "are"
-
-
 def _pronoun(cause: Cause) -> str:
-    return "it" if len(cause.named) == 1 else "them"
+    return _inflected(cause, "it", "them")
+
+
+def _subject(cause: Cause) -> str:
+    return capitalised(joined(cause.named))
+
+
+def _inflected(cause: Cause, singular: str, plural: str) -> str:
+    """Word for one named effect, or for several."""
+    return singular if len(cause.named) == 1 else plural
 
 
 def _removal_words(gap: Diagnosis, of_what: str) -> str:
     """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
-    removes_verb = "removes" if len(cause.named) == 1 else "remove"
+    removes = _inflected(cause, "removes", "remove")
     if _is_hidden(gap):
         removed_share = max(gap.evidence.removed, 0.0)
-        return (
-            f"{removes_verb} {percent(removed_share)} of what strains its tolerances"
-            if removed_share
-            else f"{removes_verb} nothing that is seen"
-        )
-    return f"{removes_verb} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
+        strain = f"{percent(removed_share)} of what strains its tolerances"
+        return f"{removes} {strain if removed_share else 'nothing that is seen'}"
+    return f"{removes} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
 
 
 def _is_hidden(gap: Diagnosis) -> bool:
@@ -245,22 +229,19 @@ def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
     names_by_share: dict[str, list[str]] = {}
     for bound in share_bounds:
         if bound.upper is not None:
-            upper_share = percent(max(bound.upper, SMALLEST_SHARE))
-            names_by_share.setdefault(upper_share, []).append(f"of the {bound.name}")
-    share_words = joined([f"at most {share_text} {joined(names)}" for share_text, names in names_by_share.items()])
-    parameter_clause = ", and no clearance, stiffness or damping by more than three tolerances"
-    return f"{share_words} differ{parameter_clause * (len(quantities) > len(share_bounds))}".replace(
-        "at most < ", "less than "
-    )
+            share = percent(max(bound.upper, SMALLEST_SHARE))
+            names_by_share.setdefault(share, []).append(f"of the {bound.name}")
+    words = joined([f"at most {share} {joined(names)}" for share, names in names_by_share.items()]) + " differ"
+    if len(quantities) > len(share_bounds):
+        words += ", and no clearance, stiffness or damping by more than three tolerances"
+    return words.replace("at most < ", "less than ")
 
 
 def _not_seen_sentences(gap: Diagnosis) -> list[str]:
     """Sentences on quantities that the records neither bound nor show, and on what would show them."""
-    not_seen_sentences = []
-    for bound in gap.not_seen:
-        quantity_words = bound_words(bound)
-        not_seen_sentences.append(f"Not settled: {quantity_words}{f'; {bound.remedy}' if bound.remedy else ''}.")
-    return not_seen_sentences
+    return [
+        f"Not settled: {bound_words(bound)}{f'; {bound.remedy}' if bound.remedy else ''}." for bound in gap.not_seen
+    ]
 
 
 def _force_description(gap: Diagnosis, subject: str) -> str:
@@ -269,12 +250,10 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
         return f"{subject} was not compared with unmeasured forces."
     if gap.unknown is None or gap.unknown.explained < HINT_EXPLAINED:
         return f"{subject} looks like no single force that is known here."
-    if gap.unknown.explained >= DESCRIPTION_EXPLAINED:
-        return f"{subject} looks like {gap.unknown.sentence}."
-    share_text = percent(gap.unknown.explained)
-    return (
-        f"{subject} has no simple form; the nearest explains {share_text} of its mean square: {gap.unknown.sentence}."
-    )
+    force, explained = gap.unknown.sentence, gap.unknown.explained
+    if explained >= DESCRIPTION_EXPLAINED:
+        return f"{subject} looks like {force}."
+    return f"{subject} has no simple form; the nearest explains {percent(explained)} of its mean square: {force}."
 
 
 def _look_alike_words(gap: Diagnosis) -> list[str]:
@@ -287,13 +266,9 @@ def _look_alike_words(gap: Diagnosis) -> list[str]:
 
 def _parameters_at_limit(gap: Diagnosis) -> list[str]:
     """Sentence on parameters at the limit of their range: their true value or their effect may be another."""
-    named_cause = _named_cause(gap)
-    if not named_cause:
+    cause = _named_cause(gap)
+    names = [name for name, value in cause.parameters.items() if value.at_limit] if cause else []
+    if not names:
         return []
-    names_at_limit = [parameter_name for parameter_name, value in named_cause.parameters.items() if value.at_limit]
-    if not names_at_limit:
-        return []
-    range_words = "is the end of its range" if len(names_at_limit) == 1 else "are the ends of their ranges"
-    return [
-        f"The best {joined(names_at_limit)} {range_words}: the true value may lie beyond, or the effect is another."
-    ]
+    range_words = "is the end of its range" if len(names) == 1 else "are the ends of their ranges"
+    return [f"The best {joined(names)} {range_words}: the true value may lie beyond, or the effect is another."]

@@ -22,8 +22,8 @@ from msgspec.structs import replace as with_numbers
 
 from identify.gaps.decision.answer import DEFAULT_MATTERS, describe
 from identify.gaps.decision.bounds import NominalDifference, share_bounds
-from identify.gaps.decision.comparison import log_priors, split_p_value, validate_hypotheses, with_rival_spread
-from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, nominal_misfits_of, with_lasting_error
+from identify.gaps.decision.comparison import split_p_value, with_rival_spread
+from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, nominal_misfits_of, validated_hypotheses
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
 from identify.gaps.decision.predicted import PredictedDecision
@@ -140,17 +140,15 @@ def _in_space(gap: Gap) -> Gap:
 
 def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: RingFit, matters: Matters) -> Judgement:
     """Judge the difference and every hypothesis on the validation record, with the rings of all records."""
-    validation = prepared.validation_recording
-    record = validation.record
+    record = prepared.validation_recording.record
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))
     library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
     rings = ring_candidates(library, record.rig)
-    priors = log_priors(search_result.hypotheses, [*search_result.candidates, *rings])
-    ranked = validate_hypotheses(record, validation.nominal_variances, residual, search_result.hypotheses, priors)
-    ranked = [with_lasting_error(item, prepared.null_reference) for item in ranked]
+    all_candidates = [*search_result.candidates, *rings]
+    ranked = validated_hypotheses(prepared, search_result.hypotheses, all_candidates, residual)
     nominal_misfits = nominal_misfits_of(prepared, search_result.nominal_misfit, residual)
-    record_p_values = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
+    record_p_values = p_values(prepared.null_references, nominal_misfits)
     distances = ring_distances(prepared.observations, record.rig, ring_fit)
     difference = NominalDifference(
         with_bound(combined_p_value(np.append(record_p_values, distances.p_values)), split_p_value(ranked)),
@@ -158,7 +156,7 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
         contact_bounds=(),
         parameter_bounds=distances.parameter_bounds,
     )
-    ranked = with_rival_spread(with_ring_fits(prepared, [*search_result.candidates, *rings], ranked, ring_fit))
+    ranked = with_rival_spread(with_ring_fits(prepared, all_candidates, ranked, ring_fit))
     decision = _with_rings_after(decide(ranked, difference, prepared.null_reference, matters), prepared, ring_fit)
     prediction = PredictedDecision(ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE),)))
     notes = [FailedAnalysis("unmeasured_force", PLANE_ALONE)]
@@ -169,12 +167,11 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
 
 def _with_rings_after(decision: Decision, prepared: PreparedRecordings, ring_fit: RingFit) -> Decision:
     """Decision whose evidence after correction holds the distances of the rings from the named set, too."""
-    named_or_nominal = decision.named_hypothesis or decision.nominal_hypothesis
-    distances = ring_distances(prepared.observations, named_or_nominal.rig, ring_fit)
-    remaining_p_values = p_values([(prepared.null_reference, named_or_nominal.misfit)])
-    validation = prepared.validation_recording
-    held_back = ring_distances([validation], validation.record.rig, ring_fit)
-    shows = combined_p_value(np.array(held_back.p_values)) < USUAL_P_VALUE if held_back.p_values else False
+    chosen, validation = decision.named_hypothesis or decision.nominal_hypothesis, prepared.validation_recording
+    distances = ring_distances(prepared.observations, chosen.rig, ring_fit)
+    remaining_p_values = p_values([prepared.null_reference], [chosen.misfit])
+    held_back = ring_distances([validation], validation.record.rig, ring_fit).p_values
+    shows = bool(held_back) and combined_p_value(np.array(held_back)) < USUAL_P_VALUE
     evidence = with_numbers(
         decision.evidence,
         held_back_shows=decision.evidence.held_back_shows or shows,

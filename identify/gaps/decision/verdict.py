@@ -72,15 +72,12 @@ class Decision:
     @property
     def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([weighted_hypothesis.validated for weighted_hypothesis in self.weighted_hypotheses])
+        return nominal_of([weighted.validated for weighted in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
-        return next(
-            weighted_hypothesis.probability
-            for weighted_hypothesis in self.weighted_hypotheses
-            if weighted_hypothesis.validated is self.nominal_hypothesis
-        )
+        weighted_hypotheses, nominal = self.weighted_hypotheses, self.nominal_hypothesis
+        return next(weighted.probability for weighted in weighted_hypotheses if weighted.validated is nominal)
 
     @property
     def corrects_rig(self) -> bool:
@@ -120,65 +117,43 @@ def decide(
     An unmeasured force is a rival of the effects; a force beside them adds its likelihood to theirs. Where the records
     differ from the nominal rig but the validation record alone does not show it, the fitted record counts too.
     """
-    force_rivals, nominal_hypothesis = force_rivals or ForceRivals(), nominal_of(ranked_hypotheses)
+    force_rivals, nominal = force_rivals or ForceRivals(), nominal_of(ranked_hypotheses)
     held_back_shows = (
-        difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal_hypothesis.misfit) < USUAL_P_VALUE
+        difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal.misfit) < USUAL_P_VALUE
     )
-    log_posteriors = [
-        validated_hypothesis.log_posterior if held_back_shows else validated_hypothesis.log_posterior_of_both
-        for validated_hypothesis in ranked_hypotheses
-    ]
-    for hypothesis_index, validated in enumerate(ranked_hypotheses):
-        if validated is force_rivals.accompanied_hypothesis:
-            force_log_posterior = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
-            log_posteriors[hypothesis_index] = float(
-                np.logaddexp(log_posteriors[hypothesis_index], force_log_posterior)
-            )
-    log_posteriors.append(_force_log_posterior(0.0, force_rivals.nominal_cost))
-    *posteriors, probability_unmeasured = (
-        float(probability) for probability in probabilities(np.array(log_posteriors))
+
+    def log_posterior_of(validated: ValidatedHypothesis) -> float:
+        log_posterior = validated.log_posterior if held_back_shows else validated.log_posterior_of_both
+        if validated is not force_rivals.accompanied_hypothesis:
+            return log_posterior
+        with_force = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
+        return float(np.logaddexp(log_posterior, with_force))
+
+    log_posteriors = [*map(log_posterior_of, ranked_hypotheses), _force_log_posterior(0.0, force_rivals.nominal_cost)]
+    *posteriors, probability_unmeasured = probabilities(np.array(log_posteriors)).tolist()
+    weighted_hypotheses = sorted(
+        map(WeightedHypothesis, ranked_hypotheses, posteriors), key=lambda weighted: -weighted.probability
     )
-    weighted_hypotheses = tuple(
-        WeightedHypothesis(*hypothesis_and_probability)
-        for hypothesis_and_probability in sorted(
-            zip(ranked_hypotheses, posteriors, strict=True),
-            key=lambda hypothesis_and_probability: -hypothesis_and_probability[1],
-        )
-    )
-    likeliest_hypothesis = next(
-        (
-            validated_hypothesis.validated
-            for validated_hypothesis in weighted_hypotheses
-            if validated_hypothesis.validated.hypothesis.candidates
-        ),
-        None,
-    )
-    likeliest_strengths = (
-        strengths_of(likeliest_hypothesis.hypothesis, weighted_hypotheses) if likeliest_hypothesis else ()
-    )
-    named_hypothesis = (
-        _named_hypothesis(likeliest_hypothesis, likeliest_strengths, weighted_hypotheses)
-        if likeliest_hypothesis
-        else None
-    )
-    named_or_nominal = named_hypothesis or nominal_hypothesis
+    strengths: tuple[Strength, ...] = ()
+    named_hypothesis = next((w.validated for w in weighted_hypotheses if w.validated.hypothesis.candidates), None)
+    if named_hypothesis:
+        strengths = strengths_of(named_hypothesis.hypothesis, weighted_hypotheses)
+        named_hypothesis = _named_hypothesis(named_hypothesis, strengths, weighted_hypotheses)
+    chosen = named_hypothesis or nominal
     contact_names = [quantity.name for quantity in difference.contact_bounds]
+    are_any_named = any(strength.is_named for strength in strengths)
     evidence = Evidence(
         p_value=difference.p_value,
         quantities=difference.quantities,
-        strengths=likeliest_strengths,
-        p_value_after=p_value(null_reference, named_or_nominal.misfit),
-        quantities_after=share_bounds(named_or_nominal.misfit, contact_names, matters),
-        removed=removed_share(
-            nominal_hypothesis.misfit, named_or_nominal.nominal_misfit, named_or_nominal.misfit, matters
-        ),
+        strengths=strengths,
+        p_value_after=p_value(null_reference, chosen.misfit),
+        quantities_after=share_bounds(chosen.misfit, contact_names, matters),
+        removed=removed_share(nominal.misfit, chosen.nominal_misfit, chosen.misfit, matters),
         vetoed=is_vetoed,
         held_back_shows=held_back_shows,
-        quantities_beside=share_bounds(named_or_nominal.nominal_misfit, contact_names, matters)
-        if any(strength.is_named for strength in likeliest_strengths)
-        else (),
+        quantities_beside=share_bounds(chosen.nominal_misfit, contact_names, matters) if are_any_named else (),
     )
-    return Decision(evidence, weighted_hypotheses, probability_unmeasured, named_hypothesis)
+    return Decision(evidence, tuple(weighted_hypotheses), probability_unmeasured, named_hypothesis)
 
 
 def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedHypothesis]) -> tuple[Strength, ...]:
@@ -189,40 +164,36 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
     strengths, first_column = [], 0
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     for candidate in hypothesis.candidates:
-        column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
-        look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
+        columns = range(first_column, first_column := first_column + len(candidate.parameters))
         neutral_values = {
-            column_index: parameter.neutral
-            for column_index, parameter in zip(column_indices, candidate.parameters, strict=True)
+            column: parameter.neutral
+            for column, parameter in zip(columns, candidate.parameters, strict=True)
             if parameter.neutral is not None
         }
         deviation_in_errors = {
-            index: abs(hypothesis.values[index] - neutral_value) / max(standard_errors[index], 1e-300)
-            for index, neutral_value in neutral_values.items()
+            column: float(abs(hypothesis.values[column] - neutral_value) / max(standard_errors[column], 1e-300))
+            for column, neutral_value in neutral_values.items()
         }
-        column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
-        strength_value, half_width = (
-            float(hypothesis.values[column_index]),
-            float(COVERED * standard_errors[column_index]),
-        )
+        column = max(deviation_in_errors, key=deviation_in_errors.__getitem__)
+        strength, half_width = float(hypothesis.values[column]), float(COVERED * standard_errors[column])
+        look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
-            weighted_hypothesis.probability
-            for weighted_hypothesis in weighted_hypotheses
-            if interchangeable_names & set(weighted_hypothesis.validated.hypothesis.effect_names)
+            weighted.probability
+            for weighted in weighted_hypotheses
+            if interchangeable_names & set(weighted.validated.hypothesis.effect_names)
         )
-        interval = (strength_value - half_width, strength_value + half_width)
-        strengths.append(
-            Strength(candidate.name, inclusion_probability, interval, float(neutral_values[column_index]), look_alikes)
-        )
+        interval = (strength - half_width, strength + half_width)
+        neutral = float(neutral_values[column])
+        strengths.append(Strength(candidate.name, inclusion_probability, interval, neutral, look_alikes))
     return tuple(strengths)
 
 
 def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
     """True if a hypothesis has effects, and the 95 % interval of every strength excludes its neutral value."""
-    effect_strengths = strengths_of(hypothesis, ())
-    return bool(effect_strengths) and all(
-        not strength.interval_95[0] <= strength.neutral <= strength.interval_95[1] for strength in effect_strengths
+    strengths = strengths_of(hypothesis, ())
+    return bool(strengths) and not any(
+        strength.interval_95[0] <= strength.neutral <= strength.interval_95[1] for strength in strengths
     )
 
 
@@ -232,39 +203,27 @@ def _look_alikes(
     """Names of candidates that replace an effect in other hypotheses above `RIVAL_PROBABILITY`."""
     effect_counts = Counter(hypothesis.effect_names)
     look_alike_names: list[str] = []
-    for rival in (
-        weighted_hypothesis.validated.hypothesis
-        for weighted_hypothesis in weighted_hypotheses
-        if weighted_hypothesis.probability > RIVAL_PROBABILITY
-    ):
-        added_effects = Counter(rival.effect_names) - effect_counts
-        removed_effects = effect_counts - Counter(rival.effect_names)
-        if removed_effects == Counter([candidate.name]) and added_effects.total() == 1:
+    for weighted in weighted_hypotheses:
+        rival_counts = Counter(weighted.validated.hypothesis.effect_names)
+        added_effects, removed_effects = rival_counts - effect_counts, effect_counts - rival_counts
+        is_look_alike = removed_effects == Counter([candidate.name]) and added_effects.total() == 1
+        if is_look_alike and weighted.probability > RIVAL_PROBABILITY:
             look_alike_names += added_effects
     return tuple(dict.fromkeys(look_alike_names))
 
 
 def _named_hypothesis(
-    likeliest_hypothesis: ValidatedHypothesis,
-    effect_strengths: Sequence[Strength],
-    weighted_hypotheses: Sequence[WeightedHypothesis],
+    likeliest: ValidatedHypothesis, strengths: Sequence[Strength], weighted_hypotheses: Sequence[WeightedHypothesis]
 ) -> ValidatedHypothesis:
     """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated or would
     by itself not name them."""
-    named_effects = tuple(sorted(strength.effect for strength in effect_strengths if strength.is_named))
-    return next(
-        (
-            weighted.validated
-            for weighted in weighted_hypotheses
-            if named_effects
-            and weighted.validated.hypothesis.effect_names == named_effects
-            and all(
-                effect_strength.is_named
-                for effect_strength in strengths_of(weighted.validated.hypothesis, weighted_hypotheses)
-            )
-        ),
-        likeliest_hypothesis,
-    )
+    named_effects = tuple(sorted(strength.effect for strength in strengths if strength.is_named))
+    for validated in (weighted.validated for weighted in weighted_hypotheses if named_effects):
+        if validated.hypothesis.effect_names == named_effects and all(
+            strength.is_named for strength in strengths_of(validated.hypothesis, weighted_hypotheses)
+        ):
+            return validated
+    return likeliest
 
 
 def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Rig) -> bool:
@@ -273,19 +232,15 @@ def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Ri
     One force of another law is then a rival of the effects, no companion.
     """
     if force_place.kind == "sensor":
-        changed_sensor_names = [
-            corrected_sensor.name
-            for nominal_sensor, corrected_sensor in zip(nominal_rig.sensors, corrected_rig.sensors, strict=True)
-            if nominal_sensor != corrected_sensor
+        sensor_pairs = zip(nominal_rig.sensors, corrected_rig.sensors, strict=True)
+        return [corrected.name for nominal, corrected in sensor_pairs if nominal != corrected] == [
+            force_place.sensor_name
         ]
-        return changed_sensor_names == [force_place.sensor_name]
-    contact_pairs = zip(corrected_rig.contacts, nominal_rig.contacts, strict=True)
-    effect_stations = [contact.at for contact, nominal_contact in contact_pairs if contact.law != nominal_contact.law]
-    for attachment_field in ATTACHED_FIELDS:
-        effect_stations += [
-            attached.station
-            for attached in getattr(corrected_rig, attachment_field)[len(getattr(nominal_rig, attachment_field)) :]
-        ]
+    contact_pairs = zip(nominal_rig.contacts, corrected_rig.contacts, strict=True)
+    effect_stations = [corrected.at for nominal, corrected in contact_pairs if nominal.law != corrected.law]
+    for field in ATTACHED_FIELDS:
+        nominal_count = len(getattr(nominal_rig, field))
+        effect_stations += [attached.station for attached in getattr(corrected_rig, field)[nominal_count:]]
     return any(
         force_station.body == effect_station.body
         and abs(force_station.position_m - effect_station.position_m) <= SAME_PLACE_M

@@ -1,6 +1,7 @@
 """Advice: the next steps after a diagnosis, in concrete sentences, by its verdict."""
 
 import math
+from collections.abc import Sequence
 
 from identify.gaps.decision_table import USUAL_P_VALUE, Verdict
 from identify.gaps.results import Gap
@@ -75,6 +76,11 @@ def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
     return sorted(ranges_hz, key=lambda range_hz: range_hz[0] - range_hz[1])
 
 
+def range_words(ranges_hz: Sequence[tuple[float, float]]) -> str:
+    """Frequency ranges in words, the lowest first: "2 to 10 Hz and 40 to 50 Hz"."""
+    return joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
+
+
 SENSITIVITY_ADVICE = (
     "To find smaller differences, state tighter tolerances where you have measured them (--tolerances), record for "
     "longer, or excite more strongly."
@@ -88,8 +94,8 @@ UNKNOWN_ADVICE = (
 
 
 def _unchanged_rig_steps(gap: Gap) -> list[str]:
-    is_unchanged = not (gap.between and gap.between.differing)
-    return ["Nothing needs to be done: simulate with rig.json as it is."] if is_unchanged else []
+    is_changed = gap.between and gap.between.differing
+    return [] if is_changed else ["Nothing needs to be done: simulate with rig.json as it is."]
 
 
 def _consistent_steps(gap: Gap) -> list[str]:
@@ -109,37 +115,36 @@ def _cannot_tell_steps(gap: Gap) -> list[str]:
 
 def _small_steps(gap: Gap) -> list[str]:
     if gap.causes and gap.causes[0].named:
-        simulation_step = (
-            "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine."
-        )
-        return [simulation_step, *_discriminating_steps(gap)]
+        return [
+            "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine.",
+            *_discriminating_steps(gap),
+        ]
     return [*_unchanged_rig_steps(gap), "To see its cause, lower --matters and --matters-contact and diagnose again."]
 
 
 def _explained_steps(gap: Gap) -> list[str]:
     effects = "effect" if len(gap.causes[0].named) == 1 else "effects"
-    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds the {effects} named above."]
+    remainder = "Nothing else needs an explanation: what is left is what tolerances and noise leave."
     if gap.after.p_value < USUAL_P_VALUE:
-        steps.append(
+        remainder = (
             f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, but too little to "
             "matter."
         )
-    else:
-        steps.append("Nothing else needs an explanation: what is left is what tolerances and noise leave.")
-    return steps + _discriminating_steps(gap)
+    return [
+        f"Simulate with the corrected rig.json (--out writes it): it holds the {effects} named above.",
+        remainder,
+        *_discriminating_steps(gap),
+    ]
 
 
 def _partly_explained_steps(gap: Gap) -> list[str]:
-    steps = [
+    return [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: "
-        f"{stays_unexplained_words(gap.after)}."
+        f"{stays_unexplained_words(gap.after)}.",
+        *_unexplained_steps(gap),
+        *(_inspection_steps(gap.unknown) if gap.unknown else []),
+        *_discriminating_steps(gap),
     ]
-    return (
-        steps
-        + _unexplained_steps(gap)
-        + (_inspection_steps(gap.unknown) if gap.unknown else [])
-        + _discriminating_steps(gap)
-    )
 
 
 def _steps_if_unexplained(gap: Gap) -> list[str]:
@@ -153,23 +158,18 @@ def _steps_if_unexplained(gap: Gap) -> list[str]:
 def _unexplained_steps(gap: Gap) -> list[str]:
     ranges_hz = unexplained_ranges_hz(gap)[:MAX_RANGES]
     if not ranges_hz:
-        contact_name, share = max(
-            gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0)
-        )
+        name, share = max(gap.after.contact_shares.items(), key=lambda contact: contact[1], default=("", 0.0))
         if share <= gap.matters.contact:
             return []
-        return [f"Look at {contact_name}: the rest lies in its force, of which {percent(share)} is unexplained."]
-    if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * (
-        gap.bands[-1].high_hz - gap.bands[0].low_hz
-    ):
+        return [f"Look at {name}: the rest lies in its force, of which {percent(share)} is unexplained."]
+    width_hz = gap.bands[-1].high_hz - gap.bands[0].low_hz
+    if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * width_hz:
         return [
             "What is left is spread over all frequencies: check what acts on all of them, such as gains, stations, "
             "cables and cross-axis sensitivity."
         ]
-    band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
-    return [
-        f"Look for something that acts from {band_words}: there the rest exceeds what noise leaves, and it matters."
-    ]
+    words = range_words(ranges_hz)
+    return [f"Look for something that acts from {words}: there the rest exceeds what noise leaves, and it matters."]
 
 
 def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
@@ -226,29 +226,29 @@ def place(unknown: UnmeasuredForce) -> str:
 
 
 def _discriminating_steps(gap: Gap) -> list[str]:
-    steps = [
-        f"Before anything is changed, find out whether it is {joined([effect_words, *look_alikes], 'or')}."
-        for effect_words, look_alikes in look_alikes_of(gap)
-    ]
     test_parts = (test.partition(": ") for test in gap.separate_by)
-    return (
-        steps + _experiment_steps(gap) + [f"To test {name.replace('_', ' ')}: {test}." for name, _, test in test_parts]
-    )
+    return [
+        *(
+            f"Before anything is changed, find out whether it is {joined([effect, *look_alikes], 'or')}."
+            for effect, look_alikes in look_alikes_of(gap)
+        ),
+        *_experiment_steps(gap),
+        *(f"To test {name.replace('_', ' ')}: {test}." for name, _, test in test_parts),
+    ]
 
 
 def _experiment_steps(gap: Gap) -> list[str]:
     """Proposed recordings: the best, and the two next best."""
     if not gap.next_experiments:
         return []
-    best_experiment, *alternatives = gap.next_experiments
-    return [
-        f"To tell {joined(gap.next_between, 'from')}, {best_experiment.words}: that is expected to raise the odds of "
-        f"the true one by a factor of {_odds_factor(best_experiment.log_odds)}."
-        + "".join(
-            f" {experiment.words[:1].upper()}{experiment.words[1:]}: {_odds_factor(experiment.log_odds)}."
-            for experiment in alternatives[:2]
-        )
-    ]
+    best, *alternatives = gap.next_experiments
+    step = (
+        f"To tell {joined(gap.next_between, 'from')}, {best.words}: that is expected to raise the odds of the true one "
+        f"by a factor of {_odds_factor(best.log_odds)}."
+    )
+    for experiment in alternatives[:2]:
+        step += f" {capitalised(experiment.words)}: {_odds_factor(experiment.log_odds)}."
+    return [step]
 
 
 def _odds_factor(log_odds: float) -> str:

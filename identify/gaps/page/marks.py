@@ -38,19 +38,18 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     is_doubtful = gap.evidence.vetoed and gap.verdict == Verdict.UNEXPLAINED
     for cause in gap.causes[:1]:
         for label, effect_words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
+            if not strength.is_named:
+                continue
             position_share = cause.parameters.get(f"{label}.relative_position")
-            effect_stations = (
+            places = (
                 station_named(rig, place.removesuffix(IN_Z), 0.5 if position_share is None else position_share.value)
                 for place_label, place in cause.places.items()
                 if place_label.partition(".")[0] == label
             )
-            station = next(filter(None, effect_stations), None)
-            stations = [contact.at for contact in rig.contacts] if cause.places.get(f"{label}.contact") == "all" else []
-            if strength.is_named:
-                for index, marked_station in enumerate([station] if station is not None else stations):
-                    yield DrawnMark(
-                        marked_station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}"
-                    )
+            station, is_on_all = next(filter(None, places), None), cause.places.get(f"{label}.contact") == "all"
+            stations = [station] if station else [contact.at for contact in rig.contacts if is_on_all]
+            for index, station in enumerate(stations):
+                yield DrawnMark(station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}")
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -58,27 +57,23 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
 
     None where it explains as little as in null simulations; a hint where it explains less than half.
     """
-    unmeasured_force = gap.unknown
-    if unmeasured_force is None or unmeasured_force.explained < HINT_EXPLAINED:
+    unknown = gap.unknown
+    if unknown is None or unknown.explained < HINT_EXPLAINED:
         return
-    hint_words = "a hint: " * (unmeasured_force.explained < DESCRIPTION_EXPLAINED)
-    if (contact_or_sensor := unmeasured_force.contact or unmeasured_force.sensor) and (
-        station := station_named(rig, contact_or_sensor)
-    ):
-        fault_words = "clearance that swings" if unmeasured_force.contact else "fault of the sensor"
-        yield DrawnMark(station, f"{hint_words}{contact_or_sensor}: {fault_words}")
-    for body_name, growth in unmeasured_force.growth.items():
-        yield DrawnMark(
-            Station(body_name, rig.body(body_name).length_m / 2),
-            f"{hint_words}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %",
-        )
-    if unmeasured_force.body is not None and unmeasured_force.position_m is not None:
-        is_pair = unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None
-        force_words = "unmeasured pair of forces" if is_pair else "unmeasured force"
-        place_words = "" if rig.body(unmeasured_force.body).is_mass else f", near {unmeasured_force.position_m:.2f} m"
-        yield DrawnMark(
-            Station(unmeasured_force.body, unmeasured_force.position_m),
-            f"{hint_words}{force_words}, {unmeasured_force.rms_n:.3g} N rms{place_words}",
-        )
-    if unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None:
-        yield DrawnMark(Station(unmeasured_force.against_body, unmeasured_force.against_position_m), "its opposite")
+    hint = "a hint: " * (unknown.explained < DESCRIPTION_EXPLAINED)
+    if (name := unknown.contact or unknown.sensor) and (station := station_named(rig, name)):
+        fault = "clearance that swings" if unknown.contact else "fault of the sensor"
+        yield DrawnMark(station, f"{hint}{name}: {fault}")
+    for body_name, growth in unknown.growth.items():
+        middle = Station(body_name, rig.body(body_name).length_m / 2)
+        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %")
+    against = None
+    if unknown.against_body is not None and unknown.against_position_m is not None:
+        against = Station(unknown.against_body, unknown.against_position_m)
+    if unknown.body is not None and unknown.position_m is not None:
+        force_words = "unmeasured pair of forces" if against else "unmeasured force"
+        place_words = "" if rig.body(unknown.body).is_mass else f", near {unknown.position_m:.2f} m"
+        size_words = f"{hint}{force_words}, {unknown.rms_n:.3g} N rms{place_words}"
+        yield DrawnMark(Station(unknown.body, unknown.position_m), size_words)
+    if against:
+        yield DrawnMark(against, "its opposite")

@@ -83,49 +83,41 @@ def write_page(
 
     The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
-    figure_by_name = dict(figure_by_name)
-    decisive_figure = next((name for name in _decisive_figures(gap) if name in figure_by_name), None)
+    pictures = dict(figure_by_name)
     first_column = f"<p>{escape(findings_heading(gap))}</p>{page.list_html(findings)}" if findings else ""
-    if drawing:
-        first_column += f"<figure>{drawing}</figure>"
+    first_column += f"<figure>{drawing}</figure>" if drawing else ""
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
-    second_column = (
-        page.figure(
-            decisive_figure,
-            figure_by_name.pop(decisive_figure),
-            CAPTION_BY_FIGURE.get(decisive_figure, ""),
-            page.FIRST_PLOT_PX,
-        )
-        if decisive_figure
-        else ""
-    )
-    unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
-    experiment_figures = _figures_html(figure_by_name, "next")
-    folded_sections = [
+    second_column = ""
+    if decisive := next((name for name in _decisive_figures(gap) if name in pictures), None):
+        caption = CAPTION_BY_FIGURE.get(decisive, "")
+        second_column = page.figure(decisive, pictures.pop(decisive), caption, page.FIRST_PLOT_PX)
+    experiment_figures = _figures_html(pictures, "next")
+    sections = [
         ("How large is the difference?", "large", mismatch_size_html(gap)),
         ("What causes it?", "why", cause_tables_html(gap)),
-        *([("Does the model move as the machine?", "prediction", prediction_html(gap.rollout))] if gap.rollout else []),
-        ("How was it decided?", "decided", decision_html(gap)),
-        *(
-            [("What differs between the records?", "between", record_differences_html(gap.between))]
-            if gap.between
-            else []
-        ),
-        *([(unknown_heading, "unknown", unknown_force_html(gap.unknown))] if gap.unknown else []),
-        ("Where does it lie?", "where", location_html(gap.attribution)),
-        *([("What could not be computed", "notes", failed_analyses_html(gap))] if gap.notes else []),
     ]
+    if gap.rollout:
+        sections.append(("Does the model move as the machine?", "prediction", prediction_html(gap.rollout)))
+    sections.append(("How was it decided?", "decided", decision_html(gap)))
+    if gap.between:
+        sections.append(("What differs between the records?", "between", record_differences_html(gap.between)))
+    if gap.unknown:
+        is_rest = gap.verdict == Verdict.PARTLY_EXPLAINED
+        heading = "What the rest looks like" if is_rest else "What is not explained"
+        sections.append((heading, "unknown", unknown_force_html(gap.unknown)))
+    sections.append(("Where does it lie?", "where", location_html(gap.attribution)))
+    if gap.notes:
+        sections.append(("What could not be computed", "notes", failed_analyses_html(gap)))
+    page_colour = "yellow" if findings and colour(gap) == "green" else colour(gap)
     page.write(
         path,
         title=title,
-        answer=page.Answer(
-            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict_words(gap), sentences(gap)
-        ),
+        answer=page.Answer(page_colour, verdict_words(gap), sentences(gap)),
         top_blocks=[first_column, second_column],
         sections=[("Which further recording?", experiment_figures)] if experiment_figures else [],
         folded_sections=[
-            (heading, f"{section_html}\n{_figures_html(figure_by_name, section_key)}")
-            for heading, section_key, section_html in folded_sections
+            (heading, f"{section_html}\n{_figures_html(pictures, section_key)}")
+            for heading, section_key, section_html in sections
         ],
         foot_text="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
@@ -147,38 +139,24 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
 
 
 def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> str:
-    section_pictures = {
-        figure_name: picture
-        for figure_name, picture in figure_by_name.items()
-        if figure_name.split("_")[0] == section_key
-    }
-    wide_figures = "".join(
-        page.figure(figure_name, picture, CAPTION_BY_FIGURE[figure_name])
-        for figure_name, picture in section_pictures.items()
-        if figure_name in CAPTION_BY_FIGURE
-    )
-    small_figures = "".join(
-        page.figure(figure_name, picture)
-        for figure_name, picture in section_pictures.items()
-        if figure_name not in CAPTION_BY_FIGURE
-    )
+    """Figures of a section: the wide ones with their captions, then the small ones side by side."""
+    wide_figures = small_figures = ""
+    for name, picture in figure_by_name.items():
+        if name.split("_")[0] == section_key and name in CAPTION_BY_FIGURE:
+            wide_figures += page.figure(name, picture, CAPTION_BY_FIGURE[name])
+        elif name.split("_")[0] == section_key:
+            small_figures += page.figure(name, picture)
     return wide_figures + (f'<div class="pictures">\n{small_figures}</div>' if small_figures else "")
 
 
 def curves(gap: Gap) -> dict[str, Table]:
     """Table `bands`: unexplained shares of the acceleration by frequency, as far as the diagnosis has them."""
-    return {"bands": _band_table(gap)} if gap.bands else {}
-
-
-def _band_table(gap: Gap) -> Table:
-    heading_by_field = {
+    headings = {
         "low_hz": "from Hz",
         "high_hz": "to Hz",
         "before": "unexplained by the model as it is",
         "after": "unexplained with the likeliest cause",
         "usual": "nineteen of twenty null simulations stay below",
     }
-    return {
-        heading: np.array([getattr(band, field_name) for band in gap.bands])
-        for field_name, heading in heading_by_field.items()
-    }
+    bands = {heading: np.array([getattr(band, field) for band in gap.bands]) for field, heading in headings.items()}
+    return {"bands": bands} if gap.bands else {}

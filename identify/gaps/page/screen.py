@@ -42,20 +42,19 @@ def colour(gap: Gap) -> Colour:
 
 def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
-    screen_parts: list[RenderableType] = [
+    parts: list[RenderableType] = [
         Text.assemble((verdict_words(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
         _cause_table(gap),
     ]
     if gap.unknown:
-        screen_parts.append(
-            Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {_unknown_summary(gap.unknown)}")
-        )
-    screen_parts += [Text(note) for note in failed_analysis_sentences(gap)]
-    screen_parts.append(Text("what to do next:", style="bold"))
-    step_table = Table.grid(padding=(0, 1))
+        summary = f"; {_unknown_summary(gap.unknown)}"
+        parts.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, summary))
+    parts += [Text(note) for note in failed_analysis_sentences(gap)]
+    parts.append(Text("what to do next:", style="bold"))
+    steps = Table.grid(padding=(0, 1))
     for step_number, step in enumerate(next_steps(gap), 1):
-        step_table.add_row(f" {step_number}.", Text(step))
-    return Group(*screen_parts, step_table)
+        steps.add_row(f" {step_number}.", Text(step))
+    return Group(*parts, steps)
 
 
 def _unknown_summary(unknown: UnmeasuredForce) -> str:
@@ -71,23 +70,18 @@ def _unknown_summary(unknown: UnmeasuredForce) -> str:
 
 def _cause_table(gap: Gap) -> RenderableType:
     """Causes, no cause and something unmeasured, whose probabilities sum to one, each with its numbers in lines."""
-    probabilities_and_words = [(cause.probability, _cause_text(cause)) for cause in gap.causes[:MAX_CAUSES]]
-    if further_causes := gap.causes[MAX_CAUSES:]:
-        probabilities_and_words.append(
-            (sum(cause.probability for cause in further_causes), f"{len(further_causes)} further causes")
-        )
-    (nominal_words, nominal_probability), (unmeasured_words, unmeasured_probability) = remaining_probabilities(gap)
-    probabilities_and_words.append((nominal_probability, f"{nominal_words}: leaves {unexplained_words(gap.before)}"))
-    probabilities_and_words.append((unmeasured_probability, unmeasured_words))
-    cause_table = Table.grid(padding=(0, 2))
-    cause_table.add_column(justify="right", no_wrap=True)
-    for cause_probability, cause_words in probabilities_and_words:
-        cause_table.add_row(probability(cause_probability), Text(cause_words))
-    return Group(Text("causes by probability (± 95 %):", style="bold"), cause_table)
+    causes = [(_cause_text(cause), cause.probability) for cause in gap.causes[:MAX_CAUSES]]
+    *further, (nominal_words, nominal_probability), unmeasured = remaining_probabilities(gap, MAX_CAUSES)
+    nominal = (f"{nominal_words}: leaves {unexplained_words(gap.before)}", nominal_probability)
+    table = Table.grid(padding=(0, 2))
+    table.add_column(justify="right", no_wrap=True)
+    for words, cause_probability in (*causes, *further, nominal, unmeasured):
+        table.add_row(probability(cause_probability), Text(words))
+    return Group(Text("causes by probability (± 95 %):", style="bold"), table)
 
 
 def _cause_text(cause: Cause) -> str:
     """Name of a cause, what it closes and leaves, and its parameters, a line each, unless it is unlikely."""
-    words = f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}"
-    likely_parameters = cause.parameters if cause.probability > RIVAL_PROBABILITY else {}
-    return "\n".join([words, *(f"  {name} {interval(value)}" for name, value in likely_parameters.items())])
+    name_line = f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}"
+    parameters = cause.parameters if cause.probability > RIVAL_PROBABILITY else {}
+    return "\n".join([name_line, *(f"  {name} {interval(value)}" for name, value in parameters.items())])

@@ -26,9 +26,8 @@ def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Calla
     if any(spectral_density > 0 for spectral_density in unknown_force.spectrum):
         yield "spectrum", _HEIGHT_IN, partial(_draw_spectrum, unknown_force=unknown_force)
     if unknown_force.over_motion and unknown_force.against in _MOTION_AXIS:
-        axis_index = _MOTION_AXIS[unknown_force.against]
-        draw_law = partial(_draw_law, unknown_force, unknown_force.over_motion, axis_index)
-        yield "law", _HEIGHT_IN, draw_law
+        axis = _MOTION_AXIS[unknown_force.against]
+        yield "law", _HEIGHT_IN, partial(_draw_law, unknown_force, unknown_force.over_motion, axis)
         yield "motion", _HEIGHT_IN, partial(_draw_motion_map, mean_force=unknown_force.over_motion)
     if unknown_force.by_time:
         yield "time", _HEIGHT_IN, partial(_draw_time_course, unknown_force=unknown_force)
@@ -36,49 +35,37 @@ def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Calla
 
 def _draw_spectrum(figure: Any, unknown_force: UnmeasuredForce) -> None:
     axes = figure.subplots()
-    density_unit = "(m/s²)²/Hz" if unknown_force.kind == "sensor" else "N²/Hz"
-    spectral_density = np.array(unknown_force.spectrum)
-    band_centres_hz = np.array(unknown_force.spectrum_hz)
-    axes.semilogy(
-        band_centres_hz, np.where(spectral_density > 0, spectral_density, np.nan), color=BLUE, drawstyle="steps-mid"
-    )
+    unit = "(m/s²)²/Hz" if unknown_force.kind == "sensor" else "N²/Hz"
+    density, centres_hz = np.array(unknown_force.spectrum), np.array(unknown_force.spectrum_hz)
+    axes.semilogy(centres_hz, np.where(density > 0, density, np.nan), color=BLUE, drawstyle="steps-mid")
     axes.axvspan(*unknown_force.band_hz, color=BLUE, alpha=0.12, lw=0, label="90 % of its power")
-    if unknown_force.frequency_hz is not None:
-        axes.axvline(
-            unknown_force.frequency_hz, color=RED, lw=1.2, ls="--", label=f"{unknown_force.frequency_hz:.2f} Hz"
-        )
-    axes.set_xlim(0, float(band_centres_hz[-1] + band_centres_hz[0]))
-    axes.set(xlabel="frequency, Hz", ylabel=f"spectral density, {density_unit}")
+    if (frequency_hz := unknown_force.frequency_hz) is not None:
+        axes.axvline(frequency_hz, color=RED, lw=1.2, ls="--", label=f"{frequency_hz:.2f} Hz")
+    axes.set_xlim(0, float(centres_hz[-1] + centres_hz[0]))
+    axes.set(xlabel="frequency, Hz", ylabel=f"spectral density, {unit}")
     figure.suptitle("Its spectrum", fontsize=10)
     figure.legend(loc="outside lower center", ncols=2)
 
 
-def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis_index: int, figure: Any) -> None:
+def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis: int, figure: Any) -> None:
     """Mean force of each cell over displacement (axis 0) or velocity (axis 1), coloured by the other, and the law."""
     displacements_m, velocities_m_per_s = (
-        np.convolve(cell_edges, [0.5, 0.5], "valid")
-        for cell_edges in (mean_force.displacement_m, mean_force.velocity_m_per_s)
+        np.convolve(edges, [0.5, 0.5], "valid") for edges in (mean_force.displacement_m, mean_force.velocity_m_per_s)
     )
     mean_forces_n = np.array(mean_force.force_n)
-    displacement_cells, velocity_cells = np.nonzero(mean_forces_n)
-    cell_forces_n = mean_forces_n[displacement_cells, velocity_cells]
-    cell_motion = np.stack([displacements_m[displacement_cells], velocities_m_per_s[velocity_cells]])
-    motion_of_cells = (1e3 * cell_motion[0], cell_motion[1])
+    rows, columns = np.nonzero(mean_forces_n)
+    cell_forces_n = mean_forces_n[rows, columns]
+    cell_motion = np.stack([displacements_m[rows], velocities_m_per_s[columns]])
+    drawn_motion = (1e3 * cell_motion[0], cell_motion[1])
     axis_names = ("displacement there, mm", "velocity there, m/s")
     axes = figure.subplots()
-    cell_points = axes.scatter(
-        motion_of_cells[axis_index],
-        cell_forces_n,
-        c=motion_of_cells[1 - axis_index],
-        s=10,
-        cmap="viridis",
-    )
-    figure.colorbar(cell_points, label=axis_names[1 - axis_index])
-    if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis_index):
+    points = axes.scatter(drawn_motion[axis], cell_forces_n, c=drawn_motion[1 - axis], s=10, cmap="viridis")
+    figure.colorbar(points, label=axis_names[1 - axis])
+    if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis):
         line_motion, line_forces_n = law_line
-        axes.plot((1e3, 1.0)[axis_index] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")
+        axes.plot((1e3, 1.0)[axis] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")
         figure.legend(loc="outside lower center")
-    axes.set(xlabel=axis_names[axis_index], ylabel="mean force against the motion, N")
+    axes.set(xlabel=axis_names[axis], ylabel="mean force against the motion, N")
     figure.suptitle("How it follows the motion", fontsize=10)
 
 
@@ -86,7 +73,7 @@ def _law_line(
     unknown_force: UnmeasuredForce,
     cell_motion: Float[np.ndarray, "2 cells"],
     cell_forces_n: Float[np.ndarray, " cells"],
-    axis_index: int,
+    axis: int,
 ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]] | None:
     """Motion along the axis and the law there, N, with the other motion zero, or nothing without a law.
 
@@ -106,7 +93,7 @@ def _law_line(
         return np.einsum("c,cp->p", coefficients, np.array(shapes))
 
     line_motion = np.zeros((2, LINE_POINTS))
-    line_motion[axis_index] = np.linspace(cell_motion[axis_index].min(), cell_motion[axis_index].max(), LINE_POINTS)
+    line_motion[axis] = np.linspace(cell_motion[axis].min(), cell_motion[axis].max(), LINE_POINTS)
     line_forces_n, cell_law_n = law_n(line_motion), law_n(cell_motion)
     linear_columns = np.vstack([cell_motion, np.ones(cell_forces_n.size)]).T
     cell_law_part, free_force_part = (
@@ -114,22 +101,17 @@ def _law_line(
     )
     if not np.allclose(linear_columns @ cell_law_part, cell_law_n, rtol=0, atol=1e-6 * np.abs(cell_law_n).max()):
         line_forces_n += (free_force_part - cell_law_part) @ np.vstack([line_motion, np.ones(LINE_POINTS)])
-    return line_motion[axis_index], line_forces_n
+    return line_motion[axis], line_forces_n
 
 
 def _draw_motion_map(figure: Any, mean_force: MeanForce) -> None:
     axes = figure.subplots()
-    mean_forces_n = np.array(mean_force.force_n)
-    largest_force_n = float(np.abs(mean_forces_n).max()) or 1.0
-    cell_mesh = axes.pcolormesh(
-        1e3 * np.array(mean_force.displacement_m),
-        mean_force.velocity_m_per_s,
-        np.where(mean_forces_n == 0, np.nan, mean_forces_n).T,
-        cmap="RdBu_r",
-        vmin=-largest_force_n,
-        vmax=largest_force_n,
-    )
-    figure.colorbar(cell_mesh, label="mean force against the motion, N")
+    forces_n = np.array(mean_force.force_n)
+    largest_n = float(np.abs(forces_n).max()) or 1.0
+    drawn_n = np.where(forces_n == 0, np.nan, forces_n).T
+    edges_mm, edges_m_per_s = 1e3 * np.array(mean_force.displacement_m), mean_force.velocity_m_per_s
+    mesh = axes.pcolormesh(edges_mm, edges_m_per_s, drawn_n, cmap="RdBu_r", vmin=-largest_n, vmax=largest_n)
+    figure.colorbar(mesh, label="mean force against the motion, N")
     axes.set(xlabel="displacement there, mm", ylabel="velocity there, m/s")
     figure.suptitle("Over displacement and velocity", fontsize=10)
 
@@ -137,19 +119,11 @@ def _draw_motion_map(figure: Any, mean_force: MeanForce) -> None:
 def _draw_time_course(figure: Any, unknown_force: UnmeasuredForce) -> None:
     """Root mean square of the force in equal intervals of time, and before the measured force begins."""
     axes = figure.subplots()
-    interval_edges_percent = np.linspace(0, 100, len(unknown_force.by_time) + 1)
-    axes.bar(
-        interval_edges_percent[:-1],
-        unknown_force.by_time,
-        width=np.diff(interval_edges_percent) * 0.92,
-        align="edge",
-        color=BLUE,
-    )
+    edges = np.linspace(0, 100, len(unknown_force.by_time) + 1)
+    axes.bar(edges[:-1], unknown_force.by_time, width=np.diff(edges) * 0.92, align="edge", color=BLUE)
     if unknown_force.before_excitation > 0:
-        rms_n = float(np.sqrt(np.mean(np.square(unknown_force.by_time))))
-        axes.axhline(
-            unknown_force.before_excitation * rms_n, color=RED, ls="--", label="before the measured force begins"
-        )
+        before_n = unknown_force.before_excitation * float(np.sqrt(np.mean(np.square(unknown_force.by_time))))
+        axes.axhline(before_n, color=RED, ls="--", label="before the measured force begins")
         figure.legend(loc="outside lower center")
     axes.set(xlim=(0, 100), xlabel="time since the measured force began, %", ylabel="rms, N")
     figure.suptitle("When it acts", fontsize=10)

@@ -64,107 +64,103 @@ def judge_correction(
     horizon_samples = horizon_of(nulls)
     if horizon_samples is None:
         return Rollout(code="no_horizon")
-    rigs_and_residuals = (
-        (nominal_fit.rig, nominal_fit),
-        (nominal_fit.corrected_rig, nominal_fit),
-        (corrected_fit.corrected_rig, corrected_fit),
-    )
-    motions = [measured_motion(recording, rig, residual) for rig, residual in rigs_and_residuals]
-    start_sample, stop_sample = (
-        max(motion.first_sample for motion in motions),
-        min(motion.stop_sample for motion in motions),
-    )
+    motions = [
+        measured_motion(recording, nominal_fit.rig, nominal_fit),
+        measured_motion(recording, nominal_fit.corrected_rig, nominal_fit),
+        measured_motion(recording, corrected_fit.corrected_rig, corrected_fit),
+    ]
+    nominal, _, corrected = motions
+    start, stop = _common_samples(motions)
     rate_hz = recording.rig.sample_rate_hz
-    if stop_sample - start_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
+    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
-    window_starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
+    window_starts = disjoint_starts(start, stop - start, horizon_samples, MAX_WINDOWS)
+    record = nominal_fit.model.record
     try:
         nominal_errors, fitted_errors, corrected_errors = (
             prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motions
         )
-        record = nominal_fit.model.record
-        decay_modes = (
-            () if record.has_force else _decay_modes(motions[0], motions[2], record, predict, start_sample, stop_sample)
-        )
+        decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, start, stop)
     except RigError:
         return Rollout(code="not_simulated")
-    ratios_by_block = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
-    errors_of_all, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
-    window_blocks = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
-    window_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
+    ratios = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
+    whole, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
+    shrunk_95 = None
+    if whole.shrunk is not None:
+        window_blocks = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
+        nominal_rms, corrected_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
+        shrunk_95 = _shrinkage_interval(nominal_rms, corrected_rms, whole.null_median, window_blocks)
     return Rollout(
-        code=veto(ratios_by_block),
+        code=veto(ratios),
         horizon_s=horizon_samples / rate_hz,
         windows=window_starts.size,
-        whole=errors_of_all,
-        shrunk_95=None
-        if errors_of_all.shrunk is None
-        else _shrinkage_interval(*window_rms, errors_of_all.null_median, window_blocks),
+        whole=whole,
+        shrunk_95=shrunk_95,
         within=float(np.median(rms_by_window(fitted_errors))),
-        log_ratio=float(ratios_by_block.log_ratios.mean()),
-        log_ratio_error=standard_error(ratios_by_block.log_ratios),
-        expected_log_ratio=float(ratios_by_block.expected_log_ratios.mean()),
-        falls_short=falls_short(ratios_by_block),
-        by_sensor=dict(zip(motions[0].sensor_names, by_sensor, strict=True)),
+        log_ratio=float(ratios.log_ratios.mean()),
+        log_ratio_error=standard_error(ratios.log_ratios),
+        expected_log_ratio=float(ratios.expected_log_ratios.mean()),
+        falls_short=falls_short(ratios),
+        by_sensor=dict(zip(nominal.sensor_names, by_sensor, strict=True)),
         decay=decay_modes,
-        example=_example(motions[0], motions[2], predict, window_starts, nominal_errors),
+        example=_example(nominal, corrected, predict, window_starts, nominal_errors),
     )
 
 
+def _common_samples(motions: Sequence[MeasuredMotion]) -> tuple[int, int]:
+    """First sample at which all motions are valid, and the one after the last."""
+    return max(motion.first_sample for motion in motions), min(motion.stop_sample for motion in motions)
+
+
+def _measured_and_both_predicted(
+    nominal: MeasuredMotion,
+    corrected: MeasuredMotion,
+    predict: Predict,
+    starts: Int[np.ndarray, " windows"],
+    samples: int,
+) -> tuple[Windows, Windows, Windows]:
+    """Measured signals in each window, and those predicted by the nominal and by the corrected rig."""
+    measured_windows, nominal_windows = measured_and_predicted(nominal, predict, starts, samples)
+    return measured_windows, nominal_windows, measured_and_predicted(corrected, predict, starts, samples)[1]
+
+
 def _example(
-    nominal_run: MeasuredMotion,
-    corrected_run: MeasuredMotion,
+    nominal: MeasuredMotion,
+    corrected: MeasuredMotion,
     predict: Predict,
     window_starts: Int[np.ndarray, " windows"],
     nominal_errors: Windows,
 ) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
-    rms_errors = rms_by_window(nominal_errors)
-    window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
-    sensor_index = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
-    window_start, samples = window_starts[[window_index]], nominal_errors.shape[2]
-    signals_by_rig = [
-        measured_and_predicted(motion, predict, window_start, samples) for motion in (nominal_run, corrected_run)
-    ]
-    shown_samples = slice(-min(samples, SHOWN_SAMPLES), None)
-    time_s = (window_start + np.arange(samples)) / nominal_run.sample_rate_hz
-    measured_values, *predicted_values = (
-        signals[0, sensor_index, shown_samples]
-        for signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
+    rms_errors, samples = rms_by_window(nominal_errors), nominal_errors.shape[2]
+    window = int(np.argsort(rms_errors)[rms_errors.size // 2])
+    sensor = int(np.argmax(np.mean(nominal_errors[window] ** 2, axis=1)))
+    start, shown = window_starts[[window]], slice(-min(samples, SHOWN_SAMPLES), None)
+    time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
+    measured_values, nominal_values, corrected_values = (
+        tuple(np.nan_to_num(signals[0, sensor, shown]).tolist())
+        for signals in _measured_and_both_predicted(nominal, corrected, predict, start, samples)
     )
     return PredictionExample(
-        sensor=nominal_run.sensor_names[sensor_index],
-        unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor_index], 1)],
-        time_s=tuple(time_s[shown_samples].tolist()),
-        measured=tuple(measured_values.tolist()),
-        nominal=tuple(np.nan_to_num(predicted_values[0]).tolist()),
-        corrected=tuple(np.nan_to_num(predicted_values[1]).tolist()),
+        sensor=nominal.sensor_names[sensor],
+        unit=("m", "m/s")[nominal.shown_derivatives[sensor]],
+        time_s=tuple(time_s[shown].tolist()),
+        measured=measured_values,
+        nominal=nominal_values,
+        corrected=corrected_values,
     )
 
 
 def _decay_modes(
-    nominal_run: MeasuredMotion,
-    corrected_run: MeasuredMotion,
-    record: Record,
-    predict: Predict,
-    start_sample: int,
-    stop_sample: int,
+    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, start: int, stop: int
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
-    rig, rate_hz, highest_hz = nominal_run.rig, nominal_run.sample_rate_hz, record.highest_hz
+    rig, rate_hz, highest_hz = nominal.rig, nominal.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
-    record_start = np.array([start_sample])
-    signals_by_rig = [
-        measured_and_predicted(motion, predict, record_start, stop_sample - start_sample)
-        for motion in (nominal_run, corrected_run)
-    ]
-    decay_signals = (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
+    decays = _measured_and_both_predicted(nominal, corrected, predict, np.array([start]), stop - start)
     return compared_modes(
-        *(
-            modes_of_decay(np.nan_to_num(decay_signal[0]), rate_hz, highest_hz, mode_limit)
-            for decay_signal in decay_signals
-        )
+        *(modes_of_decay(np.nan_to_num(decay[0]), rate_hz, highest_hz, mode_limit) for decay in decays)
     )
 
 
@@ -174,15 +170,13 @@ def compared_modes(
     """Measured modes, each with the nearest mode of both predictions."""
 
     def nearest(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
-        nearest_mode = min(
-            predicted_modes, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
-        )
-        if (
-            nearest_mode is None
-            or abs(nearest_mode.frequency_hz / mode.frequency_hz - 1) > MATCHED_FREQUENCY_DIFFERENCE
-        ):
+        def distance(predicted: RingingMode) -> float:
+            return float(abs(np.log(predicted.frequency_hz / mode.frequency_hz)))
+
+        predicted = min(predicted_modes, key=distance, default=None)
+        if predicted is None or abs(predicted.frequency_hz / mode.frequency_hz - 1) > MATCHED_FREQUENCY_DIFFERENCE:
             return None
-        return nearest_mode.frequency_hz, nearest_mode.damping_ratio
+        return predicted.frequency_hz, predicted.damping_ratio
 
     return tuple(
         DecayMode(
@@ -210,31 +204,35 @@ def block_ratios(
     block_starts = range(0, nominal_errors.shape[2] - block_samples // 2, block_samples)
     mean_squares = np.stack(
         [
-            [np.mean(window_errors[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
-            for window_errors in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
+            [np.mean(errors[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
+            for errors in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
         ]
     )
     middle_s = (window_starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
     least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
-    block_of_ratio = np.floor(middle_s / BLOCK_S).ravel()
-    return BlockRatios(*(_means_by_block(ratio_row.ravel(), block_of_ratio) for ratio_row in log_ratios))
+    blocks = np.floor(middle_s / BLOCK_S).ravel()
+    return BlockRatios(*(_means_by_block(ratios.ravel(), blocks) for ratios in log_ratios))
 
 
 def _means_by_block(
-    window_values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
+    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
     """Mean of the values in each block."""
-    return np.array([window_values[blocks == block_number].mean() for block_number in np.unique(blocks)])
+    return np.array([values[blocks == block].mean() for block in np.unique(blocks)])
 
 
 def veto(ratios_by_block: BlockRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
     log_ratios = ratios_by_block.log_ratios
-    t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    least_worse = max(WORSE_LOG_RATIO, t_quantile * standard_error(log_ratios))
+    least_worse = max(WORSE_LOG_RATIO, _veto_quantile(log_ratios.size) * standard_error(log_ratios))
     return "worse" if log_ratios.mean() > least_worse else "not_vetoed"
+
+
+def _veto_quantile(value_count: int) -> float:
+    """Quantile of Student's distribution beyond which the mean of so many values vetoes."""
+    return float(student.ppf(1 - VETO_P_VALUE, value_count - 1))
 
 
 def falls_short(blocks: BlockRatios) -> bool:
@@ -242,25 +240,20 @@ def falls_short(blocks: BlockRatios) -> bool:
 
     This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
     """
-    log_ratios, shortfalls = (blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios)
-    t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    is_behind = shortfalls.mean() > t_quantile * standard_error(shortfalls)
+    log_ratios, shortfalls = blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios
+    quantile = _veto_quantile(log_ratios.size)
+    is_behind = shortfalls.mean() > quantile * standard_error(shortfalls)
     is_different = blocks.expected_log_ratios.mean() < -BETTER_LOG_RATIO and is_behind
-    return bool(is_different and log_ratios.mean() > -t_quantile * standard_error(log_ratios))
+    return bool(is_different and log_ratios.mean() > -quantile * standard_error(log_ratios))
 
 
 def log_ratio_of(
     recording: Recording, nominal_fit: Residual, corrected_fit: Residual, samples: int, predict: Predict
 ) -> float:
     """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon of `samples`."""
-    motions = [
-        measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
-    ]
-    start_sample, stop_sample = (
-        max(motion.first_sample for motion in motions),
-        min(motion.stop_sample for motion in motions),
-    )
-    starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
+    motions = [measured_motion(recording, fit.corrected_rig, fit) for fit in (nominal_fit, corrected_fit)]
+    start, stop = _common_samples(motions)
+    starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
     nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
     return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
@@ -274,16 +267,11 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
     mean_log_ratio, simulation_count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
-    t_quantile = float(student.ppf(1 - VETO_P_VALUE, simulation_count - 1))
-    margin = t_quantile * float(
-        np.hypot(
-            np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count), rollout.log_ratio_error or 0.0
-        )
-    )
-    improves = mean_log_ratio + margin < -BETTER_LOG_RATIO / 2
-    return (
-        replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean_log_ratio + margin else rollout
-    )
+    scatter = np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count)
+    margin = _veto_quantile(simulation_count) * float(np.hypot(scatter, rollout.log_ratio_error or 0.0))
+    limit = mean_log_ratio + margin
+    is_no_better = limit < -BETTER_LOG_RATIO / 2 and rollout.log_ratio > limit
+    return replace(rollout, code="no_improvement") if is_no_better else rollout
 
 
 def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
@@ -294,17 +282,15 @@ def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
     return float(np.sqrt(squares / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
 
 
-def null_bounds(null_runs: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
+def null_bounds(nulls: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
-    null_rows = [(null, null.samples.index(horizon_samples)) for null in null_runs if horizon_samples in null.samples]
-    null_medians = np.median([null.within[k] for null, k in null_rows], axis=0)
-    log_errors, null_count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
-    limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
-    upper_limits = np.exp(
-        log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, null_count - 1))
-    )
-    return list(zip(null_medians.tolist(), upper_limits.tolist(), strict=True))
+    rows = [(null, null.samples.index(horizon_samples)) for null in nulls if horizon_samples in null.samples]
+    medians, count = np.median([null.within[k] for null, k in rows], axis=0), len(rows)
+    log_errors = np.log(np.maximum([null.nominal[k] for null, k in rows], 1e-300))
+    limit_deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
+    limits = np.exp(log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, count - 1)))
+    return list(zip(medians.tolist(), limits.tolist(), strict=True))
 
 
 def _errors_by_sensor(
@@ -313,13 +299,13 @@ def _errors_by_sensor(
     """Median errors of all sensors together, then of each, beside the median and limit of null simulations."""
     return [
         PredictionErrors(
-            nominal=nominal_median,
-            corrected=corrected_median,
-            null_median=median,
-            null_95=upper_limit,
-            shrunk=None if nominal_median <= upper_limit else shrunk_share(nominal_median, corrected_median, median),
+            nominal=nominal,
+            corrected=corrected,
+            null_median=null_median,
+            null_95=null_95,
+            shrunk=None if nominal <= null_95 else shrunk_share(nominal, corrected, null_median),
         )
-        for nominal_median, corrected_median, (median, upper_limit) in zip(
+        for nominal, corrected, (null_median, null_95) in zip(
             median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
         )
     ]
@@ -337,14 +323,10 @@ def _shrinkage_interval(
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)])
-    resamples = [
-        np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
-        for _ in range(BOOTSTRAP_DRAWS)
-    ]
-    shrunk_shares = [
-        shrunk_share(float(np.median(nominal[drawn_windows])), float(np.median(corrected[drawn_windows])), null_error)
-        for drawn_windows in resamples
-    ]
-    lower_share, upper_share = np.quantile(shrunk_shares, [0.025, 0.975])
-    return float(lower_share), float(upper_share)
+    rng, block_windows = np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)]
+    shares = []
+    for _ in range(BOOTSTRAP_DRAWS):
+        drawn = np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
+        shares.append(shrunk_share(float(np.median(nominal[drawn])), float(np.median(corrected[drawn])), null_error))
+    lower, upper = np.quantile(shares, [0.025, 0.975])
+    return float(lower), float(upper)

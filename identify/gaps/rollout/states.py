@@ -64,39 +64,44 @@ class MeasuredMotion:
     def valid_samples(self) -> slice:
         return slice(self.first_sample, self.stop_sample)
 
+    @property
+    def shown_derivatives(self) -> list[int]:
+        """Derivative in which each sensor's motion is compared: 0 of displacement sensors, else 1, the velocity."""
+        return [min(order, 1) for order in self.derivative_orders]
+
+    @property
+    def shown_signals(self) -> list[Float[np.ndarray, " samples"]]:
+        motions = (self.displacement_m, self.velocity_m_per_s)
+        return [motions[derivative][sensor] for sensor, derivative in enumerate(self.shown_derivatives)]
+
 
 def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> MeasuredMotion:
     """Motion of a recording under a rig; `residual` is that of the fit, with slow motion and separated forces."""
     record = residual.model.record
     motion = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
-    station_modes = _station_modes_of(rig, residual, motion.stations)
-    slow_motion = _slow_relative_motion(residual, motion.samples)
-    slow_shapes = station_modes.slow_motion_shapes()
+    modes = _station_modes_of(rig, residual, motion.stations)
+    slow_motion, slow_shapes = _slow_relative_motion(residual, motion.samples), modes.slow_motion_shapes()
     displacement_m = motion.displacement_m + slow_shapes @ slow_motion[0]
     velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]
     counted_start = record.counted_slice.start * record.decimation
     has_drift = any(drift is not None for drift in record.drifts)
     first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
     stop_sample = min(motion.samples, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
+    valid, by_force = slice(first_sample, stop_sample), modes.is_force_determined
 
-    inverse_shapes = station_modes.inverse_shapes()
-    sensed_coordinates_m = inverse_shapes @ displacement_m
-    coordinates_m = _complete_displacements(sensed_coordinates_m, station_modes, record)
-    mode_errors_m = np.sqrt(
-        inverse_shapes**2 @ (SENSOR_ERROR_SHARE * _rms_by_row(displacement_m[:, first_sample:stop_sample])) ** 2
-    )
-    mode_errors_m[station_modes.is_force_determined] = FORCE_ERROR_SHARE * _rms_by_row(
-        coordinates_m[station_modes.is_force_determined, first_sample:stop_sample]
-    )
-    covariance = mode_errors_m[:, None] ** 2 * station_modes.contact_shapes.T
-    contact_to_modes = covariance @ np.linalg.pinv(
-        station_modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True
-    )
-    eta_errors_m = station_modes.contact_shapes @ coordinates_m
-    for contact_error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
+    inverse_shapes = modes.inverse_shapes()
+    coordinates_m = _complete_displacements(inverse_shapes @ displacement_m, modes, record)
+    station_errors_m = SENSOR_ERROR_SHARE * _rms_by_row(displacement_m[:, valid])
+    mode_errors_m = np.sqrt(inverse_shapes**2 @ station_errors_m**2)
+    mode_errors_m[by_force] = FORCE_ERROR_SHARE * _rms_by_row(coordinates_m[by_force, valid])
+    covariance = mode_errors_m[:, None] ** 2 * modes.contact_shapes.T
+    contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
+    eta_errors_m = modes.contact_shapes @ coordinates_m
+    for error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
         fitted_eta_m = contact.motion.eta_m[: motion.samples - counted_start]
-        contact_error_m[:counted_start], contact_error_m[counted_start + fitted_eta_m.size :] = 0.0, 0.0
-        contact_error_m[counted_start : counted_start + fitted_eta_m.size] -= fitted_eta_m
+        counted_stop = counted_start + fitted_eta_m.size
+        error_m[:counted_start], error_m[counted_stop:] = 0.0, 0.0
+        error_m[counted_start:counted_stop] -= fitted_eta_m
     coordinates_m -= contact_to_modes @ eta_errors_m
     return MeasuredMotion(
         rig=rig,
@@ -107,9 +112,7 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
         forces_n=motion.forces_n,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        modal_states=np.stack(
-            [station_modes.shapes @ coordinates_m, station_modes.shapes @ inverse_shapes @ velocity_m_per_s]
-        ),
+        modal_states=np.stack([modes.shapes @ coordinates_m, modes.shapes @ inverse_shapes @ velocity_m_per_s]),
         first_sample=first_sample,
         stop_sample=stop_sample,
     )
@@ -143,44 +146,33 @@ class _StationModes:
 
 def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...]) -> _StationModes:
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
-    record, modes_by_body = residual.model.record, []
-    responses_and_motions = zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
-    motion_by_body = {
-        response.body.name: (motion, response.dynamics.high_passed) for response, motion in responses_and_motions
+    record, contacts = residual.model.record, group_rig_of(rig).contacts
+    motions = {
+        response.body.name: (motion, response.dynamics.high_passed)
+        for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
     }
-    contact_ends: list[list[Station | None]] = [
-        [contact.at for contact in group_rig_of(rig).contacts],
-        [contact.against for contact in group_rig_of(rig).contacts],
-    ]
+    at_stations, against_stations = [contact.at for contact in contacts], [contact.against for contact in contacts]
+    modes_by_body = []
     for body in rig.bodies:
         modes = modes_of(rig, body)
-        body_mode_count = min(sum(station.body == body.name for station in stations), body.max_modes)
-        modal_acceleration, high_passed = motion_by_body[body.name]
-        natural_hz = modes.frequencies_hz(body_mode_count)
-        at_shapes, against_shapes = (
-            _shapes_at_stations(body, modes, body_mode_count, end_stations) for end_stations in contact_ends
+        count = min(sum(station.body == body.name for station in stations), body.max_modes)
+        modal_acceleration, high_passed = motions[body.name]
+        natural_hz = modes.frequencies_hz(count)
+        station_shapes, at_shapes, against_shapes = (
+            _shapes_at_stations(body, modes, count, places) for places in (stations, at_stations, against_stations)
         )
-        is_high_passed = np.isin(np.arange(body_mode_count), high_passed)
-        displacement_spectra = -modal_acceleration[:body_mode_count] / record.omega**2
-        displacement_spectra[:, 0] = 0.0
-        modes_by_body.append(
-            (
-                natural_hz,
-                _shapes_at_stations(body, modes, body_mode_count, stations),
-                at_shapes - against_shapes,
-                ~is_high_passed & (CROSSOVER_RATIO * natural_hz > 2 * CORNER_HZ),
-                displacement_spectra,
-            )
-        )
-    natural_hz_by_body, shapes_by_body, contact_shapes_by_body, force_determined_by_body, displacement_spectra = zip(
-        *modes_by_body, strict=True
-    )
+        is_high_passed = np.isin(np.arange(count), high_passed)
+        is_force_determined = ~is_high_passed & (CROSSOVER_RATIO * natural_hz > 2 * CORNER_HZ)
+        spectra_m = -modal_acceleration[:count] / record.omega**2
+        spectra_m[:, 0] = 0.0
+        modes_by_body.append((natural_hz, station_shapes, at_shapes - against_shapes, is_force_determined, spectra_m))
+    all_hz, all_shapes, all_contact_shapes, all_determined, all_spectra_m = zip(*modes_by_body, strict=True)
     return _StationModes(
-        np.concatenate(natural_hz_by_body),
-        np.concatenate(shapes_by_body, axis=1),
-        np.concatenate(contact_shapes_by_body, axis=1),
-        np.concatenate(force_determined_by_body),
-        np.concatenate(displacement_spectra),
+        np.concatenate(all_hz),
+        np.concatenate(all_shapes, axis=1),
+        np.concatenate(all_contact_shapes, axis=1),
+        np.concatenate(all_determined),
+        np.concatenate(all_spectra_m),
     )
 
 
@@ -188,42 +180,37 @@ def _shapes_at_stations(
     body: Body, modes: Modes, mode_count: int, stations: Sequence[Station | None]
 ) -> Float[np.ndarray, "places modes"]:
     """Shapes of a body's lowest modes; zero at stations on other bodies and on the ground."""
-    station_shapes = np.zeros((len(stations), mode_count))
-    for station_shape, station in zip(station_shapes, stations, strict=True):
+    shapes = np.zeros((len(stations), mode_count))
+    for row, station in zip(shapes, stations, strict=True):
         if station is not None and station.body == body.name:
-            station_shape[:] = modes.shapes(np.array([station.position_m]), mode_count)[0]
-    return station_shapes
+            row[:] = modes.shapes(np.array([station.position_m]), mode_count)[0]
+    return shapes
 
 
 def _complete_displacements(
     sensed_m: Float[np.ndarray, "modes samples"], station_modes: _StationModes, record: Record
 ) -> Float[np.ndarray, "modes samples"]:
     """Modal displacements, with the slow part by forces for the modes that forces determine."""
-    completed_m = sensed_m.copy()
-    lines_hz = np.fft.rfftfreq(record.transform_length, 1 / record.sample_rate_hz)
-    for mode_index in np.flatnonzero(station_modes.is_force_determined):
-        crossover_hz = min(CROSSOVER_RATIO * station_modes.natural_hz[mode_index], record.highest_hz)
+    completed_m, by_force_m = sensed_m.copy(), station_modes.coordinates_by_force_m
+    lines_hz, line_count = np.fft.rfftfreq(record.transform_length, 1 / record.sample_rate_hz), by_force_m.shape[1]
+    for mode in np.flatnonzero(station_modes.is_force_determined):
+        crossover_hz = min(CROSSOVER_RATIO * station_modes.natural_hz[mode], record.highest_hz)
         high_pass_gain = np.sin(np.pi / 2 * np.clip(2 * lines_hz / crossover_hz - 1, 0, 1)) ** 2
-        spectrum = high_pass_gain * rfft(sensed_m[mode_index], record.transform_length)
-        line_count = station_modes.coordinates_by_force_m.shape[1]
-        spectrum[:line_count] += (1 - high_pass_gain[:line_count]) * station_modes.coordinates_by_force_m[mode_index]
-        completed_m[mode_index] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
+        spectrum = high_pass_gain * rfft(sensed_m[mode], record.transform_length)
+        spectrum[:line_count] += (1 - high_pass_gain[:line_count]) * by_force_m[mode]
+        completed_m[mode] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
     return completed_m
 
 
 def _slow_relative_motion(residual: Residual, sample_count: int) -> Float[np.ndarray, "2 contacts samples"]:
     """Slow relative displacement of each contact (m) and its rate (m/s) at all samples of a record."""
-    record, sample_indices = residual.model.record, np.arange(sample_count)
-    counted_indices = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
+    record, samples = residual.model.record, np.arange(sample_count)
+    counted_samples = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
     slow_motion = np.zeros((2, len(residual.contacts), sample_count))
-    for contact_index, contact in enumerate(residual.contacts):
-        drift_spline = contact.observation.drift_spline
-        for slow_row, value_per_knot in zip(
-            slow_motion[:, contact_index], (drift_spline.value, drift_spline.rate), strict=True
-        ):
-            slow_row[:] = np.interp(
-                sample_indices, counted_indices, value_per_knot @ contact.unknowns[: drift_spline.knots]
-            )
+    for index, contact in enumerate(residual.contacts):
+        spline = contact.observation.drift_spline
+        for row, value_per_knot in zip(slow_motion[:, index], (spline.value, spline.rate), strict=True):
+            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knots])
     return slow_motion
 
 

@@ -37,15 +37,9 @@ def measured_and_predicted(
     """Measured and predicted signals in each window: velocities, or displacements of displacement sensors."""
     start_states = motion.modal_states[:, :, window_starts].transpose(2, 0, 1)
     prediction = predict(motion.rig, motion.forces_n, window_starts, window_samples, motion.stations, start_states)
-    shown_derivatives = [min(order, 1) for order in motion.derivative_orders]
-    sensor_signals = [
-        (motion.displacement_m, motion.velocity_m_per_s)[derivative][sensor_index]
-        for sensor_index, derivative in enumerate(shown_derivatives)
-    ]
-    measured_windows = np.stack(
-        [sliding_window_view(sensor_signal, window_samples)[window_starts] for sensor_signal in sensor_signals], axis=1
-    )
-    return measured_windows, prediction[:, shown_derivatives, np.arange(len(sensor_signals))]
+    signals = motion.shown_signals
+    measured = np.stack([sliding_window_view(signal, window_samples)[window_starts] for signal in signals], axis=1)
+    return measured, prediction[:, motion.shown_derivatives, np.arange(len(signals))]
 
 
 def prediction_errors(
@@ -53,15 +47,8 @@ def prediction_errors(
 ) -> Windows:
     """Predicted less measured motion in each window, over each sensor's standard deviation."""
     measured_windows, predicted_windows = measured_and_predicted(motion, predict, window_starts, window_samples)
-    sensor_deviations = [
-        np.std(
-            (motion.displacement_m, motion.velocity_m_per_s)[min(derivative_order, 1)][
-                sensor_index, motion.valid_samples
-            ]
-        )
-        for sensor_index, derivative_order in enumerate(motion.derivative_orders)
-    ]
-    relative_errors = (predicted_windows - measured_windows) / np.maximum(sensor_deviations, 1e-300)[:, None]
+    deviations = [np.std(signal[motion.valid_samples]) for signal in motion.shown_signals]
+    relative_errors = (predicted_windows - measured_windows) / np.maximum(deviations, 1e-300)[:, None]
     return np.clip(np.nan_to_num(relative_errors, nan=DIVERGED_ERROR), -DIVERGED_ERROR, DIVERGED_ERROR)
 
 
@@ -84,30 +71,24 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     motions = [measured_motion(recording, rig, residual) for rig in (residual.rig, residual.corrected_rig)]
     first_sample, available_samples = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
     horizons, window_samples = horizon_ladder(available_samples), 16 * SHORTEST_HORIZON_SAMPLES
-    nominal_medians: list[tuple[float, ...]] = []
-    fitted_medians: list[tuple[float, ...]] = []
-    while len(fitted_medians) < len(horizons) and (not fitted_medians or fitted_medians[-1][0] < LADDER_END_ERROR):
+    nominal: list[tuple[float, ...]] = []
+    within: list[tuple[float, ...]] = []
+    while len(within) < len(horizons) and (not within or within[-1][0] < LADDER_END_ERROR):
         window_samples = min(window_samples, horizons[-1])
         window_starts = disjoint_starts(first_sample, available_samples, window_samples, NULL_WINDOWS)
-        new_horizons = [
-            horizon_samples for horizon_samples in horizons[len(fitted_medians) :] if horizon_samples <= window_samples
-        ]
-        for medians_by_horizon, motion in zip((nominal_medians, fitted_medians), motions, strict=True):
-            window_errors = prediction_errors(motion, predict, window_starts, window_samples)
-            medians_by_horizon += [
-                tuple(median_errors(window_errors[:, :, :horizon_samples])) for horizon_samples in new_horizons
-            ]
+        new_horizons = [horizon for horizon in horizons[len(within) :] if horizon <= window_samples]
+        for medians, motion in zip((nominal, within), motions, strict=True):
+            errors = prediction_errors(motion, predict, window_starts, window_samples)
+            medians += [tuple(median_errors(errors[:, :, :horizon])) for horizon in new_horizons]
         window_samples *= WINDOW_GROWTH
-    return NullErrors(
-        samples=tuple(horizons[: len(fitted_medians)]), nominal=tuple(nominal_medians), within=tuple(fitted_medians)
-    )
+    return NullErrors(samples=tuple(horizons[: len(within)]), nominal=tuple(nominal), within=tuple(within))
 
 
 def horizon_ladder(available_samples: int) -> list[int]:
     """Horizons in samples, growing by sqrt(2), up to the available number."""
     horizons: list[int] = []
-    while (horizon_samples := round(SHORTEST_HORIZON_SAMPLES * 2 ** (len(horizons) / 2))) <= available_samples:
-        horizons.append(horizon_samples)
+    while (horizon := round(SHORTEST_HORIZON_SAMPLES * 2 ** (len(horizons) / 2))) <= available_samples:
+        horizons.append(horizon)
     return horizons
 
 
@@ -116,23 +97,18 @@ def disjoint_starts(
 ) -> Int[np.ndarray, " windows"]:
     """First samples of evenly spread disjoint windows, as many as fit and at most `max_windows`."""
     window_count = min(max_windows, available_samples // window_samples)
-    return np.asarray(
-        first_sample + np.round(np.linspace(0, available_samples - window_samples, window_count)).astype(int)
-    )
+    offsets = np.linspace(0, available_samples - window_samples, window_count)
+    return np.asarray(first_sample + np.round(offsets).astype(int))
 
 
-def horizon_of(null_records: Sequence[NullErrors]) -> int | None:
+def horizon_of(nulls: Sequence[NullErrors]) -> int | None:
     """Longest horizon, samples, at which the median null simulation is predicted; None if there is none."""
-    error_by_horizon = [
-        dict(zip(null_record.samples, (all_sensors for all_sensors, *_ in null_record.within), strict=True))
-        for null_record in null_records
+    errors_by_horizon = [
+        dict(zip(null.samples, (all_sensors for all_sensors, *_ in null.within), strict=True)) for null in nulls
     ]
-    tried_horizons = sorted(
-        {horizon_samples for record_errors in error_by_horizon for horizon_samples in record_errors}
-    )
-    reached_horizons = [
-        horizon_samples
-        for horizon_samples in tried_horizons
-        if np.median([record_errors.get(horizon_samples, np.inf) for record_errors in error_by_horizon]) < HORIZON_ERROR
+    reached = [
+        horizon
+        for horizon in set[int]().union(*errors_by_horizon)
+        if np.median([errors.get(horizon, np.inf) for errors in errors_by_horizon]) < HORIZON_ERROR
     ]
-    return reached_horizons[-1] if reached_horizons else None
+    return max(reached, default=None)

@@ -60,37 +60,30 @@ class ClearanceModulation:
 def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulation | None:
     """Modulation with the largest share among the contacts; None if none reaches `NAMED_SHARE`."""
     modulations = [
-        _contact_modulation(record, rig_contact.name, contact_residual)
-        for rig_contact, contact_residual in zip(residual.model.rig.contacts, residual.contacts, strict=True)
+        _contact_modulation(record, contact.name, contact_residual)
+        for contact, contact_residual in zip(residual.model.rig.contacts, residual.contacts, strict=True)
     ]
-    nameable_modulations = [
-        modulation for modulation in modulations if modulation is not None and modulation.variance_share > NAMED_SHARE
-    ]
-    return max(nameable_modulations, key=lambda modulation: modulation.variance_share, default=None)
+    nameable = [modulation for modulation in modulations if modulation and modulation.variance_share > NAMED_SHARE]
+    return max(nameable, key=lambda modulation: modulation.variance_share, default=None)
 
 
-def _contact_modulation(
-    record: Record, contact_name: str, contact_residual: ContactResidual
-) -> ClearanceModulation | None:
+def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
     """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
-    weights = contact_residual.observation.weights
-    tangent_n_per_m, signed_slope_n_per_m, *_ = contact_residual.slopes.sum(axis=1)
+    weights = contact.observation.weights
+    tangent_n_per_m, signed_slope_n_per_m, *_ = contact.slopes.sum(axis=1)
     is_pressed = (weights > 0) & (tangent_n_per_m > PRESSED_SHARE * max(float(tangent_n_per_m.max()), 1e-300))
     if np.count_nonzero(is_pressed) < FEWEST_SAMPLES:
         return None
-    pressed_times_s = record.residual_times_s[is_pressed]
-    residual_force_n = contact_residual.residual[: weights.size][is_pressed] / weights[is_pressed]
-    clearance_change_m = -residual_force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
-    resolution_hz = 1 / (pressed_times_s[-1] - pressed_times_s[0])
-    lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.rate_hz)
-    trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    fits_by_frequency = [
-        _fitted_harmonic(pressed_times_s, clearance_change_m, frequency_trial_hz)
-        for frequency_trial_hz in trial_hz
-        if frequency_trial_hz > 0
-    ]
-    variance_share, amplitude_m, frequency_hz = max(fits_by_frequency)
-    return ClearanceModulation(contact_name, amplitude_m, frequency_hz, variance_share)
+    times_s = record.residual_times_s[is_pressed]
+    force_n = contact.residual[: weights.size][is_pressed] / weights[is_pressed]
+    change_m = -force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
+    resolution_hz = 1 / (times_s[-1] - times_s[0])
+    lines_hz, shares = _periodogram(change_m, is_pressed, record.rate_hz)
+    trial_hz = lines_hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
+    share, amplitude_m, frequency_hz = max(
+        _fitted_harmonic(times_s, change_m, frequency_hz) for frequency_hz in trial_hz if frequency_hz > 0
+    )
+    return ClearanceModulation(name, amplitude_m, frequency_hz, share)
 
 
 def _periodogram(
@@ -103,35 +96,28 @@ def _periodogram(
 
         2 (W(0) |Y|^2 - Re(W(2 f) conj(Y)^2)) / (W(0)^2 - |W(2 f)|^2) / sum y^2
     """
-    centred_change_m = np.zeros(is_pressed.size)
-    centred_change_m[is_pressed] = clearance_change_m - clearance_change_m.mean()
+    centred_m = np.zeros(is_pressed.size)
+    centred_m[is_pressed] = clearance_change_m - clearance_change_m.mean()
     padded_samples = next_fast_len(3 * is_pressed.size, real=True)
     mask_spectrum = rfft(is_pressed.astype(float), padded_samples)
-    change_spectrum = rfft(centred_change_m, padded_samples)
-    line_indices = np.arange(int(np.ceil(LOWEST_MODULATION_HZ * padded_samples / rate_hz)), padded_samples // 4)
+    lines = np.arange(int(np.ceil(LOWEST_MODULATION_HZ * padded_samples / rate_hz)), padded_samples // 4)
+    change_at_lines, mask_at_double = rfft(centred_m, padded_samples)[lines], mask_spectrum[2 * lines]
     pressed_count = float(mask_spectrum[0].real)
-    mask_at_double = mask_spectrum[2 * line_indices]
-    change_at_lines = change_spectrum[line_indices]
     harmonic_squares = (
         2
         * (pressed_count * np.abs(change_at_lines) ** 2 - (mask_at_double * change_at_lines.conj() ** 2).real)
         / (pressed_count**2 - np.abs(mask_at_double) ** 2)
     )
-    return line_indices * rate_hz / padded_samples, harmonic_squares / max(
-        float(centred_change_m @ centred_change_m), 1e-300
-    )
+    return lines * rate_hz / padded_samples, harmonic_squares / max(float(centred_m @ centred_m), 1e-300)
 
 
 def _fitted_harmonic(
-    time_s: Float[np.ndarray, " times"], clearance_change_m: Float[np.ndarray, " times"], frequency_hz: float
+    times_s: Float[np.ndarray, " times"], change_m: Float[np.ndarray, " times"], frequency_hz: float
 ) -> tuple[float, float, float]:
     """Share of the variance, amplitude and frequency of a harmonic, fitted by least squares with a mean."""
-    phase_rad = 2 * np.pi * frequency_hz * time_s
-    harmonic_columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
-    coefficients = np.linalg.lstsq(harmonic_columns, clearance_change_m, rcond=None)[0]
-    residual_variance = float(np.var(clearance_change_m - harmonic_columns @ coefficients))
-    return (
-        1 - residual_variance / max(float(np.var(clearance_change_m)), 1e-300),
-        float(np.hypot(*coefficients[1:])),
-        float(frequency_hz),
-    )
+    phase_rad = 2 * np.pi * frequency_hz * times_s
+    columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
+    coefficients = np.linalg.lstsq(columns, change_m, rcond=None)[0]
+    residual_variance = float(np.var(change_m - columns @ coefficients))
+    variance_share = 1 - residual_variance / max(float(np.var(change_m)), 1e-300)
+    return variance_share, float(np.hypot(*coefficients[1:])), float(frequency_hz)

@@ -58,33 +58,26 @@ def nuisance_equations(
     whitened: WhitenedRecord, noise_variance: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Matrix and right side of the normal equations of theta at the noise variance s, without a force."""
-    normal_matrix = whitened.reals_per_line * np.tensordot(1 / noise_variance, whitened.column_gram, 1) + np.eye(
-        len(whitened.nuisance_parameters)
-    )
-    return normal_matrix, whitened.reals_per_line * (
-        whitened.cross_products.T @ (1 / noise_variance) - whitened.trace_terms / 2
-    )
+    weights, count = 1 / noise_variance, len(whitened.nuisance_parameters)
+    normal_matrix = whitened.reals_per_line * np.tensordot(weights, whitened.column_gram, 1) + np.eye(count)
+    right_side = whitened.reals_per_line * (whitened.cross_products.T @ weights - whitened.trace_terms / 2)
+    return normal_matrix, right_side
 
 
 def evidence_without_force(whitened: WhitenedRecord) -> ForceEvidence:
     """Evidence of the record by nuisance parameters and noise alone: S = 0."""
-    values_per_band = whitened.band_sizes * whitened.row_count
-    is_noise_fixed = whitened.row_count == 1
+    value_counts, is_noise_fixed = whitened.band_sizes * whitened.row_count, whitened.row_count == 1
     theta = np.zeros(len(whitened.nuisance_parameters))
-    noise_variance = np.ones(values_per_band.size) if is_noise_fixed else whitened.residual_squares / values_per_band
+    noise_variance = np.ones(value_counts.size) if is_noise_fixed else whitened.residual_squares / value_counts
     for _ in range(3 * ROUNDS):
         theta = _solve_positive_definite(*nuisance_equations(whitened, noise_variance))
         if not is_noise_fixed:
-            noise_variance = residual_squares(whitened, theta) / values_per_band
-    squares_by_band = residual_squares(whitened, theta)
-    criterion = whitened.reals_per_line * float(
-        np.sum(values_per_band * np.log(noise_variance) + squares_by_band / noise_variance)
-    )
-    criterion = criterion + _nuisance_penalty(whitened, theta)
-    zeros_by_line = np.zeros(whitened.whitened_residual.shape[0])
-    return ForceEvidence(
-        criterion, theta, noise_variance, np.zeros(noise_variance.size), zeros_by_line, zeros_by_line.astype(complex)
-    )
+            noise_variance = residual_squares(whitened, theta) / value_counts
+    squares = residual_squares(whitened, theta)
+    cost = float(np.sum(value_counts * np.log(noise_variance) + squares / noise_variance))
+    criterion = whitened.reals_per_line * cost + _nuisance_penalty(whitened, theta)
+    no_response, no_spectrum = np.zeros(whitened.whitened_residual.shape[0]), np.zeros(noise_variance.size)
+    return ForceEvidence(criterion, theta, noise_variance, no_spectrum, no_response, no_response.astype(complex))
 
 
 def evidence_with_force(
@@ -100,55 +93,40 @@ def evidence_with_force(
     `spectrum_shape` is a spectrum S up to a factor; without one S is free in every band.
     """
     is_nuisance_held = cleared_residual is not None
-    reals_per_line = whitened.reals_per_line
-    at_lines = whitened.at_each_line
+    reals_per_line, at_lines = whitened.reals_per_line, whitened.at_each_line
     response_norm = np.linalg.norm(response, axis=1)
-    response_direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
-    whole_projection = np.einsum(
-        "lr,lr->l", response_direction, whitened.whitened_residual if cleared_residual is None else cleared_residual
-    )
-    projected_columns = (
-        np.zeros((len(whitened.nuisance_parameters), 0))
-        if is_nuisance_held
-        else _project_columns(response_direction, whitened.nuisance_columns)
-    )
+    direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
+    residual = whitened.whitened_residual if cleared_residual is None else cleared_residual
+    whole_projection = np.einsum("lr,lr->l", direction, residual)
+    projected_columns = np.zeros((len(whitened.nuisance_parameters), 0))
+    if not is_nuisance_held:
+        projected_columns = np.einsum("lr,clr->cl", direction, whitened.nuisance_columns)
     theta, noise_variance = start_evidence.theta, start_evidence.noise_variance
     force_spectrum = start_evidence.force_spectrum if np.any(start_evidence.force_spectrum) else None
     response_squares = response_norm**2
     for round_number in range(1 if is_nuisance_held else ROUNDS):
         projection = whole_projection if is_nuisance_held else whole_projection - theta @ projected_columns
-        unexplained_squares, projection_power = residual_squares(whitened, theta), np.abs(projection) ** 2
+        power, squares = np.abs(projection) ** 2, residual_squares(whitened, theta)
         noise_variance, force_spectrum = _score_variances(
-            whitened,
-            response_squares,
-            projection_power,
-            unexplained_squares,
-            noise_variance,
-            force_spectrum,
-            spectrum_shape,
+            whitened, response_squares, power, squares, noise_variance, force_spectrum, spectrum_shape
         )
+        line_variance = at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
         if is_nuisance_held or round_number == ROUNDS - 1:
             break
-        weight_loss = at_lines(1 / noise_variance) - 1 / (
-            at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
-        )
+        weight_loss = at_lines(1 / noise_variance) - 1 / line_variance
         normal_matrix, right_side = nuisance_equations(whitened, noise_variance)
         lost_columns = real_pairs(weight_loss * projected_columns)
         normal_matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
         right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
         theta = _solve_positive_definite(normal_matrix, right_side)
     assert force_spectrum is not None
-    line_variance = at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
-    projection_power = np.abs(projection) ** 2
-    unexplained_squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
-    criterion = reals_per_line * float(
-        np.sum(
-            whitened.band_sizes * (whitened.row_count - 1) * np.log(noise_variance)
-            + unexplained_squares / noise_variance
-        )
-        + np.sum(np.log(line_variance) + projection_power / line_variance)
+    unexplained_squares = np.maximum(squares - _band_sums(whitened, power), 0.0)
+    unexplained_counts = whitened.band_sizes * (whitened.row_count - 1)
+    cost = float(
+        np.sum(unexplained_counts * np.log(noise_variance) + unexplained_squares / noise_variance)
+        + np.sum(np.log(line_variance) + power / line_variance)
     )
-    criterion = criterion + _nuisance_penalty(whitened, theta)
+    criterion = reals_per_line * cost + _nuisance_penalty(whitened, theta)
     return ForceEvidence(criterion, theta, noise_variance, force_spectrum, response_norm, projection)
 
 
@@ -157,20 +135,14 @@ def subtract_nuisance(
 ) -> Complex[np.ndarray, "lines rows"]:
     """Residual r - D theta, computed one column at a time to spare memory."""
     residual = whitened.whitened_residual.copy()
-    for pull, nuisance_column in zip(theta, whitened.nuisance_columns, strict=True):
-        residual -= pull * nuisance_column
+    for pull, column in zip(theta, whitened.nuisance_columns, strict=True):
+        residual -= pull * column
     return residual
 
 
 def _nuisance_penalty(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> float:
     """Terms of J in theta alone: the prior theta' theta, and n 2 Re tr' theta, as D is made from measured data."""
     return float(theta @ theta) + whitened.reals_per_line * float(whitened.trace_terms @ theta)
-
-
-def _project_columns(
-    direction: Complex[np.ndarray, "lines rows"], columns: Complex[np.ndarray, "columns lines rows"]
-) -> Complex[np.ndarray, "columns lines"]:
-    return np.einsum("lr,clr->cl", direction, columns)
 
 
 def real_pairs(complex_values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
@@ -196,37 +168,31 @@ def _score_variances(
     total_squares is |r - D theta|^2 by band and projection_power |t|^2 by line; without a spectrum, S starts from the
     excess of |t|^2 over s.
     """
-    at_lines = whitened.at_each_line
+    at_lines, is_noise_fixed = whitened.at_each_line, whitened.row_count == 1
     unexplained_squares = np.maximum(total_squares - _band_sums(whitened, projection_power), 0.0)
-    unexplained_count = whitened.band_sizes * (whitened.row_count - 1)
-    is_noise_fixed = whitened.row_count == 1
+    unexplained_counts = whitened.band_sizes * (whitened.row_count - 1)
     if force_spectrum is None:
-        noise_variance = (
-            noise_variance
-            if is_noise_fixed
-            else np.maximum(unexplained_squares / unexplained_count, VARIANCE_FLOOR * noise_variance)
-        )
+        if not is_noise_fixed:
+            noise_variance = np.maximum(unexplained_squares / unexplained_counts, VARIANCE_FLOOR * noise_variance)
         excess_power = _band_sums(whitened, projection_power) - noise_variance * whitened.band_sizes
         force_spectrum = np.maximum(excess_power, 0.0) / np.maximum(_band_sums(whitened, response_squares), 1e-300)
     for _ in range(SCORINGS):
+        force_power = at_lines(force_spectrum) * response_squares
         if not is_noise_fixed:
-            line_weights = 1 / (at_lines(noise_variance) + at_lines(force_spectrum) * response_squares) ** 2
-            excess_power = _band_sums(
-                whitened, line_weights * (projection_power - at_lines(force_spectrum) * response_squares)
-            )
-            score_numerator = unexplained_squares / noise_variance**2 + excess_power
-            score_denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
-            noise_variance = np.maximum(score_numerator / score_denominator, VARIANCE_FLOOR * noise_variance)
-        line_weights = response_squares / (at_lines(noise_variance) + at_lines(force_spectrum) * response_squares) ** 2
+            weights = 1 / (at_lines(noise_variance) + force_power) ** 2
+            excess_power = _band_sums(whitened, weights * (projection_power - force_power))
+            numerator = unexplained_squares / noise_variance**2 + excess_power
+            denominator = unexplained_counts / noise_variance**2 + _band_sums(whitened, weights)
+            noise_variance = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise_variance)
+        line_noise = at_lines(noise_variance)
+        weights = response_squares / (line_noise + force_power) ** 2
         if spectrum_shape is None:
-            score_numerator = _band_sums(whitened, line_weights * (projection_power - at_lines(noise_variance)))
-            force_spectrum = np.maximum(score_numerator, 0.0) / np.maximum(
-                _band_sums(whitened, line_weights * response_squares), 1e-300
-            )
+            excess_power = np.maximum(_band_sums(whitened, weights * (projection_power - line_noise)), 0.0)
+            power_per_spectrum = _band_sums(whitened, weights * response_squares)
+            force_spectrum = excess_power / np.maximum(power_per_spectrum, 1e-300)
         else:
             line_shape = at_lines(spectrum_shape)
-            shape_factor = np.sum(line_weights * line_shape * (projection_power - at_lines(noise_variance))) / max(
-                float(np.sum(line_weights * response_squares * line_shape**2)), 1e-300
-            )
-            force_spectrum = max(float(shape_factor), 0.0) * spectrum_shape
+            excess = np.sum(weights * line_shape * (projection_power - line_noise))
+            power_per_shape = float(np.sum(weights * response_squares * line_shape**2))
+            force_spectrum = max(float(excess / max(power_per_shape, 1e-300)), 0.0) * spectrum_shape
     return noise_variance, force_spectrum

@@ -40,17 +40,16 @@ class UnmeasuredForceFit:
 
     def sensor_signals(self) -> Complex[np.ndarray, "sensors alllines"]:
         """Spectra of the validation sensors' signals caused by the force with its likeliest time history."""
-        whitened, candidate = self.at_fit_place.whitened_record, self.at_fit_place.force_place
+        whitened, place = self.at_fit_place.whitened_record, self.at_fit_place.force_place
         accelerations = np.zeros(whitened.model.sensor_response.shape, dtype=complex)
-        if candidate.kind == "distributed":
-            for body_name, body_growth in zip(candidate.body_names, self.at_fit_place.modulus_growth, strict=True):
-                accelerations += body_growth * drift_accelerations(whitened, body_name)
-        elif candidate.kind == "sensor":
-            accelerations[[sensor.name for sensor in whitened.record.sensors].index(candidate.sensor_name)] = (
-                force_spectrum(self.at_fit_place)
-            )
+        if place.kind == "distributed":
+            for body_name, growth in zip(place.body_names, self.at_fit_place.modulus_growth, strict=True):
+                accelerations += growth * drift_accelerations(whitened, body_name)
+        elif place.kind == "sensor":
+            sensor_names = [sensor.name for sensor in whitened.record.sensors]
+            accelerations[sensor_names.index(place.sensor_name)] = force_spectrum(self.at_fit_place)
         else:
-            for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):
+            for station, sign in zip(place.stations, (1.0, -1.0), strict=False):
                 accelerations += sign * whitened.accelerance(station) * force_spectrum(self.at_fit_place)
         return whitened.model.sensor_response * accelerations
 
@@ -67,41 +66,21 @@ def likeliest_force(fit_record: Record, rig: Rig, validation: Record) -> Unmeasu
     return UnmeasuredForceFit(on_fit, on_validation, _fit_at_place(on_fit, validation_record, on_validation))
 
 
-def _fit_at_place(
-    on_fit: LocatedForce, whitened_validation: WhitenedRecord, on_validation: LocatedForce
-) -> LocatedForce:
+def _fit_at_place(on_fit: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
     """Fit of the validation record with the place and the spectrum's shape of the fit record, or a drift's bodies."""
-    candidate = on_fit.force_place
-    if candidate.kind == "distributed":
-        return (
-            on_validation
-            if on_validation.force_place == candidate
-            else locate_force(whitened_validation, expected_place=candidate)
-        )
-    spectrum_shape = np.zeros(whitened_validation.band_starts.size)
-    band_count = min(spectrum_shape.size, on_fit.fit_with_force.force_spectrum.size)
-    spectrum_shape[:band_count] = on_fit.fit_with_force.force_spectrum[:band_count]
-    fit_without_force, response = on_validation.fit_without_force, response_of(whitened_validation, candidate)
-    fit_with_force = evidence_with_force(
-        whitened_validation, response, fit_without_force, spectrum_shape=spectrum_shape
-    )
-    criterion_decrease = fit_without_force.criterion - fit_with_force.criterion
-    return LocatedForce(
-        candidate, criterion_decrease, 0.0, fit_without_force, fit_with_force, whitened_validation, response
-    )
+    place, without_force = on_fit.force_place, on_validation.without_force
+    if place.kind == "distributed":
+        is_same = on_validation.force_place == place
+        return on_validation if is_same else locate_force(whitened, expected_place=place)
+    spectrum_shape = np.zeros(whitened.band_starts.size)
+    band_count = min(spectrum_shape.size, on_fit.with_force.force_spectrum.size)
+    spectrum_shape[:band_count] = on_fit.with_force.force_spectrum[:band_count]
+    response = response_of(whitened, place)
+    with_force = evidence_with_force(whitened, response, without_force, spectrum_shape=spectrum_shape)
+    return LocatedForce(place, without_force, with_force, whitened, response)
 
 
-def same_place(first_force: LocatedForce, second_force: LocatedForce) -> bool:
+def same_place(on_fit: LocatedForce, on_validation: LocatedForce) -> bool:
     """True if two records show the same kind at the same place, within the larger of `SAME_PLACE_M` and five errors."""
-    first_place, second_place = first_force.force_place, second_force.force_place
-    if (first_place.kind, first_place.sensor_name, first_place.body_names) != (
-        second_place.kind,
-        second_place.sensor_name,
-        second_place.body_names,
-    ):
-        return False
-    tolerance_m = max(SAME_PLACE_M, 5 * float(np.hypot(first_force.position_error_m, second_force.position_error_m)))
-    return all(
-        station.body == other_station.body and abs(station.position_m - other_station.position_m) <= tolerance_m
-        for station, other_station in zip(first_place.stations, second_place.stations, strict=True)
-    )
+    error_m = float(np.hypot(on_fit.position_error_m, on_validation.position_error_m))
+    return on_fit.force_place.is_near(on_validation.force_place, max(SAME_PLACE_M, 5 * error_m))

@@ -73,36 +73,25 @@ class ForceLaw:
     @property
     def formula(self) -> str:
         """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
-        law_form = self.form
-        coefficient_texts = [
-            f"{coefficient:.4g} {printed_unit(unit)}"
-            for coefficient, unit in zip(self.coefficients, law_form.coefficient_units, strict=True)
+        form, value, unit = self.form, self.parameter_value, self.form.parameter_unit
+        coefficients = [
+            f"{coefficient:.4g} {printed_unit(coefficient_unit)}"
+            for coefficient, coefficient_unit in zip(self.coefficients, form.coefficient_units, strict=True)
         ]
-        parameter_text = (
-            f"{self.parameter_value:.4g} {law_form.parameter_unit}"
-            if law_form.parameter_unit not in ("", "1")
-            else f"{self.parameter_value:.3g}"
-        )
-        if law_form.parameter_unit == "m":
-            parameter_text = f"{1e3 * self.parameter_value:.4g} mm"
-        return law_form.formula_template.format(*coefficient_texts, p=parameter_text)
+        parameter = f"{value:.3g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+        if unit == "m":
+            parameter = f"{1e3 * value:.4g} mm"
+        return form.formula_template.format(*coefficients, p=parameter)
 
     @property
     def parameters(self) -> dict[str, Value]:
-        coefficient_names = (
-            ("amplitude of cosine", "amplitude of sine") if self.form.is_tone else ("coefficient", "cubic")
-        )
-        values = {
-            name: Value(value, standard_error, unit)
-            for name, value, standard_error, unit in zip(
-                coefficient_names, self.coefficients, self.coefficient_errors, self.form.coefficient_units, strict=False
-            )
-        }
-        if self.form.parameter_name:
-            values[self.form.parameter_name] = Value(
-                self.parameter_value, self.parameter_error, self.form.parameter_unit
-            )
-        if self.form.needs_slow_motion:
+        form = self.form
+        names = ("amplitude of cosine", "amplitude of sine") if form.is_tone else ("coefficient", "cubic")
+        coefficients = zip(names, self.coefficients, self.coefficient_errors, form.coefficient_units, strict=False)
+        values = {name: Value(value, error, unit) for name, value, error, unit in coefficients}
+        if form.parameter_name:
+            values[form.parameter_name] = Value(self.parameter_value, self.parameter_error, form.parameter_unit)
+        if form.needs_slow_motion:
             values["offset"] = Value(self.mean_displacement_m, 0.0, "m")
         return values
 

@@ -33,21 +33,19 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
 
     Slow forms are fitted only if no other law reaches the free force's gain, and the best of them only to the end.
     """
-    fast_laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
-    slow_laws: list[ForceLaw] = []
-    if max(law.share_of_free_gain for law in fast_laws) < 1 - EQUIVALENT_SHARE:
-        started_descents = sorted(
+    laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
+    if max(law.share_of_free_gain for law in laws) < 1 - EQUIVALENT_SHARE:
+        started = sorted(
             (_start_descent(history, form) for form in LAW_FORMS if form.needs_slow_motion),
-            key=lambda started_descent: -started_descent[2].share_of_free_gain,
+            key=lambda descent_iterate_law: -descent_iterate_law[2].share_of_free_gain,
         )
-        finished_laws = [
-            _finish_descent(history, descent, iterate) for descent, iterate, _ in started_descents[:FULLY_FITTED_LAWS]
+        laws += [_finish_descent(history, descent, iterate) for descent, iterate, _ in started[:FULLY_FITTED_LAWS]]
+        largest_share = laws[-1].share_of_free_gain
+        laws += [
+            replace(law, share_of_free_gain=min(law.share_of_free_gain, largest_share))
+            for _, _, law in started[FULLY_FITTED_LAWS:]
         ]
-        slow_laws = finished_laws + [
-            replace(law, share_of_free_gain=min(law.share_of_free_gain, finished_laws[-1].share_of_free_gain))
-            for _, _, law in started_descents[FULLY_FITTED_LAWS:]
-        ]
-    return tuple(sorted(fast_laws + slow_laws, key=lambda law: -law.share_of_free_gain))
+    return tuple(sorted(laws, key=lambda law: -law.share_of_free_gain))
 
 
 def shortest_law(laws: tuple[ForceLaw, ...], least_share: float) -> ForceLaw | None:
@@ -63,57 +61,53 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
     No law error is allowed for: it would hide the lines beside the tone's.
     """
     history = with_law_error(history, 0.0)
-    tone_law_form = tone_form(history)
-    record = history.located_force.whitened_record.record
-    force_amplitudes = np.abs(np.fft.rfft(history.force_n * history.time_gate))[: record.omega.size]
-    force_amplitudes[: history.located_force.whitened_record.line_slice.start] = 0.0
-    peak_line, step_hz = int(np.argmax(force_amplitudes)), record.omega[2] / (4 * np.pi)
-    peak_hz = record.omega[peak_line] / (2 * np.pi)
+    form, whitened = tone_form(history), history.located_force.whitened_record
+    omega = whitened.record.omega
+    amplitudes = np.abs(np.fft.rfft(history.force_n * history.time_gate))[: omega.size]
+    amplitudes[: whitened.line_slice.start] = 0.0
+    step_hz, peak_hz = omega[2] / (4 * np.pi), omega[int(np.argmax(amplitudes))] / (2 * np.pi)
     trial_hz = [peak_hz + half_steps * step_hz / 2 for half_steps in range(-2, 3)]
-    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, tone_law_form, tone_hz)[1])
-    return fit_form(history, tone_law_form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
+    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, form, tone_hz)[1])
+    return fit_form(history, form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
 
 
 def fit_form(
-    history: ForceHistory, law_form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
+    history: ForceHistory, form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain."""
-    parameter_min, parameter_max = parameter_bounds or law_form.parameter_range
+    low, high = parameter_bounds or form.parameter_range
     parameter, parameter_error = 0.0, 0.0
-    if law_form.parameter_name and parameter_min == parameter_max:
-        parameter = parameter_min
-    elif law_form.parameter_name:
-        optimum = minimize_scalar(
-            lambda p: -solve_form(history, law_form, p)[1], bounds=(parameter_min, parameter_max), method="bounded"
-        )
-        parameter = float(optimum.x)
-        parameter_step = 1e-3 * (parameter_max - parameter_min)
-        gains_around = [
-            solve_form(history, law_form, parameter + step_count * parameter_step)[1] for step_count in (-1, 0, 1)
-        ]
-        curvature = (2 * gains_around[1] - gains_around[0] - gains_around[2]) / parameter_step**2
+
+    def gain_at(parameter: float) -> float:
+        return solve_form(history, form, parameter)[1]
+
+    if form.parameter_name and low == high:
+        parameter = low
+    elif form.parameter_name:
+        parameter = float(minimize_scalar(lambda p: -gain_at(p), bounds=(low, high), method="bounded").x)
+        step = 1e-3 * (high - low)
+        before, at_optimum, after = (gain_at(parameter + count * step) for count in (-1, 0, 1))
+        curvature = (2 * at_optimum - before - after) / step**2
         parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
-    coefficients, gain, coefficient_errors = solve_form(history, law_form, parameter)
-    share_of_free_gain = gain / max(history.free_gain, 1e-300)
+    coefficients, gain, errors = solve_form(history, form, parameter)
     return ForceLaw(
-        law_form,
+        form,
         tuple((-coefficients).tolist()),
-        tuple(coefficient_errors.tolist()),
+        tuple(errors.tolist()),
         parameter,
         parameter_error,
-        0.0,
-        share_of_free_gain,
+        mean_displacement_m=0.0,
+        share_of_free_gain=gain / max(history.free_gain, 1e-300),
     )
 
 
 def solve_form(
-    history: ForceHistory, law_form: ForceLawForm, parameter: float
+    history: ForceHistory, form: ForceLawForm, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body at a parameter, their gain in -2 ln L, and their standard errors."""
-    return _solve_unit_forces(
-        history, np.stack(law_form.unit_forces(history.displacement_m, history.velocity_m_per_s, parameter))
-    )
+    unit_forces = form.unit_forces(history.displacement_m, history.velocity_m_per_s, parameter)
+    return _solve_unit_forces(history, np.stack(unit_forces))
 
 
 def _solve_unit_forces(
@@ -121,40 +115,30 @@ def _solve_unit_forces(
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Least squares of the force on its shapes: coefficients, gain and standard errors, by normal equations."""
     normal_matrix, right_side = history.reduced_equations(history.gated_spectra(unit_forces))
-    inverse_normal, root_diagonal = _scaled_inverse(normal_matrix)
-    scaled_coefficients = inverse_normal @ (right_side / root_diagonal)
-    return (
-        scaled_coefficients / root_diagonal,
-        float(scaled_coefficients @ (right_side / root_diagonal)),
-        np.sqrt(np.maximum(np.diag(inverse_normal), 0.0)) / root_diagonal,
-    )
+    inverse, scale = _scaled_inverse(normal_matrix)
+    coefficients = inverse @ (right_side / scale)
+    errors = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale
+    return coefficients / scale, float(coefficients @ (right_side / scale)), errors
 
 
 def _scaled_inverse(
     matrix: Float[np.ndarray, "unknowns unknowns"],
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Pseudoinverse of a symmetric matrix scaled to a unit diagonal, and the scale d_i = sqrt(M_ii)."""
-    root_diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.linalg.pinv(matrix / np.outer(root_diagonal, root_diagonal), rcond=1e-10, hermitian=True), root_diagonal
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True), scale
 
 
-def _start_descent(history: ForceHistory, law_form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
+def _start_descent(history: ForceHistory, form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at two `LAW_ERROR_SHARES`."""
     soft_history = with_law_error(history, LAW_ERROR_SHARES[0])
-    largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
-    parameter_min, parameter_max = (share * largest_displacement_m for share in law_form.parameter_range)
+    largest_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
+    low, high = (share * largest_m for share in form.parameter_range)
     parameter = 0.0
-    if law_form.parameter_name:
-        parameter_grid = (
-            np.geomspace(parameter_min, parameter_max, GRID_VALUES)
-            if parameter_min > 0
-            else np.linspace(parameter_min, parameter_max, GRID_VALUES)
-        )
-        parameter = max(
-            (float(grid_value) for grid_value in parameter_grid),
-            key=lambda grid_value: solve_form(soft_history, law_form, grid_value)[1],
-        )
-    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (parameter_min, parameter_max))
+    if form.parameter_name:
+        grid = np.geomspace(low, high, GRID_VALUES) if low > 0 else np.linspace(low, high, GRID_VALUES)
+        parameter = max(grid.tolist(), key=lambda value: solve_form(soft_history, form, value)[1])
+    descent = _descent_of_form(soft_history, form, largest_m, (low, high))
     iterate, _ = descent.descend(descent.start_iterate(parameter))
     descent = replace(descent, history=with_law_error(history, LAW_ERROR_SHARES[1]))
     return descent, *descent.descend(iterate)
@@ -203,40 +187,37 @@ class Descent:
 
     def start_iterate(self, parameter: float) -> _Iterate:
         """Iterate with the best coefficients at a parameter, without slow motion."""
-        best_coefficients, _, _ = solve_form(self.history, self.law_form, parameter)
-        return self._evaluate(best_coefficients, parameter, np.zeros(len(self.knot_precision)))
+        coefficients, _, _ = solve_form(self.history, self.law_form, parameter)
+        return self._evaluate(coefficients, parameter, np.zeros(len(self.knot_precision)))
 
     def unit_forces(
         self, parameter: float, slow_knots_m: Float[np.ndarray, " knots"], shift_m: float = 0.0
     ) -> Float[np.ndarray, "coefficients fine"]:
         """Forces per unit coefficient along the motion with the slow motion added, all of it shifted by shift_m."""
-        displacement_m = (
-            self.history.displacement_m + self.history.oversampled(self.history.slow_basis @ slow_knots_m) + shift_m
-        )
-        return np.stack(self.law_form.unit_forces(displacement_m, self.history.velocity_m_per_s, parameter))
+        history = self.history
+        displacement_m = history.displacement_m + history.oversampled(history.slow_basis @ slow_knots_m) + shift_m
+        return np.stack(self.law_form.unit_forces(displacement_m, history.velocity_m_per_s, parameter))
 
     def penalised_gain(self, fine_force_n: Series, slow_knots_m: Float[np.ndarray, " knots"]) -> float:
         """Gain in -2 ln L of a force, less the prior's cost of the slow motion."""
-        return self.history.log_likelihood_gain(self.history.gated_spectra(fine_force_n)) - float(
-            slow_knots_m @ self.knot_precision @ slow_knots_m
-        )
+        prior_cost = float(slow_knots_m @ self.knot_precision @ slow_knots_m)
+        return self.history.log_likelihood_gain(self.history.gated_spectra(fine_force_n)) - prior_cost
 
-    def descend(self, start_iterate: _Iterate) -> tuple[_Iterate, ForceLaw]:
-        """Best iterate from the values of `start_iterate`, and its law."""
-        start_iterate = self._evaluate(start_iterate.coefficients, start_iterate.parameter, start_iterate.slow_knots_m)
-        best_iterate, last_step = gauss_newton(start_iterate, self._step, _negligible_cost_change, MAX_STEPS)
+    def descend(self, start: _Iterate) -> tuple[_Iterate, ForceLaw]:
+        """Best iterate from the values of another, and its law."""
+        start, history = self._evaluate(start.coefficients, start.parameter, start.slow_knots_m), self.history
+        best, last_step = gauss_newton(start, self._step, _negligible_cost_change, MAX_STEPS)
         coefficient_count = len(self.law_form.coefficient_units)
-        standard_errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0))
-        force_law = ForceLaw(
+        errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)).tolist()
+        return best, ForceLaw(
             self.law_form,
-            tuple((-best_iterate.coefficients).tolist()),
-            tuple(standard_errors[:coefficient_count].tolist()),
-            best_iterate.parameter,
-            float(standard_errors[coefficient_count]) if self.law_form.parameter_name else 0.0,
-            float(np.mean((self.history.slow_basis @ best_iterate.slow_knots_m)[self.history.time_gate > 0])),
-            -best_iterate.cost / max(self.history.free_gain, 1e-300),
+            tuple((-best.coefficients).tolist()),
+            tuple(errors[:coefficient_count]),
+            best.parameter,
+            errors[coefficient_count] if self.law_form.parameter_name else 0.0,
+            mean_displacement_m=float(np.mean((history.slow_basis @ best.slow_knots_m)[history.time_gate > 0])),
+            share_of_free_gain=-best.cost / max(history.free_gain, 1e-300),
         )
-        return best_iterate, force_law
 
     def _evaluate(
         self,
@@ -252,63 +233,52 @@ class Descent:
 
         After a share of the step the coefficients are solved for again at the new parameter and knots.
         """
-        history, law_form, coefficient_count = self.history, self.law_form, len(self.law_form.coefficient_units)
-        free_count = coefficient_count + bool(law_form.parameter_name)
-        unit_forces = self.unit_forces(iterate.parameter, iterate.slow_knots_m)
-        fine_force_n = iterate.coefficients @ unit_forces
-        force_derivatives = [*unit_forces]
-        if law_form.parameter_name:
-            force_derivatives.append(
-                (
-                    iterate.coefficients
-                    @ self.unit_forces(iterate.parameter + self.displacement_step_m, iterate.slow_knots_m)
-                    - fine_force_n
-                )
-                / self.displacement_step_m
-            )
-        force_by_displacement = (
-            iterate.coefficients @ self.unit_forces(iterate.parameter, iterate.slow_knots_m, self.displacement_step_m)
-            - fine_force_n
-        ) / self.displacement_step_m
-        mean_tangents = force_by_displacement.reshape(len(history.slow_basis), -1).mean(axis=1)
-        knot_columns = history.spectra_of_samples((history.slow_basis * mean_tangents[:, None]).T)
+        history, form, step_m = self.history, self.law_form, self.displacement_step_m
+        coefficients, parameter, knots_m = iterate.coefficients, iterate.parameter, iterate.slow_knots_m
+        coefficient_count = len(form.coefficient_units)
+        free_count = coefficient_count + bool(form.parameter_name)
+        unit_forces = self.unit_forces(parameter, knots_m)
+        force_n = coefficients @ unit_forces
+        derivatives = [*unit_forces]
+        if form.parameter_name:
+            derivatives.append((coefficients @ self.unit_forces(parameter + step_m, knots_m) - force_n) / step_m)
+        tangents_n_per_m = (coefficients @ self.unit_forces(parameter, knots_m, step_m) - force_n) / step_m
+        mean_tangents = tangents_n_per_m.reshape(len(history.slow_basis), -1).mean(axis=1)
         force_columns = np.concatenate(
             [
-                history.gated_spectra(np.stack(force_derivatives)),
-                knot_columns,
-                history.gated_spectra(fine_force_n)[None],
+                history.gated_spectra(np.stack(derivatives)),
+                history.spectra_of_samples((history.slow_basis * mean_tangents[:, None]).T),
+                history.gated_spectra(force_n)[None],
             ]
         )
         normal_matrix, right_side = history.reduced_equations(force_columns)
         gradient, normal_matrix = right_side[:-1] - normal_matrix[:-1, -1], normal_matrix[:-1, :-1]
         normal_matrix[free_count:, free_count:] += self.knot_precision
-        gradient[free_count:] -= self.knot_precision @ iterate.slow_knots_m
-        covariance, root_diagonal = _scaled_inverse(normal_matrix)
-        covariance /= np.outer(root_diagonal, root_diagonal)
+        gradient[free_count:] -= self.knot_precision @ knots_m
+        covariance, scale = _scaled_inverse(normal_matrix)
+        covariance /= np.outer(scale, scale)
         full_step = covariance @ gradient
 
-        def iterate_after(step_share: float) -> _Iterate | None:
-            parameter = 0.0
-            if law_form.parameter_name:
-                stepped_parameter = iterate.parameter + step_share * full_step[coefficient_count]
-                parameter = float(np.clip(stepped_parameter, *self.parameter_range))
-                if not parameter:
+        def iterate_after(share: float) -> _Iterate | None:
+            next_parameter = 0.0
+            if form.parameter_name:
+                stepped = parameter + share * full_step[coefficient_count]
+                next_parameter = float(np.clip(stepped, *self.parameter_range))
+                if not next_parameter:
                     return None
-            slow_knots_m = iterate.slow_knots_m + step_share * full_step[free_count:]
-            return self._evaluate(
-                _solve_unit_forces(history, self.unit_forces(parameter, slow_knots_m))[0], parameter, slow_knots_m
-            )
+            next_knots_m = knots_m + share * full_step[free_count:]
+            next_coefficients, _, _ = _solve_unit_forces(history, self.unit_forces(next_parameter, next_knots_m))
+            return self._evaluate(next_coefficients, next_parameter, next_knots_m)
 
         return _ForceStep(iterate_after, float(gradient @ full_step), covariance)
 
 
 def _descent_of_form(
-    history: ForceHistory, law_form: ForceLawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
+    history: ForceHistory, form: ForceLawForm, largest_m: float, parameter_range: tuple[float, float]
 ) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
-    knot_count = history.slow_basis.shape[1]
-    second_differences = np.diff(np.eye(knot_count), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
-    knot_precision = (np.eye(knot_count) + second_differences.T @ second_differences) / float(
-        np.std(history.displacement_m)
-    ) ** 2
-    return Descent(history, law_form, 1e-4 * largest_displacement_m, parameter_range, knot_precision)
+    knots = np.eye(history.slow_basis.shape[1])
+    second_differences = np.diff(knots, 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
+    motion_variance_m2 = float(np.std(history.displacement_m)) ** 2
+    knot_precision = (knots + second_differences.T @ second_differences) / motion_variance_m2
+    return Descent(history, form, 1e-4 * largest_m, parameter_range, knot_precision)

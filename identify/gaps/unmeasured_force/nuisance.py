@@ -32,37 +32,35 @@ def nuisance_columns(
     whitened: WhitenedRecord,
 ) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Nuisance parameters, the columns D by one tolerance of each, and the trace term 2 Re tr(dD/dA) of each."""
-    model = whitened.model
+    model, sensor_count = whitened.model, len(whitened.record.sensors)
     delivered_norm = float(np.linalg.norm(whitened.record.acceleration_signals))
     body_names = [response.body.name for response in model.responses]
-    parameters: list[Nuisance] = []
-    change_columns: list[Complex[np.ndarray, "lines rows"]] = []
-    trace_terms: list[float] = []
-    measured_motion = _measured_motion(whitened)
-    for changes_of_kind in (
-        changes_of(measured_motion, with_common=False),
-        crosstalk_of(measured_motion),
+    motion = _measured_motion(whitened)
+    parameters, columns, trace_terms = list[Nuisance](), list[Complex[np.ndarray, "lines rows"]](), list[float]()
+    for changes in (
+        changes_of(motion, with_common=False),
+        crosstalk_of(motion),
         state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
     ):
-        for change in changes_of_kind:
-            column = whitened.gated_residual(
-                change.at_all_sensors(len(whitened.record.sensors)) / model.error_deviation
-            )
+        for change in changes:
+            column = whitened.gated_residual(change.at_all_sensors(sensor_count) / model.error_deviation)
             if np.any(column):
                 parameters.append(change.parameter)
-                change_columns.append(column.astype(np.complex64))  # they are many
+                columns.append(column.astype(np.complex64))  # they are many
                 trace_terms.append(_data_trace(whitened, change))
-    return (
-        tuple(parameters),
-        np.array(change_columns).reshape(len(change_columns), *whitened.whitened_residual.shape),
-        np.array(trace_terms),
-    )
+    all_columns = np.array(columns).reshape(len(columns), *whitened.whitened_residual.shape)
+    return tuple(parameters), all_columns, np.array(trace_terms)
 
 
 def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = whitened.record, whitened.model
-    highest_mode_hz = MODE_REACH * record.omega[-1] / (2 * np.pi)
+    highest_hz = MODE_REACH * record.omega[-1] / (2 * np.pi)
+    bodies = []
+    for response, accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
+        natural_hz = response.dynamics.natural_hz
+        modes = np.flatnonzero((natural_hz > 0) & (natural_hz < highest_hz))
+        bodies.append(BodyMotion(response, accelerations, modes, modal_inverse(record, response)))
     return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
@@ -73,15 +71,7 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=record.displacement_signals,
         base=model.observed_base,
-        bodies=tuple(
-            BodyMotion(
-                response,
-                modal_acceleration,
-                np.flatnonzero((response.dynamics.natural_hz > 0) & (response.dynamics.natural_hz < highest_mode_hz)),
-                modal_inverse(record, response),
-            )
-            for response, modal_acceleration in zip(model.responses, whitened.modal_accelerations, strict=True)
-        ),
+        bodies=tuple(bodies),
     )
 
 
@@ -92,18 +82,17 @@ def _data_trace(whitened: WhitenedRecord, change: Change) -> float:
     sensor_response, error_deviation = whitened.model.sensor_response, whitened.model.error_deviation
     pattern = np.zeros_like(sensor_response)
     pattern[change.sensors] = change.sensor_pattern.pattern
-    weighted_rows = whitened.projected_rows(
-        (change.sensor_pattern.weights[:, None] * error_deviation / sensor_response.conj())[:, whitened.line_slice]
+    weighted = change.sensor_pattern.weights[:, None] * error_deviation / sensor_response.conj()
+    weighted_rows, pattern_rows = (
+        whitened.projected_rows(signals[:, whitened.line_slice]) for signals in (weighted, pattern / error_deviation)
     )
-    pattern_rows = whitened.projected_rows((pattern / error_deviation)[:, whitened.line_slice])
     return 2 * float(np.sum(weighted_rows.conj() * pattern_rows).real)
 
 
 def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "lines rows"]:
     """Gated residual of `drift_accelerations`."""
-    return whitened.gated_residual(
-        whitened.model.sensor_response * drift_accelerations(whitened, body_name) / whitened.model.error_deviation
-    )
+    accelerations = drift_accelerations(whitened, body_name)
+    return whitened.gated_residual(whitened.model.sensor_response * accelerations / whitened.model.error_deviation)
 
 
 def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "sensors alllines"]:
@@ -112,24 +101,18 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     tau, relative_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
     """
     record, model = whitened.record, whitened.model
-    padded_samples = record.transform_length // record.decimation
-    relative_time = np.arange(padded_samples) / (record.sample_count / record.decimation) - 0.5
+    sample_count = record.transform_length // record.decimation
+    relative_time = np.arange(sample_count) / (record.sample_count / record.decimation) - 0.5
     relative_time[relative_time > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
-    double_integration = integrated(record.omega, -2, record.corner_hz)
-    for response, modal_acceleration in zip(model.responses, whitened.modal_accelerations, strict=True):
+    integration = integrated(record.omega, -2, record.corner_hz)
+    stations = [sensor.station for sensor in record.sensors]
+    for response, modal_accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
             is_in_band = natural_omega < MODE_REACH * record.omega[-1]
-            modal_forces = np.zeros_like(modal_acceleration)
-            modal_forces[is_in_band] = -np.fft.rfft(
-                relative_time
-                * np.fft.irfft(
-                    natural_omega[is_in_band, None] ** 2 * double_integration * modal_acceleration[is_in_band],
-                    padded_samples,
-                )
-            )
-            accelerations += response.shapes(
-                [sensor.station for sensor in record.sensors]
-            ) @ response.modal_accelerations(modal_forces)
+            stiffness_spectra = natural_omega[is_in_band, None] ** 2 * integration * modal_accelerations[is_in_band]
+            modal_forces = np.zeros_like(modal_accelerations)
+            modal_forces[is_in_band] = -np.fft.rfft(relative_time * np.fft.irfft(stiffness_spectra, sample_count))
+            accelerations += response.shapes(stations) @ response.modal_accelerations(modal_forces)
     return accelerations

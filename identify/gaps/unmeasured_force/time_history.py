@@ -68,8 +68,7 @@ class ForceHistory:
         free_right_side = self.right_side - weighted_columns @ weighted_residual
         nuisance_gain = float(self.right_side @ cho_solve(self.nuisance_cholesky, self.right_side))
         free_nuisance_gain = float(free_right_side @ np.linalg.solve(free_matrix, free_right_side))
-        whitened = self.located_force.whitened_record
-        noise_gain = float(self.line_weights @ whitened.at_each_line(self.located_force.fit_with_force.noise_variance))
+        noise_gain = float(self.line_weights @ self.located_force.noise_by_line)
         return float(weighted_residual @ weighted_residual) - nuisance_gain + free_nuisance_gain - noise_gain
 
     def gated_spectra(self, fine_forces_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
@@ -83,19 +82,19 @@ class ForceHistory:
         """Projected residual spectra of forces (N) at the residual's rate, through the gate."""
         whitened = self.located_force.whitened_record
         spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
-        return np.asarray(spectra * self.located_force.fit_with_force.response_norm)
+        return np.asarray(spectra * self.located_force.with_force.response_norm)
 
     def reduced_equations(
         self, force_columns: Complex[np.ndarray, "columns lines"]
     ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
         """Normal equations of the amounts of some forces, with the nuisance parameters eliminated."""
         weighted_columns = real_pairs(force_columns * self.line_weights)
-        nuisance_coupling = weighted_columns @ real_pairs(self.projected_columns).T
+        coupling = weighted_columns @ real_pairs(self.projected_columns).T
+        matrix = weighted_columns @ real_pairs(force_columns).T - coupling @ cho_solve(
+            self.nuisance_cholesky, coupling.T
+        )
         right_side = weighted_columns @ real_pairs(self.projected_residual)
-        right_side = right_side - nuisance_coupling @ cho_solve(self.nuisance_cholesky, self.right_side)
-        return weighted_columns @ real_pairs(force_columns).T - nuisance_coupling @ cho_solve(
-            self.nuisance_cholesky, nuisance_coupling.T
-        ), right_side
+        return matrix, right_side - coupling @ cho_solve(self.nuisance_cholesky, self.right_side)
 
     def log_likelihood_gain(self, force_projection: Complex[np.ndarray, " lines"]) -> float:
         """Fall of -2 ln L by a given force."""
@@ -106,15 +105,14 @@ class ForceHistory:
     def slow_basis(self) -> Float[np.ndarray, "alltimes knots"]:
         """Cubic B-splines over the record, zero beyond its end."""
         record = self.located_force.whitened_record.record
-        record_end_s = record.counted_slice.stop / self.rate_hz
-        inner_knots_s = np.linspace(0, record_end_s, max(2, round(record_end_s / KNOT_SPACING_S) + 1))
-        knots_s = np.concatenate([[0.0] * 3, inner_knots_s, [record_end_s] * 3])
-        sample_times_s = np.arange(record.counted_slice.stop) / self.rate_hz
-        spline_basis = np.zeros((record.transform_length // record.decimation, knots_s.size - 4))
-        spline_basis[: sample_times_s.size] = BSpline.design_matrix(
-            np.minimum(sample_times_s, record_end_s), knots_s, 3
-        ).toarray()
-        return spline_basis
+        sample_count = record.counted_slice.stop
+        end_s = sample_count / self.rate_hz
+        inner_knots_s = np.linspace(0, end_s, max(2, round(end_s / KNOT_SPACING_S) + 1))
+        knots_s = np.concatenate([[0.0] * 3, inner_knots_s, [end_s] * 3])
+        times_s = np.minimum(np.arange(sample_count) / self.rate_hz, end_s)
+        basis = np.zeros((record.transform_length // record.decimation, knots_s.size - 4))
+        basis[:sample_count] = BSpline.design_matrix(times_s, knots_s, 3).toarray()
+        return basis
 
     def oversampled(self, values_at_samples: Float[np.ndarray, " alltimes"]) -> Float[np.ndarray, " fine"]:
         """Linear interpolation to the oversampled rate."""
@@ -122,47 +120,38 @@ class ForceHistory:
         return np.asarray(np.interp(fine_positions, np.arange(values_at_samples.size), values_at_samples))
 
 
-def force_spectrum(located_force: LocatedForce) -> Complex[np.ndarray, " alllines"]:
+def force_spectrum(located: LocatedForce) -> Complex[np.ndarray, " alllines"]:
     """Likeliest spectrum of the force, or of a sensor's own signal: S |g| t / (s + S |g|^2), a Wiener filter."""
-    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
-    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
-    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
-    likeliest_spectrum = np.zeros(whitened.record.omega.size, dtype=complex)
-    likeliest_spectrum[whitened.line_slice] = (
-        spectral_density
-        * fit_with_force.response_norm
-        * fit_with_force.projection
-        / (noise_variance + spectral_density * fit_with_force.response_norm**2)
+    whitened, response_norm = located.whitened_record, located.with_force.response_norm
+    noise, density = located.noise_by_line, located.spectrum_by_line
+    spectrum = np.zeros(whitened.record.omega.size, dtype=complex)
+    spectrum[whitened.line_slice] = (
+        density * response_norm * located.with_force.projection / (noise + density * response_norm**2)
     )
-    return likeliest_spectrum
+    return spectrum
 
 
-def force_history(located_force: LocatedForce) -> ForceHistory:
+def force_history(located: LocatedForce) -> ForceHistory:
     """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR_SHARE` of it."""
-    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
-    record, likeliest_spectrum = whitened.record, force_spectrum(located_force)
-    place_acceleration = np.zeros(record.omega.size, dtype=complex)
-    for station, force_sign in zip(located_force.force_place.stations, (1.0, -1.0), strict=False):
-        place_acceleration += force_sign * (
-            whitened.acceleration_at(station)
-            + force_sign * _unobserved_accelerance(located_force, station) * likeliest_spectrum
-        )
+    whitened, spectrum, record = located.whitened_record, force_spectrum(located), located.whitened_record.record
+    sample_count = record.transform_length // record.decimation
+    acceleration = np.zeros(record.omega.size, dtype=complex)
+    for station, sign in zip(located.force_place.stations, (1.0, -1.0), strict=False):
+        unobserved_accelerance = _unobserved_accelerance(located, station)
+        acceleration += sign * (whitened.acceleration_at(station) + sign * unobserved_accelerance * spectrum)
     displacement_m, velocity_m_per_s = (
-        _oversampled_history(
-            place_acceleration * integrated(record.omega, integration_order, record.corner_hz),
-            record.transform_length // record.decimation,
-        )
+        _oversampled_history(acceleration * integrated(record.omega, order, record.corner_hz), sample_count)
         / record.decimation
-        for integration_order in (-2, -1)
+        for order in (-2, -1)
     )
-    direction = located_force.residual_per_force.conj() / np.maximum(fit_with_force.response_norm, 1e-300)[:, None]
-    normal_matrix, right_side = nuisance_equations(whitened, fit_with_force.noise_variance)
+    direction = located.residual_per_force.conj() / np.maximum(located.with_force.response_norm, 1e-300)[:, None]
+    normal_matrix, right_side = nuisance_equations(whitened, located.with_force.noise_variance)
     history = ForceHistory(
-        located_force=located_force,
+        located_force=located,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        force_n=np.fft.irfft(likeliest_spectrum, record.transform_length // record.decimation) / record.decimation,
-        line_weights=whitened.reals_per_line / whitened.at_each_line(fit_with_force.noise_variance),
+        force_n=np.fft.irfft(spectrum, sample_count) / record.decimation,
+        line_weights=whitened.reals_per_line / located.noise_by_line,
         projected_residual=np.einsum("lr,lr->l", direction, whitened.whitened_residual),
         projected_columns=np.einsum("lr,clr->cl", direction, whitened.nuisance_columns),
         normal_matrix=normal_matrix,
@@ -173,11 +162,9 @@ def force_history(located_force: LocatedForce) -> ForceHistory:
 
 def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
-    whitened, fit_with_force = history.located_force.whitened_record, history.located_force.fit_with_force
-    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
-    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
-    line_weights = whitened.reals_per_line / (
-        noise_variance + law_error**2 * spectral_density * fit_with_force.response_norm**2
+    located = history.located_force
+    line_weights = located.whitened_record.reals_per_line / (
+        located.noise_by_line + law_error**2 * located.spectrum_by_line * located.with_force.response_norm**2
     )
     lost_columns = real_pairs(history.projected_columns * (history.line_weights - line_weights))
     return replace(
@@ -188,33 +175,27 @@ def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
     )
 
 
-def explained_share(located_force: LocatedForce) -> float:
+def explained_share(located: LocatedForce) -> float:
     """Share that the force takes off the sum of squares of the linear residual, after the nuisance parameters."""
-    whitened, fit_with_force = located_force.whitened_record, located_force.fit_with_force
-    projection_power = np.abs(fit_with_force.projection) ** 2
-    noise_variance = whitened.at_each_line(fit_with_force.noise_variance)
-    spectral_density = whitened.at_each_line(fit_with_force.force_spectrum)
-    explained_by_line = (
-        1 - (noise_variance / (noise_variance + spectral_density * fit_with_force.response_norm**2)) ** 2
-    )
+    whitened, with_force, noise = located.whitened_record, located.with_force, located.noise_by_line
+    total_by_line = noise + located.spectrum_by_line * with_force.response_norm**2
+    explained_by_line = 1 - (noise / total_by_line) ** 2
     theta = np.zeros(len(whitened.nuisance_parameters))  # a drift has columns of its own
-    theta[: located_force.fit_without_force.theta.size] = located_force.fit_without_force.theta
+    theta[: located.without_force.theta.size] = located.without_force.theta
     squares_without = float(np.sum(residual_squares(whitened, theta)))
-    squares_with = float(np.sum(residual_squares(whitened, fit_with_force.theta))) - float(
-        projection_power @ explained_by_line
-    )
+    explained_squares = float(np.abs(with_force.projection) ** 2 @ explained_by_line)
+    squares_with = float(np.sum(residual_squares(whitened, with_force.theta))) - explained_squares
     return 1 - squares_with / squares_without
 
 
-def _unobserved_accelerance(located_force: LocatedForce, station: Station) -> Complex[np.ndarray, " alllines"]:
+def _unobserved_accelerance(located: LocatedForce, station: Station) -> Complex[np.ndarray, " alllines"]:
     """Driving-point accelerance of the modes that the sensors do not observe."""
-    whitened = located_force.whitened_record
+    whitened = located.whitened_record
+    observed_count = sum(sensor.station.body == station.body for sensor in whitened.record.sensors)
     for response in whitened.model.responses:
         if response.body.name == station.body:
-            observed_mode_count = sum(sensor.station.body == station.body for sensor in whitened.record.sensors)
-            return np.asarray(
-                response.shapes([station])[0, observed_mode_count:] ** 2 @ response.accelerance[observed_mode_count:]
-            )
+            shapes = response.shapes([station])[0, observed_count:]
+            return np.asarray(shapes**2 @ response.accelerance[observed_count:])
     raise KeyError(station.body)
 
 

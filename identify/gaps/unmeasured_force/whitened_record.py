@@ -83,11 +83,11 @@ class WhitenedRecord:
     @cached_property
     def time_gate(self) -> Float[np.ndarray, " alltimes"]:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
-        counted_slice, record = self.record.counted_slice, self.record
-        time_gate = np.zeros(record.transform_length // record.decimation)
-        gate_shape = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.rate_hz))
-        time_gate[counted_slice] = gate_shape if counted_slice.start == 0 else gate_shape * gate_shape[::-1]
-        return time_gate
+        counted, record = self.record.counted_slice, self.record
+        gate = np.zeros(record.transform_length // record.decimation)
+        fade = taper(counted.stop - counted.start, round(GATE_FADE_S * record.rate_hz))
+        gate[counted] = fade if counted.start == 0 else fade * fade[::-1]
+        return gate
 
     @property
     def band_sizes(self) -> Int[np.ndarray, " bands"]:
@@ -102,24 +102,20 @@ class WhitenedRecord:
         self, accelerations: Complex[np.ndarray, "sensors alllines"]
     ) -> Complex[np.ndarray, "lines rows"]:
         """Whitened residual of accelerations (m/s^2) at the sensors, without the gate."""
-        return self.without_force_noise(
-            self.projected_rows(
-                (self.model.sensor_response * accelerations / self.model.error_deviation)[:, self.line_slice]
-            )
-        )
+        standardised = self.model.sensor_response * accelerations / self.model.error_deviation
+        return self.without_force_noise(self.projected_rows(standardised[:, self.line_slice]))
 
     def gated_residual(
         self, standardised_signals: Complex[np.ndarray, "sensors alllines"]
     ) -> Complex[np.ndarray, "lines rows"]:
         """Whitened residual of the sensors' standardised signals, gated in time."""
-        record = self.record
+        projected = self.projected_rows(standardised_signals[:, self.line_slice])
         back_projected = np.zeros_like(standardised_signals)
-        back_projected[:, self.line_slice] = (
-            self.complement_basis.conj().transpose(0, 2, 1)
-            @ self.projected_rows(standardised_signals[:, self.line_slice])[:, :, None]
-        )[:, :, 0].T
-        padded_samples = record.transform_length // record.decimation
-        gated_signals = np.fft.irfft(back_projected, padded_samples) * self.time_gate
+        back_projected[:, self.line_slice] = (self.complement_basis.conj().transpose(0, 2, 1) @ projected[:, :, None])[
+            :, :, 0
+        ].T
+        sample_count = self.record.transform_length // self.record.decimation
+        gated_signals = np.fft.irfft(back_projected, sample_count) * self.time_gate
         return self.without_force_noise(self.projected_rows(np.fft.rfft(gated_signals)[:, self.line_slice]))
 
     def projected_rows(
@@ -128,14 +124,11 @@ class WhitenedRecord:
         """Rows N^H y of standardised signals y, in which contact forces do not show."""
         return np.asarray((self.complement_basis @ standardised_signals.T[:, :, None])[:, :, 0])
 
-    def without_force_noise(
-        self, residual_rows: Complex[np.ndarray, "lines rows"]
-    ) -> Complex[np.ndarray, "lines rows"]:
+    def without_force_noise(self, rows: Complex[np.ndarray, "lines rows"]) -> Complex[np.ndarray, "lines rows"]:
         """Rows with the covariance I + S_F g_F g_F^H of the force channels' noise reduced to I."""
-        mode_amplitudes = np.einsum("lrm,lr->lm", self.force_noise_modes.conj(), residual_rows)
-        return np.asarray(
-            residual_rows - np.einsum("lrm,lm->lr", self.force_noise_modes, self.force_noise_shares * mode_amplitudes)
-        )
+        amplitudes = np.einsum("lrm,lr->lm", self.force_noise_modes.conj(), rows)
+        noise_rows = np.einsum("lrm,lm->lr", self.force_noise_modes, self.force_noise_shares * amplitudes)
+        return np.asarray(rows - noise_rows)
 
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerance from a force at a station to the sensors, m/s^2 per N."""
@@ -170,76 +163,70 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         responses_windowed=False,
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
-    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
-    complement_basis = input_complement(model.signal_per_input[..., line_slice])
-    row_count = complement_basis.shape[1]
+    lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
+    complement_basis = input_complement(model.signal_per_input[..., lines])
+    line_count, row_count, _ = complement_basis.shape
     if not row_count:
         raise RigError(
             f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
         )
-    line_count, band_starts = complement_basis.shape[0], _band_starts(record.omega[line_slice])
-    modal_accelerations = tuple(
-        _measured_accelerations(record, model, response, modelled_acceleration)
-        for response, modelled_acceleration in zip(model.responses, model.modal_accelerations, strict=True)
-    )
-    unwhitened_record = WhitenedRecord(
+    band_starts = _band_starts(record.omega[lines])
+    unwhitened = WhitenedRecord(
         record=record,
         model=model,
-        line_slice=line_slice,
+        line_slice=lines,
         complement_basis=complement_basis,
         force_noise_modes=np.zeros((line_count, row_count, 0), dtype=complex),
         force_noise_shares=np.zeros((line_count, 0)),
         whitened_residual=np.zeros((line_count, row_count), dtype=complex),
         nuisance_parameters=(),
         nuisance_columns=np.zeros((0, line_count, row_count), dtype=complex),
-        modal_accelerations=modal_accelerations,
+        modal_accelerations=tuple(
+            _measured_accelerations(record, model, response, modelled)
+            for response, modelled in zip(model.responses, model.modal_accelerations, strict=True)
+        ),
         band_starts=band_starts,
         residual_squares=np.zeros(band_starts.size),
         cross_products=np.zeros((band_starts.size, 0)),
         column_gram=np.zeros((band_starts.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
-    input_accelerations = accelerances(
-        model.rig, model.responses, rig.forces, [sensor.station for sensor in record.sensors]
-    )
+    stations = [sensor.station for sensor in record.sensors]
     force_responses = np.stack(
         [
-            unwhitened_record.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
-            for acceleration_per_newton in input_accelerations[: len(rig.forces)]
+            unwhitened.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
+            for acceleration_per_newton in accelerances(model.rig, model.responses, rig.forces, stations)[
+                : len(rig.forces)
+            ]
         ],
         axis=2,
     )
-    noise_modes, singular_values, _ = np.linalg.svd(
-        force_responses
-        * np.sqrt(base_noise_variance[line_slice, None, None] if record.base else force_noise_variance(record)),
-        full_matrices=False,
-    )
-    whitened = replace(
-        unwhitened_record, force_noise_modes=noise_modes, force_noise_shares=1 - 1 / np.sqrt(1 + singular_values**2)
-    )
+    noise_variance = base_noise_variance[lines, None, None] if record.base else force_noise_variance(record)
+    modes, singular_values, _ = np.linalg.svd(force_responses * np.sqrt(noise_variance), full_matrices=False)
+    noise_shares = 1 - 1 / np.sqrt(1 + singular_values**2)
+    whitened = replace(unwhitened, force_noise_modes=modes, force_noise_shares=noise_shares)
     return replace(whitened, whitened_residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
 
 
 def with_columns(
-    whitened_without: WhitenedRecord,
+    whitened: WhitenedRecord,
     parameters: tuple[Nuisance, ...],
     column_sets: Sequence[Complex[np.ndarray, "_ lines rows"]],
     trace_terms: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
     """Record with columns of one or more sets, kept in single precision, and their sums over bands."""
-    real_residual = np.ascontiguousarray(whitened_without.whitened_residual).view(float)
-    band_edges = np.append(whitened_without.band_starts, real_residual.shape[0])
+    real_residual = np.ascontiguousarray(whitened.whitened_residual).view(float)
     residual_squares, cross_products, column_gram = [], [], []
-    for first_line, stop_line in pairwise(band_edges):
-        band_sets = [columns[:, first_line:stop_line].astype(complex) for columns in column_sets]
+    for start, stop in pairwise(np.append(whitened.band_starts, real_residual.shape[0])):
+        band_sets = [columns[:, start:stop].astype(complex) for columns in column_sets]
         band_columns = np.concatenate(band_sets).view(float).reshape(len(parameters), -1)
-        band_residual = real_residual[first_line:stop_line].ravel()
+        band_residual = real_residual[start:stop].ravel()
         residual_squares.append(band_residual @ band_residual)
         cross_products.append(band_columns @ band_residual)
         column_gram.append(band_columns @ band_columns.T)
     return replace(
-        whitened_without,
+        whitened,
         nuisance_parameters=parameters,
         nuisance_columns=np.concatenate([columns.astype(np.complex64, copy=False) for columns in column_sets]),
         residual_squares=np.array(residual_squares),
@@ -253,12 +240,10 @@ def capped_noise_variance(record: Record) -> Float[np.ndarray, "sensors lines"]:
     """Noise power of each sensor at each line, at most that of rig.json: a force that acts before the excitation
     is no noise."""
     noise_variance = record.noise_variance.copy()
-    for sensor_index, sensor in enumerate(record.sensors):
+    for variance, sensor in zip(noise_variance, record.sensors, strict=True):
         if sensor.noise_density > 0:
-            acceleration_density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
-            noise_variance[sensor_index] = np.minimum(
-                noise_variance[sensor_index], record.sample_count * acceleration_density**2 * record.sample_rate_hz / 2
-            )
+            density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            variance[:] = np.minimum(variance, record.sample_count * density**2 * record.sample_rate_hz / 2)
     return noise_variance
 
 
@@ -269,45 +254,35 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     noise_variance = np.median(high_band_power, axis=1) / np.log(2)
     is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
     if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
-        quiet_noise_n = STD_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
-        noise_variance = np.minimum(
-            noise_variance, record.sample_count * quiet_noise_n**2 * record.sample_rate_hz / record.rate_hz
-        )
+        quiet_n = STD_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
+        quiet_variance = record.sample_count * quiet_n**2 * record.sample_rate_hz / record.rate_hz
+        noise_variance = np.minimum(noise_variance, quiet_variance)
     return np.asarray(noise_variance)
 
 
 def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
     """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
-    body_sensors = [
-        sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name
-    ]
-    mode_count = min(len(body_sensors), response.mode_count)
+    columns = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+    mode_count = min(len(columns), response.mode_count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
-        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[
-            :, :mode_count
-        ]
-        inverse_shapes[:, body_sensors] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
+        shapes = response.shapes([record.sensors[index].station for index in columns])[:, :mode_count]
+        inverse_shapes[:, columns] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
     return inverse_shapes
 
 
 def _measured_accelerations(
-    record: Record, model: LinearModel, response: Response, modelled_accelerations: Complex[np.ndarray, "modes lines"]
+    record: Record, model: LinearModel, response: Response, modelled: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
-    mode_count = len(inverse_shapes)
-    unexplained_accelerations = (
+    count = len(inverse_shapes)
+    unexplained = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
-        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled_accelerations
+        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled
     )
-    return np.concatenate(
-        [
-            modelled_accelerations[:mode_count] + inverse_shapes @ unexplained_accelerations,
-            modelled_accelerations[mode_count:],
-        ]
-    )
+    return np.concatenate([modelled[:count] + inverse_shapes @ unexplained, modelled[count:]])
 
 
 def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:

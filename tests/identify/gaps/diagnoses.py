@@ -69,24 +69,20 @@ def tuples(*rows):
 
 
 def left(share, *contacts, p_value):
-    return UnexplainedShares(
-        share=share, contact_shares={f"contact_{i}": s for i, s in enumerate(contacts, 1)}, p_value=p_value
-    )
+    contact_shares = {f"contact_{i}": s for i, s in enumerate(contacts, 1)}
+    return UnexplainedShares(share=share, contact_shares=contact_shares, p_value=p_value)
 
 
 def cause(effects, words, probability, explained, interval, left, parameters, instead=(), **places):
     """Of every effect the first of its parameters is the strength, neutral at 0; all are as probable as the cause."""
     values = {name: Value(*value) for name, value in parameters.items()}
-    labels = labels_of(effects)
     strengths = []
-    for label in labels:
+    for kind, label in zip(effects, labels_of(effects), strict=True):
         first = next(v for name, v in values.items() if name.startswith(f"{label}."))
         half = 1.96 * first.standard_error
         place = next((p for name, p in places.items() if name.startswith(label)), "all")
-        kind = effects[labels.index(label)]
-        strengths.append(
-            Strength(f"{kind}:{place}", probability, (first.value - half, first.value + half), 0.0, instead)
-        )
+        interval_of_strength = (first.value - half, first.value + half)
+        strengths.append(Strength(f"{kind}:{place}", probability, interval_of_strength, 0.0, instead))
     return Cause(
         effects=effects,
         words=words,
@@ -112,10 +108,7 @@ MASS = cause(
     0.977,
     (0.961, 0.988),
     SMALL,
-    {
-        "added_mass.mass_kg": (0.1414, 0.00105, "kg", True),
-        "added_mass.relative_position": (0.9899, 0.0021, "1"),
-    },
+    {"added_mass.mass_kg": (0.1414, 0.00105, "kg", True), "added_mass.relative_position": (0.9899, 0.0021, "1")},
     instead=("clamp_compliance:all",),
     added_mass__body="barrel",
 )
@@ -179,11 +172,8 @@ def softening():
         body="barrel",
         position_m=0.8914,
         position_error_m=1.4e-4,
-        sensor=None,
-        frequency_hz=None,
         band_hz=(2.01, 19.98),
         rms_n=10.53,
-        when="always",
         before_excitation=0.04,
         by_time=(10.5, 11.3, 11.3, 11.2, 10.1, 9.5, 10.9, 10.5),
         against="displacement",
@@ -205,14 +195,11 @@ def tone():
         body="cradle",
         position_m=0.8,
         position_error_m=0.004,
-        sensor=None,
         frequency_hz=50.02,
         band_hz=(49.0, 51.0),
         rms_n=0.99,
         amplitude_n=1.4,
-        when="always",
         by_time=(1.0,) * 8,
-        against="none",
         law_name="tone",
         law="1.2 N cos(2 pi f t) + 0.72 N sin(2 pi f t), f = 50.02 Hz",
         explained=0.81,
@@ -269,9 +256,7 @@ def gap(causes, nothing, unknown, before=BEFORE, after=SMALL, hidden="", **more)
         probability_unknown=max(1 - nothing - sum(c.probability for c in causes), 0.0),
         unknown=unknown,
         bands=bands(before.share, after.share),
-        separate_by=more.pop("separate_by", ()),
-        attribution=more.pop("attribution", attribution()),
-        **more,
+        **{"separate_by": (), "attribution": attribution(), **more},
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
 
@@ -289,13 +274,8 @@ ONE_MASS = Attribution(
 
 
 def compared(parameter, place, values, p_value, trend):
-    return ParameterByRecord(
-        parameter=parameter,
-        place=place,
-        values=tuple(Value(v, 0.002, "1") for v in values),
-        p_value=p_value,
-        trend=trend,
-    )
+    values = tuple(Value(v, 0.002, "1") for v in values)
+    return ParameterByRecord(parameter=parameter, place=place, values=values, p_value=p_value, trend=trend)
 
 
 BETWEEN = RecordDifferences(
@@ -332,9 +312,8 @@ CERTAIN = left(3e-3, 1.5e-2, 0.0, p_value=1e-4)
 def unsure(one, probability):
     """A cause that is hardly likely, and closes nothing."""
     strengths = tuple(replace(s, inclusion_probability=probability) for s in one.strengths)
-    return replace(
-        one, probability=probability, strengths=strengths, explained=0.0, interval_95=(-0.1, 0.1), left=SMALL
-    )
+    one = replace(one, explained=0.0, interval_95=(-0.1, 0.1), left=SMALL)
+    return replace(one, probability=probability, strengths=strengths)
 
 
 GAPS = {
@@ -371,21 +350,8 @@ GAPS = {
     ),
     "unexplained": gap((unsure(CUBIC, 1e-12),), 1e-50, softening(), after=BEFORE),
     "small": gap((MASS, CUBIC), 0.01, None, before=CERTAIN),
-    "consistent": gap(
-        (unsure(CLAMP, 0.03),),
-        0.97,
-        None,
-        before=SMALL,
-        after=SMALL,
-    ),
-    "cannot_tell": gap(
-        (unsure(CLAMP, 0.03),),
-        0.97,
-        None,
-        before=SMALL,
-        after=SMALL,
-        hidden="force of contact_1",
-    ),
+    "consistent": gap((unsure(CLAMP, 0.03),), 0.97, None, before=SMALL, after=SMALL),
+    "cannot_tell": gap((unsure(CLAMP, 0.03),), 0.97, None, before=SMALL, after=SMALL, hidden="force of contact_1"),
     "one_mass": gap(
         (replace(MASS, places={"added_mass.body": "mass"}, left=left(4e-4, p_value=0.31)),),
         0.036,

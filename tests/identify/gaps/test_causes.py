@@ -18,9 +18,8 @@ def worded(name, shift_m, **given):
     kind, scale = effects()[name], Scale(RIG, 14.0, 60.0)
     (place, *_) = kind.placements(RIG, ["barrel_0000mm_acceleration"])
     placed = scale.with_place(place)
-    return phrase(
-        Candidate(kind, place, kind.parameters(placed), kind.typical(placed)), np.array([shift_m]), RIG, **given
-    )
+    candidate = Candidate(kind, place, kind.parameters(placed), kind.typical(placed))
+    return phrase(candidate, np.array([shift_m]), RIG, **given)
 
 
 @pytest.mark.parametrize(

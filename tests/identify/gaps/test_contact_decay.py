@@ -72,10 +72,7 @@ def test_nothing_is_found_in_a_mass_as_it_is_believed(tmp_path):
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("effect", "parameter", "value", "place"),
-    [
-        ("clamp_compliance", "compliance", 0.02, {"beam": "beam"}),
-        ("youngs_modulus", "factor", 0.8, {"beam": "beam"}),
-    ],
+    [("clamp_compliance", "compliance", 0.02, {"beam": "beam"}), ("youngs_modulus", "factor", 0.8, {"beam": "beam"})],
 )
 def test_an_effect_on_a_cantilever_is_found_beside_its_stop(effect, parameter, value, place, tmp_path):
     """By the modes, which ring on when the stop is no longer reached, and by the motion from the release on."""

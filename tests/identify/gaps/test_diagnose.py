@@ -11,7 +11,7 @@ import identify
 from identify.gaps.decision import answer
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
-from identify.gaps.decision.recordings import fault_of
+from identify.gaps.decision.recordings import cut_recording, fault_of
 from identify.gaps.decision_table import Verdict
 from identify.gaps.residual.record import CountedPart
 from identify.gaps.results import Matters
@@ -22,7 +22,7 @@ from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
 from rig.model.tolerances import EXACT, LABORATORY
-from rig.recording import Recording, Signals
+from rig.recording import Recording
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal
@@ -179,7 +179,7 @@ def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_pat
 
 def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
     _, validation = records(RIG, RIG)
-    force, counted = replace_force(validation, 1.5 * validation.force_n), CountedPart(8, 9.0)
+    force, counted = with_values(validation, "force", 1.5 * validation.forces_n), CountedPart(8, 9.0)
     keys = [
         null_key(validation, counted, LABORATORY, "modal"),
         null_key(validation, counted, EXACT, "modal"),
@@ -195,9 +195,9 @@ def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
     assert len(set(keys)) == len(keys)
 
 
-def replace_force(recording: Recording, force_n: np.ndarray) -> Recording:
-    changed = with_fields(recording.signals["force"], values=force_n[None, :])
-    return with_fields(recording, signals={**recording.signals, "force": changed})
+def with_values(recording: Recording, quantity: str, values: np.ndarray) -> Recording:
+    changed = with_fields(recording.signals[quantity], values=values)
+    return with_fields(recording, signals={**recording.signals, quantity: changed})
 
 
 def test_a_file_of_something_else_is_not_lost_to_a_null_reference(tmp_path):
@@ -209,37 +209,20 @@ def test_a_file_of_something_else_is_not_lost_to_a_null_reference(tmp_path):
 
 
 def test_a_short_record_is_refused(null_reference):
-    short = [
-        with_fields(
-            recording, signals={n: Signals(s.channels, 0.0, s.values[:, :2000]) for n, s in recording.signals.items()}
-        )
-        for recording in records(RIG, RIG)
-    ]
+    short = [cut_recording(recording, slice(2000)) for recording in records(RIG, RIG)]
     with pytest.raises(RigError, match=r"lasts 3.91 s; the diagnosis needs"):
         diagnose(*short, SIMULATOR, null_reference)
 
 
 @pytest.mark.parametrize(
-    ("change", "fault"),
-    [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)],
+    ("change", "fault"), [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)]
 )
 def test_dead_and_clipped_channels_are_what_they_are(change, fault):
     assert fault_of(change(np.random.default_rng(1).standard_normal(10_000))) == fault
 
 
 def test_a_record_of_dead_channels_is_refused(null_reference):
-    dead = []
-    for recording in records(RIG, RIG):
-        displacement = recording.signals["displacement"]
-        dead.append(
-            with_fields(
-                recording,
-                signals={
-                    **recording.signals,
-                    "displacement": with_fields(displacement, values=0 * displacement.values),
-                },
-            )
-        )
+    dead = [with_values(recording, "displacement", np.zeros((1, recording.samples))) for recording in records(RIG, RIG)]
     with pytest.raises(RigError, match="every channel is dead or clipped"):
         diagnose(*dead, SIMULATOR, null_reference)
 

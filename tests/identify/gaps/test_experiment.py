@@ -41,16 +41,14 @@ def believed():
 def cause(believed):
     """A cause at some value, known as exactly as its standard error says."""
     record, _ = believed
-    nothing = (
-        Search(nominal_variances_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nominal_fit().hypothesis
-    )
+    search = Search(nominal_variances_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ())
+    nothing = search.nominal_fit().hypothesis
     library = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
 
     def hypothesis(name, value, error):
         candidate = next(c for c in library if c.kind.name == name)
-        return with_fields(
-            nothing, candidates=(candidate,), values=np.array([value]), covariance=np.array([[error**2]])
-        )
+        values, covariance = np.array([value]), np.array([[error**2]])
+        return with_fields(nothing, candidates=(candidate,), values=values, covariance=covariance)
 
     return hypothesis
 
@@ -64,12 +62,9 @@ def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
     assert len({option.instruction for option in options}) == len(options)
     for option in options:
         assert not np.any(option.forces_n[:, : round(0.9 * record.sample_rate_hz)])
-        named = (
-            [w for w in option.instruction.split() if w.replace(".", "").isdigit()]
-            if "times" in option.instruction
-            else ["1"]
-        )
-        assert np.std(option.forces_n[:, start:]) == pytest.approx(float(named[-1]) * rms_n, rel=0.01)
+        before, times, _ = option.instruction.partition(" times the force")
+        factor = float(before.split()[-1]) if times else 1.0
+        assert np.std(option.forces_n[:, start:]) == pytest.approx(factor * rms_n, rel=0.01)
     lengths_s = {round(option.forces_n.shape[1] / record.sample_rate_hz, 2) for option in options}
     assert lengths_s == {15.0, 45.0}
     assert sum(option.rig_change(RIG).masses != RIG.masses for option in options) == 1
@@ -79,10 +74,8 @@ def test_of_beams_the_force_moves_and_displacements_are_measured():
     rig = BarrelCradle(sensors="acceleration", duration_s=12.0).rig()
     force_n = force_history(BarrelCradle().force(), 12.0, 1 / rig.sample_rate_hz)
     changed = [e.rig_change(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
-    places = {r.force_at for r in changed}
-    assert {(p.body, p.position_m) for p in places} == {
-        *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)),
-    }
+    places = {(r.force_at.body, r.force_at.position_m) for r in changed}
+    assert places == {(body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)}
     assert [{s.quantity for s in r.sensors} for r in changed].count({"displacement"}) == 1
 
 
@@ -100,9 +93,8 @@ def test_what_differs_is_told_by_some_experiment_and_what_does_not_by_none(belie
     softer, stiffer = (cause("contact_stiffness", factor, 0.01) for factor in (0.9, 1.1))
     proposals = next_experiments(record, force_n, (softer, stiffer), modal)
     assert proposals[0].log_odds > 1
-    assert [proposal.log_odds for proposal in proposals] == sorted(
-        (proposal.log_odds for proposal in proposals), reverse=True
-    )
+    log_odds = [proposal.log_odds for proposal in proposals]
+    assert log_odds == sorted(log_odds, reverse=True)
     alike = next_experiments(record, force_n, (softer, softer), modal)
     assert max(abs(a.log_odds) for a in alike) < 0.1
 

@@ -44,11 +44,7 @@ def noise(rig, seed=1):
 def test_forces_at_one_place_are_their_sum():
     at = BEAMS.force_at
     several = noise(replace(BEAMS, force_at=(at, at)))
-    forces = with_fields(
-        several.signals["force"],
-        channels=channel_groups(BEAMS)["force"],
-        values=several.forces_n.sum(axis=0, keepdims=True),
-    )
+    forces = Signals(channel_groups(BEAMS)["force"], 0.0, several.forces_n.sum(axis=0, keepdims=True))
     one = Recording(BEAMS, {**several.signals, "force": forces}, {})
     records = [
         with_fields(record, force_noise_variance=0 * record.force_noise_variance)

@@ -14,10 +14,7 @@ from tests.campaigns.laboratory_tests import TESTS, recorded
 
 @pytest.mark.parametrize(
     ("name", "parameter", "value"),
-    [
-        ("one mass, high-pass of 0.5 Hz", "mass_kg", 0.1),
-        ("one mass, no quiet start, displacement", "mass_kg", 0.1),
-    ],
+    [("one mass, high-pass of 0.5 Hz", "mass_kg", 0.1), ("one mass, no quiet start, displacement", "mass_kg", 0.1)],
 )
 def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
     test = TESTS[name]

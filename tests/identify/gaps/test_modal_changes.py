@@ -39,9 +39,8 @@ def change_words(of, name, strength, place=0.5, error=0.1):
     place_of_effect = next(iter(kind.placements(of, [])))
     scale = Scale(of, 1.0, 60.0).with_place(place_of_effect)
     candidate = Candidate(kind, place_of_effect, kind.parameters(scale), kind.typical(scale))
-    return identifiable_change(
-        of, candidate, np.array([strength, place]), np.diag([(error * strength) ** 2, 0.0]), 15.0
-    )
+    covariance = np.diag([(error * strength) ** 2, 0.0])
+    return identifiable_change(of, candidate, np.array([strength, place]), covariance, 15.0)
 
 
 @pytest.mark.parametrize(
@@ -85,13 +84,9 @@ LEVELS_N = (30.0, 12.0, 61.0)
 
 
 def compared(by_level):
+    name, values = "linear_spring.stiffness_n_per_m", tuple(Value(x, 0.1, "N/m") for x in (-20.0, -10.0, -40.0))
     return ParameterByRecord(
-        parameter="linear_spring.stiffness_n_per_m",
-        place="mass",
-        values=tuple(Value(x, 0.1, "N/m") for x in (-20.0, -10.0, -40.0)),
-        p_value=1e-6,
-        trend="differs",
-        by_level=by_level,
+        parameter=name, place="mass", values=values, p_value=1e-6, trend="differs", by_level=by_level
     )
 
 
@@ -102,10 +97,7 @@ def rigs():
         (f"linear_spring:stiffness_n_per_m={k},body=mass", f"structural_damping:factor={c},body=mass")
         for k, c in ((-20, 1.3), (-10, 1.0), (-40, 1.9))
     ]
-    return [
-        reduce(lambda rig, t: effect_named(t).applied_to(rig), effects_of_level, Sdof().rig())
-        for effects_of_level in texts
-    ]
+    return [reduce(lambda rig, t: effect_named(t).applied_to(rig), effects, Sdof().rig()) for effects in texts]
 
 
 def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest(rigs):

@@ -179,8 +179,5 @@ def test_any_name_can_be_drawn(gaps):
 
 def test_what_is_missing_is_left_out(gaps):
     gap = gaps["consistent"]
-    nothing = Attribution(
-        channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
-    )
     evidence = replace(gap.evidence, quantities=())
-    assert not pictures(replace(gap, evidence=evidence, attribution=nothing, bands=(), causes=()))
+    assert not pictures(replace(gap, evidence=evidence, attribution=Attribution(), bands=(), causes=()))

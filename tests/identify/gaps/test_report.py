@@ -70,23 +70,23 @@ class Page(HTMLParser):
             self.headings.append(data)
 
 
+def html_of(gap, folder, figures=(), title="title", **options):
+    write_page(gap, dict(figures), title, folder / "gap.html", **options)
+    return (folder / "gap.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def written(drawn_diagnosis, rig_of, tmp_path_factory):
     """A diagnosis, its pictures, and its page as parsed, with the drawing of the rig."""
-    figures, path, rig = (
-        pictures(drawn_diagnosis),
-        tmp_path_factory.mktemp("page") / "gap.html",
-        rig_of(drawn_diagnosis),
-    )
+    figures, folder, rig = pictures(drawn_diagnosis), tmp_path_factory.mktemp("page"), rig_of(drawn_diagnosis)
     drawing = rig_drawing(rig, {}, marks(drawn_diagnosis, rig))
-    write_page(drawn_diagnosis, figures, "Gap of one & two", path, drawing=drawing)
-    return drawn_diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
+    page = Page(html_of(drawn_diagnosis, folder, figures, "Gap of one & two", drawing=drawing))
+    return drawn_diagnosis, figures, page, folder / "gap.html"
 
 
 def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
     gap, _, page, _ = written
-    named = "What the rest looks like" if gap.verdict == "partly_explained" else "What is not explained"
-    unknown = [named] if gap.unknown else []
+    unknown = "What the rest looks like" if gap.verdict == "partly_explained" else "What is not explained"
     assert page.headings == [
         "What to do next",
         *(["Which further recording?"] if gap.next_experiments else []),
@@ -95,7 +95,7 @@ def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
         *(["Does the model move as the machine?"] if gap.rollout else []),
         "How was it decided?",
         *(["What differs between the records?"] if gap.between else []),
-        *unknown,
+        *([unknown] if gap.unknown else []),
         "Where does it lie?",
     ]
     assert all(page.texts.index(said) < page.texts.index(page.headings[0]) for said in sentences(gap))
@@ -111,14 +111,8 @@ def test_every_number_is_on_the_page(written):
         said |= {probability(cause.probability), removed_share_words(cause), *cause.places.values(), *cause.parameters}
         said |= {interval(v) for v in cause.parameters.values()}
     where = gap.attribution
-    for shares in (
-        where.channels,
-        where.parts,
-        where.modal_equations,
-        where.contact_state,
-        *where.positions_m.values(),
-    ):
-        said |= {percent(s) for s in shares.values()}
+    divisions = (where.channels, where.parts, where.modal_equations, where.contact_state, *where.positions_m.values())
+    said |= {percent(s) for shares in divisions for s in shares.values()}
     said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
     said |= {" / ".join([words, *others]) for words, others in look_alikes_of(gap)} | set(next_steps(gap))
     said |= {percent(x) for q in gap.evidence.quantities for x in (q.value, q.upper) if q.upper is not None}
@@ -160,15 +154,13 @@ def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
 def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
     gap = gaps["explained"]
     assert "The best added_mass.mass_kg is the end of its range" in gap.sentence
-    write_page(gap, {}, "limit", tmp_path / "gap.html")
-    assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert "(at the limit of its range)" in html_of(gap, tmp_path)
 
 
 def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
     gap = replace(gaps["pair"], attribution=Attribution(), notes=(FailedAnalysis("attribution", "singular <matrix>"),))
-    write_page(gap, {}, "noted", tmp_path / "gap.html")
     said = "Not computed: where the difference lies (singular <matrix>)."
-    assert escape(said) in (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert escape(said) in html_of(gap, tmp_path)
     console = Console(width=300, record=True)
     console.print(screen_view(gap))
     assert said in console.export_text()
@@ -178,12 +170,8 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
     gap = gaps["cannot_tell"]
     assert gap.sentence.startswith("These records do not tell whether rig.json is right")
     assert "Not settled: the force of contact_1 (noise hides it); excite the rig more strongly." in gap.sentence
-    assert next_steps(gap)[:2] == [
-        "Do not rely on rig.json yet.",
-        "Excite the rig more strongly, and diagnose again.",
-    ]
-    write_page(gap, {}, "unseen", tmp_path / "gap.html")
-    assert '<div class="verdict yellow"><b>cannot tell</b>' in (tmp_path / "gap.html").read_text("utf-8")
+    assert next_steps(gap)[:2] == ["Do not rely on rig.json yet.", "Excite the rig more strongly, and diagnose again."]
+    assert '<div class="verdict yellow"><b>cannot tell</b>' in html_of(gap, tmp_path)
 
 
 def test_numbers_stay_on_a_line_with_their_units():
@@ -196,19 +184,16 @@ def test_numbers_stay_on_a_line_with_their_units():
 
 def test_names_cannot_break_the_page(gaps, tmp_path):
     gap = gaps["explained"]
-    bold = "<b>"
-    channels = {bold: 0.6, "\"&amp;'>": 0.4}
+    channels = {"<b>": 0.6, "\"&amp;'>": 0.4}
     cause = replace(gap.causes[0], places={"added_mass.body": "</table>"}, words=("a mass on <i>",))
     odd = replace(
         gap,
         attribution=replace(gap.attribution, channels=channels),
         causes=(cause,),
-        channel_faults={bold: "dead"},
+        channel_faults={"<b>": "dead"},
         separate_by=("added_mass: <script>alert(1)</script>",),
     )
-    path = tmp_path / "gap.html"
-    write_page(odd, {}, "</title>", path)
-    page = Page(path.read_text(encoding="utf-8"))
+    page = Page(html_of(odd, tmp_path, title="</title>"))
     said = {
         *channels,
         "</table>",
@@ -225,9 +210,8 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
 def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
     assert findings_heading(gaps["explained"]) == "The check of the recordings says:"
     hum = "an unmeasured tone of 12.2 Hz on the frame at 0.30 m"
-    tone = diagnoses.cause(
-        ("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, {"tone.frequency_hz": (12.2, 0.1, "Hz")}
-    )
+    frequency = {"tone.frequency_hz": (12.2, 0.1, "Hz")}
+    tone = diagnoses.cause(("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, frequency)
     heading = findings_heading(replace(gaps["explained"], causes=(tone,)))
     assert heading == f"The check of the recordings, which does not know {hum}, says:"
     heading = findings_heading(gaps["unexplained"])
@@ -235,8 +219,7 @@ def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
 
 
 def test_findings_of_the_check_turn_the_page_amber_and_stand_on_top(gaps, tmp_path):
-    write_page(gaps["explained"], {}, "mass", tmp_path / "gap.html", findings=("barrel_6 is upside down <",))
-    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    html = html_of(gaps["explained"], tmp_path, findings=("barrel_6 is upside down <",))
     assert '<div class="verdict yellow"><b>explained' in html
     assert html.index("barrel_6 is upside down &lt;") < html.index("What to do next")
 
@@ -269,24 +252,21 @@ def test_what_decides_stands_beside_the_drawing(gaps, tmp_path):
         ((motion, replace(force, value=None, upper=None)), "large_bands", "decided_quantities"),
     ):
         decided = replace(gap, evidence=replace(gap.evidence, quantities=quantities, quantities_after=quantities))
-        write_page(decided, pictures(decided), "title", tmp_path / "gap.html")
-        html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+        html = html_of(decided, tmp_path, pictures(decided))
         assert 0 < html.index(CAPTION_BY_FIGURE[first]) < html.index(CAPTION_BY_FIGURE[folded])
 
 
 def test_a_veto_shows_the_motion_first_and_doubts_what_is_marked(gaps, rig_of, tmp_path):
     gap = gaps["vetoed"]
-    write_page(gap, pictures(gap), "title", tmp_path / "gap.html")
-    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    html = html_of(gap, tmp_path, pictures(gap))
     assert 0 < html.index(CAPTION_BY_FIGURE["prediction_motion"]) < html.index(CAPTION_BY_FIGURE["large_bands"])
     assert [mark.words for mark in marks(gap, rig_of(gap))] == [f"doubtful: {gap.causes[0].words[0]}"]
 
 
 def test_what_nothing_bounds_is_drawn_to_the_edge(gaps):
     (axes,) = pictures(gaps["cannot_tell"])["decided_quantities"].figure.axes
-    ends = [
-        line.get_xdata()[1] for line in axes.lines if len(set(line.get_ydata())) == 1 and len(line.get_xdata()) == 2
-    ]
+    lines = [(line.get_xdata(), line.get_ydata()) for line in axes.lines]
+    ends = [x[1] for x, y in lines if len(set(y)) == 1 and len(x) == 2]
     quantities = gaps["cannot_tell"].evidence.quantities
     assert [end > axes.get_xlim()[1] for end in ends[: len(quantities)]] == [q.upper is None for q in quantities]
 
@@ -313,18 +293,15 @@ def test_every_kind_of_unmeasured_force_is_marked_at_its_place(gaps, rig_of, cha
     gap = gaps["unexplained"]
     gap = replace(gap, unknown=replace(gap.unknown, **change))
     drawn = marks(gap, rig_of(gap))
-    expected = [(body, gap.unknown.position_m if x_m is None else x_m) for body, x_m in stations]
-    assert [(mark.station.body, mark.station.position_m) for mark in drawn] == [
-        (b, pytest.approx(x)) for b, x in expected
-    ]
+    expected = [(body, pytest.approx(gap.unknown.position_m if x_m is None else x_m)) for body, x_m in stations]
+    assert [(mark.station.body, mark.station.position_m) for mark in drawn] == expected
     assert drawn[0].words.startswith(words)
 
 
 def test_a_page_is_replaced_whole(gaps, tmp_path):
     path = tmp_path / "gap.html"
     path.write_text("old " * 100_000)
-    write_page(gaps["consistent"], {}, "new", path)
-    content = path.read_text(encoding="utf-8")
+    content = html_of(gaps["consistent"], tmp_path)
     assert content.startswith("<!DOCTYPE html>")
     assert content.endswith("</html>\n")
     assert "old old" not in content

@@ -8,12 +8,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
 from identify.gaps.page.screen import colour
 from identify.gaps.results import Band, Gap
-from identify.gaps.wording import (
-    interval,
-    probability,
-    removed_share_words,
-    verdict_words,
-)
+from identify.gaps.wording import interval, probability, removed_share_words, verdict_words
 from identify.pages.wording import COVERED, percent
 from rig.model.unmeasured_force import Value
 
@@ -61,9 +56,8 @@ def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
     changed = tuple(replace(bound, value=0.066, upper=0.07, why="") for bound in evidence.quantities[:1])
     hidden = replace(evidence, quantities=little, quantities_beside=changed)
     assert hidden.verdict == "explained"
-    assert "; tolerances take up the rest of the 6.6 % of the motion that it changes." in sentence(
-        replace(gaps["explained"], evidence=hidden)
-    )
+    said = sentence(replace(gaps["explained"], evidence=hidden))
+    assert "; tolerances take up the rest of the 6.6 % of the motion that it changes." in said
     assert "take up" not in gaps["explained"].sentence
 
 
@@ -111,19 +105,17 @@ def test_a_description_that_explains_little_is_a_hint(gaps):
     assert "hint, as it explains only 16.5 % of what is left: look at the cradle near 0.80 m" in steps
     assert "switch motors" not in steps
     said = sentence(little)
-    assert (
-        f"The rest has no simple form; the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}." in said
-    )
+    nearest = f"the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}."
+    assert f"The rest has no simple form; {nearest}" in said
     assert f"The rest looks like {gap.unknown.sentence}." in gap.sentence
 
 
 def test_what_is_left_is_named_by_its_frequencies(gaps):
     gap = gaps["partly_explained"]
+    after_and_usual = [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
     bands = tuple(
         Band(low_hz=2.0 * i, high_hz=2.0 * i + 2, before=0.1, after=after, usual=usual)
-        for i, (after, usual) in enumerate(
-            [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
-        )
+        for i, (after, usual) in enumerate(after_and_usual)
     )
     assert unexplained_ranges_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
     assert unexplained_ranges_hz(replace(gap, bands=bands[:1])) == []

@@ -259,8 +259,7 @@ def test_the_column_of_a_gain_is_a_difference_of_residuals(mass_motions, beam_mo
     columns = linearization.columns
     index = [(p.kind, p.owner) for p in columns.parameters].index((NuisanceKind.GAIN, sensor))
     changed = replace(
-        rig,
-        sensors=tuple(replace(s, gain=1 + 1e-2 * LABORATORY.gain) if s.name == sensor else s for s in rig.sensors),
+        rig, sensors=tuple(replace(s, gain=1 + 1e-2 * LABORATORY.gain) if s.name == sensor else s for s in rig.sensors)
     )
     before, after = (residual_of(linearization, r) for r in (rig, changed))
     difference = 100 * (before.linear_before_nuisance - after.linear_before_nuisance)

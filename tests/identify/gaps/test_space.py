@@ -37,18 +37,10 @@ RIG = BarrelCradleAnnular(sensors="acceleration", noise_density=1e-3).rig()
 def believed(nominal):
     """The machine as rig.json describes it, with right laws."""
     rig = believed_rig(nominal)
-    contacts = (
-        replace(
-            contact,
-            law=replace(
-                contact.law,
-                clearance_m=ring.clearance_m,
-                stiffness_n_per_m=ring.stiffness_n_per_m,
-                damping_n_s_per_m=ring.damping_n_s_per_m,
-            ),
-        )
-        for contact, ring in zip(rig.contacts, nominal.rings, strict=True)
-    )
+    contacts = []
+    for contact, ring in zip(rig.contacts, nominal.rings, strict=True):
+        numbers = {name: getattr(ring, name) for name in ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")}
+        contacts.append(replace(contact, law=replace(contact.law, **numbers)))
     return replace(rig, contacts=tuple(contacts))
 
 

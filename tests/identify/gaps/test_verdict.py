@@ -60,16 +60,9 @@ ONES = np.ones((40, 6))
 
 def misfit_of_level(level: float) -> Misfit:
     """A residual of this variance in every band of every sensor."""
-    reference = NominalVariances(
-        expected_variance=ONES,
-        noise_variance=0.5 * ONES,
-        acceleration_power=1e3 * ONES,
-        line_counts=np.full(40, 50.0),
-        observations=(),
-    )
     none = np.ones((20, 0))
     return Misfit(
-        nominal_variances=reference,
+        nominal_variances=NominalVariances(ONES, 0.5 * ONES, 1e3 * ONES, np.full(40, 50.0), ()),
         variance_by_second=np.full((20, 40, 6), level),
         variance_correction=ONES,
         contact_level_by_second=none,
@@ -85,32 +78,30 @@ def misfit_of_level(level: float) -> Misfit:
 
 def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> ValidatedHypothesis:
     """A hypothesis of one effect or none, so many times as strong as is typical, with an error of a tenth of that."""
+    misfit = misfit_of_level(level)
     if not effect:
-        return ValidatedHypothesis(
-            Hypothesis((), np.zeros(0), np.zeros((0, 0)), misfit_of_level(level)),
-            RIG,
-            RIG,
-            misfit_of_level(level),
-            misfit_of_level(level),
-            0.0,
-        )
+        nothing = Hypothesis((), np.zeros(0), np.zeros((0, 0)), misfit)
+        return ValidatedHypothesis(nothing, RIG, RIG, misfit, misfit, 0.0)
     kind = effects()[effect]
     place = next(iter(kind.placements(RIG, [])))
     scale = Scale(RIG, 10.0, 30.0).with_place(place)
     candidate = Candidate(kind, place, kind.parameters(scale), kind.typical(scale))
     values = np.array([share * candidate.typical_values[0], *candidate.typical_values[1:]])
     covariance = np.diag((0.1 * np.abs(candidate.typical_values)) ** 2)
-    return ValidatedHypothesis(
-        Hypothesis((candidate,), values, covariance, misfit_of_level(level)),
-        RIG,
-        RIG,
-        misfit_of_level(level),
-        misfit_of_level(60.0),
-        0.0,
-    )
+    hypothesis = Hypothesis((candidate,), values, covariance, misfit)
+    return ValidatedHypothesis(hypothesis, RIG, RIG, misfit, misfit_of_level(60.0), 0.0)
 
 
-NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, ()) for x in np.linspace(-9, 9, 12)))
+MASS, SPRING = validated_hypothesis(1.5, "added_mass"), validated_hypothesis(1.52, "linear_spring")
+NOMINAL = validated_hypothesis(60.0)
+
+
+def null_reference(share_by_band):
+    machines = (NullSimulation(x, 0.0, 1.0, share_by_band, 0.0, ()) for x in np.linspace(-9, 9, 12))
+    return NullReference("key", tuple(machines))
+
+
+NULLS = null_reference((0.0,))
 DIFFERENCE = NominalDifference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 
@@ -123,10 +114,8 @@ def test_what_a_set_leaves_in_most_of_the_motion_enters_its_standard_errors(band
     mass = validated_hypothesis(1.0, "added_mass")
     level_by_band = np.where(np.arange(40) < bands_left, 5.0, 1.0)
     misfit = replace(mass.misfit, variance_by_second=np.tile(level_by_band[None, :, None], (20, 1, 6)))
-    machines = tuple(
-        NullSimulation(x, 0.0, 1.0, tuple(mass.misfit.share_by_band), 0.0, ()) for x in np.linspace(-9, 9, 12)
-    )
-    grown = with_lasting_error(replace(mass, misfit=misfit), NullReference("key", machines)).hypothesis.covariance
+    nulls = null_reference(tuple(mass.misfit.share_by_band))
+    grown = with_lasting_error(replace(mass, misfit=misfit), nulls).hypothesis.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(grown) / np.diag(mass.hypothesis.covariance)), growth, rtol=1e-6)
 
 
@@ -180,75 +169,64 @@ def ruling_out(*worse):
 
 
 def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
-    mass = validated_hypothesis(1.5, "added_mass")
-    spring = validated_hypothesis(1.52, "linear_spring")
-    nominal = validated_hypothesis(60.0)
-    ranked = [mass, spring, nominal]
+    ranked = [MASS, SPRING, NOMINAL]
     unvetoed = predicted_decision(ranked, decide, ruling_out())
-    assert unvetoed.decision.named_hypothesis is mass
+    assert unvetoed.decision.named_hypothesis is MASS
     assert not unvetoed.ruled_out
-    without_mass = predicted_decision(ranked, decide, ruling_out(mass))
-    assert without_mass.decision.named_hypothesis is spring
+    without_mass = predicted_decision(ranked, decide, ruling_out(MASS))
+    assert without_mass.decision.named_hypothesis is SPRING
     assert without_mass.decision.corrects_rig
-    assert without_mass.ruled_out == (mass,)
+    assert without_mass.ruled_out == (MASS,)
     assert not without_mass.is_vetoed
 
 
-@pytest.mark.parametrize("short_of_expected", ["mass", "both"])
-def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_falls_short(short_of_expected):
-    mass = validated_hypothesis(1.5, "added_mass")
-    spring = validated_hypothesis(1.52, "linear_spring")
-    nominal = validated_hypothesis(60.0)
-    short_sets = (mass,) if short_of_expected == "mass" else (mass, spring)
-
+@pytest.mark.parametrize(
+    ("short_sets", "named", "ruled_out"), [((MASS,), SPRING, (MASS,)), ((MASS, SPRING), MASS, ())], ids=["mass", "both"]
+)
+def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_falls_short(short_sets, named, ruled_out):
     def predict(named_set):
         return Attempt(Rollout(code="not_vetoed", falls_short=any(named_set is short for short in short_sets)))
 
-    outcome = predicted_decision([mass, spring, nominal], decide, predict)
-    assert outcome.decision.named_hypothesis is (spring if short_of_expected == "mass" else mass)
+    outcome = predicted_decision([MASS, SPRING, NOMINAL], decide, predict)
+    assert outcome.decision.named_hypothesis is named
     assert outcome.decision.corrects_rig
-    assert outcome.ruled_out == ((mass,) if short_of_expected == "mass" else ())
+    assert outcome.ruled_out == ruled_out
 
 
 def test_a_veto_stays_where_no_other_effect_was_likely():
-    mass = validated_hypothesis(1.5, "added_mass")
-    spring = validated_hypothesis(1.52, "linear_spring")
-    nominal = validated_hypothesis(60.0)
     nothing_told = validated_hypothesis(1.52, "linear_spring", 0.1)
     for ranked, worse in (
-        ([mass, spring, nominal], (mass, spring)),
-        ([mass, validated_hypothesis(5.0, "linear_spring"), nominal], (mass,)),
-        ([mass, nothing_told, nominal], (mass,)),
+        ([MASS, SPRING, NOMINAL], (MASS, SPRING)),
+        ([MASS, validated_hypothesis(5.0, "linear_spring"), NOMINAL], (MASS,)),
+        ([MASS, nothing_told, NOMINAL], (MASS,)),
     ):
         outcome = predicted_decision(ranked, decide, ruling_out(*worse))
         assert outcome.is_vetoed
-        assert outcome.decision.named_hypothesis is mass
+        assert outcome.decision.named_hypothesis is MASS
         assert not outcome.decision.corrects_rig
         assert not outcome.ruled_out
 
 
 @pytest.mark.parametrize(("share_alone", "named_alone"), [(1.0, True), (0.1, False)])
 def test_an_effect_that_a_pair_names_stands_alone_only_where_it_is_named_there(share_alone, named_alone):
-    mass, weak_spring = validated_hypothesis(1.5, "added_mass"), validated_hypothesis(1.5, "linear_spring", 0.1)
+    mass, weak_spring = MASS.hypothesis, validated_hypothesis(1.5, "linear_spring", 0.1).hypothesis
     pair_hypothesis = Hypothesis(
-        mass.hypothesis.candidates + weak_spring.hypothesis.candidates,
-        np.concatenate([mass.hypothesis.values, weak_spring.hypothesis.values]),
-        block_diag(mass.hypothesis.covariance, weak_spring.hypothesis.covariance),
+        mass.candidates + weak_spring.candidates,
+        np.concatenate([mass.values, weak_spring.values]),
+        block_diag(mass.covariance, weak_spring.covariance),
         mass.misfit,
     )
-    pair = replace(mass, hypothesis=pair_hypothesis)
-    alone, nominal = validated_hypothesis(1.52, "added_mass", share_alone), validated_hypothesis(60.0)
-    decision = decide([pair, alone, nominal], vetoed=False)
-    assert decision.evidence.named == (mass.hypothesis.candidates[0].name,)
+    pair, alone = replace(MASS, hypothesis=pair_hypothesis), validated_hypothesis(1.52, "added_mass", share_alone)
+    decision = decide([pair, alone, NOMINAL], vetoed=False)
+    assert decision.evidence.named == (mass.candidates[0].name,)
     assert decision.named_hypothesis is (alone if named_alone else pair)
 
 
 def test_what_the_named_effect_changes_is_bounded_beside_it():
     """The nominal rig, its tolerances fitted, leaves little; with the tolerances as beside the mass it leaves much."""
-    mass, nominal = validated_hypothesis(1.0, "added_mass"), validated_hypothesis(60.0)
-    named = decide([mass, nominal], vetoed=False).evidence
-    assert named.quantities_beside[0].value == mass.nominal_misfit.motion_share
-    unnamed = decide([validated_hypothesis(1.0, "added_mass", 0.1), nominal], vetoed=False).evidence
+    named = decide([MASS, NOMINAL], vetoed=False).evidence
+    assert named.quantities_beside[0].value == MASS.nominal_misfit.motion_share
+    unnamed = decide([validated_hypothesis(1.0, "added_mass", 0.1), NOMINAL], vetoed=False).evidence
     assert not unnamed.named
     assert not unnamed.quantities_beside
 

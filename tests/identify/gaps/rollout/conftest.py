@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.stats import norm
 
 from identify.gaps.decision.null_simulations import draw_rig
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
+from identify.gaps.rollout.judge import judge_correction
+from identify.gaps.rollout.results import NullErrors, Rollout
 from identify.gaps.rollout.windows import null_errors
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
@@ -33,10 +36,11 @@ class Case:
 
     def fitted(self, *effects: str) -> Residual:
         """The believed rig with effects, fitted to the recording."""
-        rig = BELIEVED
-        for effect in effects:
-            rig = effect_named(effect).applied_to(rig)
-        return fit_nuisance(record_of(self.recording), rig)[1]
+        return fit_nuisance(record_of(self.recording), with_effects(BELIEVED, *effects))[1]
+
+    def judged(self, nulls: list[NullErrors], *effects: str) -> Rollout:
+        """The believed rig corrected by effects."""
+        return judge_correction(self.recording, self.fitted(), self.fitted(*effects), nulls, prediction.modal)
 
 
 def machine(seed):
@@ -45,8 +49,7 @@ def machine(seed):
 
 
 def recorded(actual, seed):
-    settings = BarrelCradle(sensors="acceleration", duration_s=30.0, rms_n=18.0, seed=seed)
-    force_n = force_history(settings.force(), settings.duration_s, 1 / BELIEVED.sample_rate_hz)
+    force_n = force_history(replace(SETTINGS, seed=seed).force(), SETTINGS.duration_s, 1 / BELIEVED.sample_rate_hz)
     return replay.modal(BELIEVED, actual, force_n, seed)
 
 
@@ -74,8 +77,5 @@ def damped():
 @pytest.fixture(scope="session")
 def nulls():
     """Errors of three null simulations."""
-    errors = []
-    for seed in (11, 12, 13):
-        case = Case(recorded(machine(seed), seed))
-        errors.append(null_errors(case.recording, case.fitted(), prediction.modal))
-    return errors
+    cases = [Case(recorded(machine(seed), seed)) for seed in (11, 12, 13)]
+    return [null_errors(case.recording, case.fitted(), prediction.modal) for case in cases]

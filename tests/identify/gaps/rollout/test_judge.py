@@ -28,7 +28,7 @@ MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 
 @pytest.mark.study
 def test_a_right_correction_shrinks_the_gap_and_is_not_vetoed(damped, nulls):
-    rollout = judge_correction(damped.recording, damped.fitted(), damped.fitted(DAMPING), nulls, prediction.modal)
+    rollout = damped.judged(nulls, DAMPING)
     assert rollout.code == "not_vetoed"
     assert not rollout.whole.at_floor
     assert 0.7 < rollout.whole.shrunk <= 1
@@ -39,16 +39,14 @@ def test_a_right_correction_shrinks_the_gap_and_is_not_vetoed(damped, nulls):
 
 
 def test_a_clearance_that_tolerances_take_up_is_a_gap_of_the_rig_as_it_stands(wide_clearance, nulls):
-    rollout = judge_correction(
-        wide_clearance.recording, wide_clearance.fitted(), wide_clearance.fitted(CLEARANCE), nulls, prediction.modal
-    )
+    rollout = wide_clearance.judged(nulls, CLEARANCE)
     assert rollout.code == "not_vetoed"
     assert rollout.whole.nominal > 1.5 * rollout.within
     assert rollout.whole.shrunk > 0.7
 
 
 def test_a_null_is_at_the_floor_and_not_vetoed(null, nulls):
-    rollout = judge_correction(null.recording, null.fitted(), null.fitted(), nulls, prediction.modal)
+    rollout = null.judged(nulls)
     assert rollout.code == "not_vetoed"
     assert rollout.whole.at_floor
     assert rollout.shrunk_95 is None
@@ -60,7 +58,7 @@ def test_a_null_is_at_the_floor_and_not_vetoed(null, nulls):
     [pytest.param(FRICTION, marks=pytest.mark.study), "added_mass:mass_kg=0.2,relative_position=0.8,body=barrel"],
 )
 def test_a_wrong_correction_is_vetoed(null, nulls, wrong):
-    rollout = judge_correction(null.recording, null.fitted(), null.fitted(wrong), nulls, prediction.modal)
+    rollout = null.judged(nulls, wrong)
     assert rollout.code == "worse"
     assert rollout.vetoed
 

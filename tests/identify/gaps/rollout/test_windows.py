@@ -45,12 +45,8 @@ def test_the_horizon_is_the_longest_that_the_median_null_is_predicted_over():
 
 def errors(case, rig, residual):
     motion = measured_motion(case.recording, rig, residual)
-    return prediction_errors(
-        motion,
-        prediction.modal,
-        disjoint_starts(motion.first_sample, motion.stop_sample - motion.first_sample, HORIZON, 60),
-        HORIZON,
-    )
+    starts = disjoint_starts(motion.first_sample, motion.stop_sample - motion.first_sample, HORIZON, 60)
+    return prediction_errors(motion, prediction.modal, starts, HORIZON)
 
 
 def test_a_right_rig_is_predicted_over_a_tenth_of_a_second(null):

@@ -27,17 +27,8 @@ class World:
 
     @property
     def rig(self):
-        beams = tuple(
-            Beam(
-                name=b,
-                ends="clamped-free",
-                length_m=1.0 + 0.1 * i,
-                width_m=0.05,
-                thickness_m=0.01,
-                damping_ratio=self.damping_ratio,
-            )
-            for i, b in enumerate(self.bodies)
-        )
+        section = {"ends": "clamped-free", "width_m": 0.05, "thickness_m": 0.01, "damping_ratio": self.damping_ratio}
+        beams = tuple(Beam(name=b, length_m=1.0 + 0.1 * i, **section) for i, b in enumerate(self.bodies))
         sensors = tuple(
             Sensor(name=f"{b}_{1000 * x:.0f}", station=Station(b, x), quantity="acceleration", noise_density=NOISE)
             for b in self.bodies
@@ -73,9 +64,8 @@ class World:
         modes, zeta = body.frequencies_hz(MODES) * stiffer, body.damping_ratios(MODES)
         natural = 2 * np.pi * modes[:, None]
         receptances = 1 / (natural**2 - self.omega**2 + 2j * zeta[:, None] * natural * self.omega)
-        return (
-            body.shapes(np.asarray(positions_m), MODES) * body.shapes(np.array([force_position_m]), MODES)[0]
-        ) @ receptances
+        shapes, at_force = (body.shapes(np.asarray(places_m), MODES) for places_m in (positions_m, [force_position_m]))
+        return (shapes * at_force[0]) @ receptances
 
     def displacements(self, forces, stations):
         """Spectra of the displacement (m) at some stations by forces, each a station and a time history (N)."""

@@ -43,9 +43,8 @@ def test_drag_is_found_with_its_place_and_law(damped):
     assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert force.against == "velocity squared"
     assert force.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
-    assert force.sentence.startswith(
-        f"a force on the beam near {force.position_m:.2f} m that grows with the square of the velocity"
-    )
+    place = f"a force on the beam near {force.position_m:.2f} m"
+    assert force.sentence.startswith(f"{place} that grows with the square of the velocity")
 
 
 def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
@@ -53,10 +52,8 @@ def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
     laser = Sensor(name="laser", station=Station("beam", 1.0), quantity="displacement")
     rig = changed(world.rig, sensors=(laser, *world.rig.sensors))
     estimate = locate_force(whitened_record(replace(world.record(), rig=rig), rig))
-    assert {c.sensor_name for c in force_places(rig, estimate.whitened_record.record.sensors)} == {
-        "",
-        *(s.name for s in world.rig.sensors),
-    }
+    named = {place.sensor_name for place in force_places(rig, estimate.whitened_record.record.sensors)}
+    assert named == {"", *(s.name for s in world.rig.sensors)}
 
 
 def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):
@@ -84,9 +81,8 @@ def test_a_random_force_has_a_band_and_no_law(world):
 
 def test_a_support_that_yields_is_told_from_other_springs(damped):
     stiffness, yield_m, place_m = 100.0, 1e-3, 0.9
-    force = force_in(
-        damped, ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m))
-    )
+    law = ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m))
+    force = force_in(damped, law)
     assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert force.law_name == "softening spring"
     assert force.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
@@ -150,9 +146,8 @@ def test_the_criterion_falls_most_at_the_true_place(world):
     before = evidence_without_force(whitened)
 
     def criterion(at_m):
-        return evidence_with_force(
-            whitened, response_of(whitened, ForcePlace("force", (Station("beam", at_m),))), before
-        ).criterion
+        response = response_of(whitened, ForcePlace("force", (Station("beam", at_m),)))
+        return evidence_with_force(whitened, response, before).criterion
 
     lowest = criterion(place_m)
     assert lowest < before.criterion
