@@ -67,8 +67,8 @@ def fit_base_spectrum(
     )
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
     pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
-    parameter_ranges = candidate.parameters
-    is_in_range = (lines_hz >= parameter_ranges["low_hz"].low) & (lines_hz <= parameter_ranges["high_hz"].high)
+    ranges = candidate.parameters
+    is_in_range = (lines_hz >= ranges["low_hz"].low) & (lines_hz <= ranges["high_hz"].high)
     largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
         gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
@@ -83,13 +83,13 @@ def fit_base_spectrum(
         best_density, pattern_power[best_lines], pattern_size[best_lines], counted_share
     )
     gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
-    cumulative_gains = np.concatenate(
+    cumulative = np.concatenate(
         [[0.0], np.cumsum(gain_by_line * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES)]
     )
     resolution_hz = record.sample_rate_hz / counted_count
     middle_line = (best_lines.start + best_lines.stop) // 2
-    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative_gains[:middle_line], resolution_hz)
-    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative_gains[middle_line:-1], resolution_hz)
+    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative[:middle_line], resolution_hz)
+    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative[middle_line:-1], resolution_hz)
     is_in_band = (lines_hz >= low_hz) & (lines_hz <= high_hz)
     noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
     excess_power = np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern
@@ -97,9 +97,7 @@ def fit_base_spectrum(
     if np.sum(excess_of_pattern[is_in_band]) < LEAST_PATTERN_SHARE * np.sum(excess_power[is_in_band]):
         return None
     rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
-    base_motion_values = np.array(
-        [np.clip(rms_m_per_s2, 0, parameter_ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz]
-    )
+    base_motion_values = np.array([np.clip(rms_m_per_s2, 0, ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
     return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])
 
