@@ -43,18 +43,22 @@ def prior_scales(record: Record) -> Scales:
     return Scales(np.full(record.noise_variance.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
+def segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
+    """Samples per segment, number of segments, lines per band and number of bands."""
+    samples = min(round(SEGMENT_S * rate_hz), sample_count)
+    lines_per_band = max(1, round(BAND_WIDTH_HZ * samples / rate_hz))
+    return samples, sample_count // samples, lines_per_band, (samples // 2 + 1) // lines_per_band
+
+
 def second_levels(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
     residuals = residual[: len(record.sensors)]
-    samples = min(round(SEGMENT_S * record.rate_hz), residuals.shape[1])
-    count = residuals.shape[1] // samples
+    samples, count, lines, band_count = segment_counts(record.rate_hz, residuals.shape[1])
     segments = residuals[:, : count * samples].reshape(len(residuals), count, samples)
     window = hann(samples, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    lines = max(1, round(BAND_WIDTH_HZ * samples / record.rate_hz))
-    band_count = power.shape[2] // lines
     by_line = power[:, :, : band_count * lines].reshape(len(residuals), count, band_count, lines)
     return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
 

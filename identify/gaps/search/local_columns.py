@@ -7,7 +7,7 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.fit import contact_columns
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn
-from identify.gaps.residual.scales import BAND_WIDTH_HZ, SEGMENT_S, band_means
+from identify.gaps.residual.scales import band_means, segment_counts
 
 
 class LocalColumns:
@@ -52,19 +52,12 @@ class LocalColumns:
         return columns_of_contact
 
 
-def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
-    """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
-    samples = min(round(SEGMENT_S * rate_hz), sample_count)
-    lines_per_band = max(1, round(BAND_WIDTH_HZ * samples / rate_hz))
-    return samples, sample_count // samples, lines_per_band, (samples // 2 + 1) // lines_per_band
-
-
 def _scales_and_cells(
     linearization: Linearization, nominal_variances: NominalVariances, sample_count: int
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, lines_per_band, band_count = _segment_counts(record.rate_hz, sample_count)
+    _, segment_count, lines_per_band, band_count = segment_counts(record.rate_hz, sample_count)
     variances = band_means(record, linearization.model.error_deviation**2, band_count)
     spectrum_scales = np.sqrt((variances / nominal_variances.expected_variance).T / (segment_count * lines_per_band))
     row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)
@@ -77,7 +70,7 @@ def _spectra(
     rate_hz: float, signal: Float[np.ndarray, "sensors times"], spectrum_scales: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    samples, segment_count, lines, band_count = _segment_counts(rate_hz, signal.shape[1])
+    samples, segment_count, lines, band_count = segment_counts(rate_hz, signal.shape[1])
     window = hann(samples, sym=False)
     window = window / np.sqrt(np.sum(window**2))
     segments = signal[:, : segment_count * samples].reshape(len(signal), segment_count, samples) * window
