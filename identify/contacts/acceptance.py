@@ -76,9 +76,7 @@ def checked_contacts(
     Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
     channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
     """
-    findings = tuple(
-        finding for finding in check_recording(recording, use, tolerances) if finding.cause != "not at rest"
-    )
+    findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
     with naming_first_finding(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(contacts.separation.motion):
@@ -121,9 +119,9 @@ def accept(separation: Separation, outcomes: Outcomes) -> AcceptedContacts:
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
-        if estimate.unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
-            unexplained_percent = 100 * estimate.unexplained_share
-            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=unexplained_percent)
+        share = estimate.unexplained_share
+        if share > FREE_DECAY_UNEXPLAINED_LIMIT:
+            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=100 * share)
 
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
@@ -140,14 +138,14 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     the fit. Where a spring holds the bodies, a sensor's high-pass counts too: it represents slow motion that
     accelerometers miss and that the spring feels.
     """
-    widening_kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
-    body_and_force_pulls = {
+    kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
+    pulls = {
         parameter: abs(pull)
         for pull, parameter in zip(estimate.pulls, parameters, strict=True)
-        if parameter.kind in widening_kinds and parameter.mode_number is None
+        if parameter.kind in kinds and parameter.mode_number is None
     }
-    largest_pull = max(body_and_force_pulls.values(), default=0.0)
-    is_single_body = sum(nuisance.kind == NuisanceKind.FREQUENCY for nuisance in body_and_force_pulls) == 1
+    largest_pull = max(pulls.values(), default=0.0)
+    is_single_body = sum(parameter.kind == NuisanceKind.FREQUENCY for parameter in pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
     covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
@@ -159,30 +157,28 @@ def fit_findings(
 ) -> Iterator[Finding]:
     """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate, whose damping
     (N s/m) is the value of that index."""
-    for parameter_index, parameter in enumerate(parameters):
-        pulls = (estimate.pulls[parameter_index] for estimate in estimates.values())
-        largest_pull = max(pulls, key=abs, default=0.0)
+    for index, parameter in enumerate(parameters):
+        largest_pull = max((estimate.pulls[index] for estimate in estimates.values()), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(largest_pull) > PULL_LIMIT:
             yield _pull_finding(parameter, largest_pull)
     for name, estimate in estimates.items():
-        damping_n_s_per_m, damping_error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
-        if damping_n_s_per_m < -NEGATIVE_DAMPING_ERRORS * damping_error:
-            damping_text = interval(damping_n_s_per_m, damping_error, "N s/m")
-            yield _fit_finding(name, f"{name} comes out with a negative damping of {damping_text}")
+        damping, error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
+        if damping < -NEGATIVE_DAMPING_ERRORS * error:
+            yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
-            unexplained_text = f"{100 * estimate.unexplained_share:.2g} %"
-            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained_text} of {name}'s force")
+            share = f"{100 * estimate.unexplained_share:.2g} %"
+            yield _fit_finding(name, f"no clearance and stiffness explain {share} of {name}'s force")
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    owner = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
         channels=(parameter.owner,) if parameter.kind in SENSOR_KINDS else (),
-        of=owner_name,
-        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner_name} to be {pull:+.2g} tolerances off",
+        of=owner,
+        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
@@ -192,21 +188,19 @@ def equation_findings(
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
     for nifo in spectra:
-        for contact_index, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
+        for index, mean_n_per_m, mean_error, deviation in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, is_visible = names[contact_index], nifo.equation.visibility[contact_index] >= NEARLY_INVISIBLE_SHARE
-            if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
+            name, is_visible = names[index], nifo.equation.visibility[index] >= NEARLY_INVISIBLE_SHARE
+            if name not in estimates or not is_visible or deviation > STEADY_SHARE * abs(mean_n_per_m):
                 continue
-            estimate = estimates[name]
-            stiffness_n_per_m, stiffness_error_n_per_m = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
-            combined_error = float(np.hypot(mean_error_n_per_m, stiffness_error_n_per_m))
-            limit_n_per_m = max(CONTRADICTION_SHARE * stiffness_n_per_m, CONTRADICTION_ERRORS * combined_error)
-            if abs(mean_n_per_m - stiffness_n_per_m) > limit_n_per_m:
+            stiffness_n_per_m, error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS_GRADIENT)
+            errors_n_per_m = CONTRADICTION_ERRORS * float(np.hypot(mean_error, error))
+            if abs(mean_n_per_m - stiffness_n_per_m) > max(CONTRADICTION_SHARE * stiffness_n_per_m, errors_n_per_m):
                 yield _fit_finding(
                     name,
                     f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
-                    f"together {interval(stiffness_n_per_m, stiffness_error_n_per_m, 'N/m')} (± 95 %)",
+                    f"together {interval(stiffness_n_per_m, error, 'N/m')} (± 95 %)",
                 )
 
 

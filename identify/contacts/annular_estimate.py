@@ -7,16 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from identify.contacts.annular_fit import AnnularFit, annular_fit
-from identify.contacts.annular_law import (
-    CENTER,
-    CLEARANCE,
-    LOG_SPEED,
-    REST,
-    RING,
-    STIFFNESS,
-    RingValues,
-    ring_motion,
-)
+from identify.contacts.annular_law import CENTER, CLEARANCE, LOG_SPEED, REST, RING, STIFFNESS, RingValues, ring_motion
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
 from identify.contacts.joint_fit import (
     check_bridged,
@@ -84,8 +75,8 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
 
     The covariance is that of `joint_fit.fit_joint`: a sandwich over sixteenths of the record, both directions of one
     together, plus the effect of a unit error in each row of the priors, plus what deep and shallow, and growing and
-    falling depths ask otherwise (`law_fit.misfit_covariance`). By accelerometers the centre
-    against the rest position is -(d + |f_0| / k) f_0 / |f_0| with the wall's force f_0 at rest.
+    falling depths ask otherwise (`law_fit.misfit_covariance`). By accelerometers the centre against the rest position
+    is -(d + |f_0| / k) f_0 / |f_0| with the wall's force f_0 at rest.
 
     Raises ContactRefusedError as the fit does, or if the slow motion is larger than the accelerometers' noise allows or
     is not bridged from closure to closure.
@@ -104,57 +95,42 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
     if is_center_by_rest:
         springs_n_per_m = np.array([plane.spring_n_per_m for plane in record.planes])
-        at_rest, at_rest_by_values = _center_and_rest_force(values, springs_n_per_m)
-        values[CENTER_AND_REST] = at_rest
-        ring_by_free[pull_count:, CENTER_AND_REST] = (at_rest_by_values @ free_to_law).T
-    knots_per_gradient, pulls_and_free_per_gradient = equations.solved(ring_by_knots, ring_by_free)
-    pulls_and_laws_per_gradient = np.concatenate(
-        [pulls_and_free_per_gradient[:pull_count], free_to_law @ pulls_and_free_per_gradient[pull_count:]]
-    )
-    influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
-    influence_by_plane, residual_by_plane = (
-        influence.reshape(DIRECTIONS, -1, len(RING)),
-        state.residual_n.reshape(DIRECTIONS, -1),
-    )
-    part_starts = informative_parts(np.hypot(*influence_by_plane[:, :, STIFFNESS]))
-    scores_by_part = np.sum(
-        [
-            part_scores(*rows_by_source, part_starts)
-            for rows_by_source in zip(influence_by_plane, residual_by_plane, strict=True)
-        ],
-        axis=0,
-    )
-    rows_by_source = (
-        small_sample_factor(free_to_law.shape[1]) * scores_by_part,
-        record.samples_per_error * pulls_and_free_per_gradient[:pull_count],
-        drift_spline.curvature @ knots_per_gradient,
-    )
-    covariances = {
-        source: row.T @ row for source, row in zip(("scatter", "tolerances", "drift"), rows_by_source, strict=True)
+        values[CENTER_AND_REST], by_values = _center_and_rest_force(values, springs_n_per_m)
+        ring_by_free[pull_count:, CENTER_AND_REST] = (by_values @ free_to_law).T
+    knots, pulls_and_free = equations.solved(ring_by_knots, ring_by_free)
+    pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], free_to_law @ pulls_and_free[pull_count:]])
+    influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
+    influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
+    part_starts = informative_parts(np.hypot(*influences[:, :, STIFFNESS]))
+    planes = zip(influences, residuals_n, strict=True)
+    scores = np.sum([part_scores(*plane, part_starts) for plane in planes], axis=0)
+    rows_by_source = {
+        "scatter": small_sample_factor(free_to_law.shape[1]) * scores,
+        "tolerances": record.samples_per_error * pulls_and_free[:pull_count],
+        "drift": drift_spline.curvature @ knots,
     }
+    covariances = {source: rows.T @ rows for source, rows in rows_by_source.items()}
     covariances["law"] = _misfit_covariance(fit, derivatives, part_starts)
     covariance = np.asarray(sum(covariances.values()))
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
     rest_error_n = float(np.sqrt(np.diag(covariance)[REST].max()))
     is_closed_at_rest = is_center_by_rest and float(np.hypot(*values[REST])) > REST_ERRORS * rest_error_n
+    is_center_certain = center_error_m < CENTER_SHARE * values[CLEARANCE]
+    planes_n = [
+        (residual_n[record.used], plane.force_n[record.used], plane.noise_n)
+        for residual_n, plane in zip(residuals_n, record.planes, strict=True)
+    ]
     return AnnularEstimate(
         values=values,
         covariances=covariances,
         sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
-        center_known=bool(
-            (is_closed_at_rest or record.zero_known) and center_error_m < CENTER_SHARE * values[CLEARANCE]
-        ),
+        center_known=bool((is_closed_at_rest or record.zero_known) and is_center_certain),
         pulls=state.pulls[:-1],
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
         force_n=record.force_n + state.values[REST][:, None],
-        unexplained_share=unexplained_share(
-            [
-                (residual[record.used], plane.force_n[record.used], plane.noise_n)
-                for residual, plane in zip(residual_by_plane, record.planes, strict=True)
-            ]
-        ),
-        half_differences=half_differences(scores_by_part[:, [CLEARANCE, STIFFNESS]]),
+        unexplained_share=unexplained_share(planes_n),
+        half_differences=half_differences(scores[:, [CLEARANCE, STIFFNESS]]),
     )
 
 
@@ -170,18 +146,17 @@ def _center_and_rest_force(
     """
     clearance_m, stiffness_n_per_m, springs = values[CLEARANCE], values[STIFFNESS], np.diag(springs_n_per_m)
     if springs_n_per_m.all() and np.hypot(*(values[REST] / springs_n_per_m)) < clearance_m:
-        at_rest_by_values = np.zeros((2 * DIRECTIONS, len(RING)))
-        at_rest_by_values[:DIRECTIONS, REST] = -np.diag(1 / springs_n_per_m)
-        return at_rest_by_values @ values, at_rest_by_values
-    wall_n = np.where(values[REST].any(), values[REST], 1e-12)
+        by_values = np.zeros((2 * DIRECTIONS, len(RING)))
+        by_values[:DIRECTIONS, REST] = -np.diag(1 / springs_n_per_m)
+        return by_values @ values, by_values
+    wall_n, unit = np.where(values[REST].any(), values[REST], 1e-12), np.eye(DIRECTIONS)
     for _ in range(NEWTON_STEPS):
         force_n = float(np.hypot(*wall_n))
         along = np.outer(wall_n, wall_n) / force_n**2
-        position_m = (clearance_m / force_n + 1 / stiffness_n_per_m) * wall_n
-        position_by_wall = along / stiffness_n_per_m + (clearance_m / force_n + 1 / stiffness_n_per_m) * (
-            np.eye(DIRECTIONS) - along
-        )
-        wall_by_fitted = np.linalg.inv(np.eye(DIRECTIONS) + springs @ position_by_wall)
+        m_per_n = clearance_m / force_n + 1 / stiffness_n_per_m
+        position_m = m_per_n * wall_n
+        position_by_wall = along / stiffness_n_per_m + m_per_n * (unit - along)
+        wall_by_fitted = np.linalg.inv(unit + springs @ position_by_wall)
         wall_n = wall_n - wall_by_fitted @ (wall_n + springs @ position_m - values[REST])
     position_by_values = np.zeros((DIRECTIONS, len(RING)))
     position_by_values[:, CLEARANCE] = wall_n / force_n
@@ -198,8 +173,8 @@ def _misfit_covariance(
     """Covariance of the parameters from the misfit of the law, as `law_fit.misfit_covariance`; the force at rest, which
     the open contact tells, is held."""
     record, state = fit.record, fit.state
-    free_indices = [parameter_index for parameter_index in fit.free if parameter_index < REST.start]
-    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free_indices]
+    free = [parameter for parameter in fit.free if parameter < REST.start]
+    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free]
     residual = state.residual_n.reshape(DIRECTIONS, -1)
     squared_weights = fit.weights.reshape(DIRECTIONS, -1) ** 2
     eta, rate = fit.motion(state.knots, state.pulls)
@@ -210,17 +185,18 @@ def _misfit_covariance(
     covariance = np.zeros((len(RING), len(RING)))
 
     def half_scores(is_in_half: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
-        weighted_by_law = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * by_law / law_scale
-        normal_matrix = np.einsum("pij,pik->jk", weighted_by_law, by_law / law_scale)
-        influence = weighted_by_law @ np.linalg.pinv(normal_matrix, hermitian=True)
+        weighted = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * by_law / law_scale
+        normal_matrix = np.einsum("pij,pik->jk", weighted, by_law / law_scale)
+        influence = weighted @ np.linalg.pinv(normal_matrix, hermitian=True)
         return np.sum([part_scores(*rows, part_starts) for rows in zip(influence, residual, strict=True)], axis=0)
 
-    for half_masks in ((is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)):
-        if min(half_mask.sum() for half_mask in half_masks) < LEAST_HALF_SAMPLES:
+    for mask in (is_deep, is_growing):
+        first, second = is_closed & mask, is_closed & ~mask
+        if min(first.sum(), second.sum()) < LEAST_HALF_SAMPLES:
             continue
-        parameter_difference, excess = misfit_excess(half_scores(half_masks[0]) - half_scores(half_masks[1]))
+        difference, excess = misfit_excess(half_scores(first) - half_scores(second))
         law_error = np.zeros(len(RING))
-        law_error[free_indices] = parameter_difference / law_scale / 2
+        law_error[free] = difference / law_scale / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 

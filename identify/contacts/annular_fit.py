@@ -91,20 +91,14 @@ class AnnularFit:
     ) -> AnnularState:
         """State at some parameters, with its cost for the weights."""
         record, values = self.record, self.values_at(values, pulls)
-        eta, rate = self.motion(knots, pulls)
-        law_force_n = evaluated_law(
-            partial(ring_force_n, values), np.concatenate([eta, rate]), record.sample_rate_hz, record.decimation
-        )
+        motion = np.concatenate(self.motion(knots, pulls))
+        law_n = evaluated_law(partial(ring_force_n, values), motion, record.sample_rate_hz, record.decimation)
+        law_n = law_n[:, : record.force_n.shape[1]]
         residual = []
-        for plane_index, plane in enumerate(record.planes):
-            plane_pulls = pulls[record.columns[plane_index]]
-            unfitted_n = (
-                plane.force_n
-                + values[REST][plane_index]
-                - plane_pulls @ plane.nuisance_n
-                - law_force_n[plane_index, : plane.force_n.size]
-            )
-            ground_force_n = ground_n_per_m(plane) @ knots[plane_index::DIRECTIONS]
+        for k, plane in enumerate(record.planes):
+            plane_pulls = pulls[record.columns[k]]
+            unfitted_n = plane.force_n + values[REST][k] - plane_pulls @ plane.nuisance_n - law_n[k]
+            ground_force_n = ground_n_per_m(plane) @ knots[k::DIRECTIONS]
             residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground_force_n)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
         prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.target
@@ -115,30 +109,21 @@ class AnnularFit:
         self, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> tuple[Float[np.ndarray, "2 samples"], Float[np.ndarray, "2 samples"]]:
         """Relative displacements with slow motion and nuisance signals, m, and their rates, m/s."""
-        record = self.record
-        motion_by_plane = [
-            corrected_motion(plane, knots[plane_index::DIRECTIONS], pulls[record.columns[plane_index]])
-            for plane_index, plane in enumerate(record.planes)
+        columns = self.record.columns
+        motions = [
+            corrected_motion(plane, knots[k::DIRECTIONS], pulls[columns[k]])
+            for k, plane in enumerate(self.record.planes)
         ]
-        return np.stack([motion[0] for motion in motion_by_plane]), np.stack([motion[1] for motion in motion_by_plane])
+        eta, rate = zip(*motions, strict=True)
+        return np.stack(eta), np.stack(rate)
 
     @property
     def to_law(self) -> Float[np.ndarray, "9 free"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to all."""
         magnitudes, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
         clearance, stiffness = magnitudes[[CLEARANCE, STIFFNESS]].tolist()
-        parameter_sizes = [
-            clearance,
-            stiffness,
-            1e-3 * stiffness,
-            FRICTION_SIZE,
-            1.0,
-            clearance,
-            clearance,
-            force_n,
-            force_n,
-        ]
-        return np.diag(parameter_sizes)[:, list(self.free)]
+        law_sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SIZE, 1.0]
+        return np.diag([*law_sizes, clearance, clearance, force_n, force_n])[:, list(self.free)]
 
     @property
     def slopes(self) -> RingDerivatives:
@@ -147,35 +132,29 @@ class AnnularFit:
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""
-        record, state = self.record, self.state
-        slopes = self.slopes
+        record, slopes = self.record, self.slopes
         by_eta, by_rate = _low_passed(record, slopes.by_eta), _low_passed(record, slopes.by_rate)
         by_law = np.zeros((DIRECTIONS, record.force_n.shape[1], len(RING)))
         by_law[:, :, : len(slopes.by_law)] = np.moveaxis(_low_passed(record, slopes.by_law), 0, -1)
         by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
         by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
-        curves = [plane.drift_spline for plane in record.planes]
-        for plane_index, plane in enumerate(record.planes):
-            force_gain = 1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
-            by_law[plane_index] /= force_gain
-            knot_blocks = []
-            for curve_index, curve in enumerate(curves):
-                gain_ratio = self._motion_gain(curve_index) / force_gain
-                knot_values, knot_rates = (
-                    rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate)
-                )
-                knot_block = gain_ratio * (
-                    diags(by_eta[plane_index, curve_index]) @ knot_values
-                    + diags(by_rate[plane_index, curve_index]) @ knot_rates
-                )
-                knot_blocks.append(
-                    interleaved(
-                        knot_block + ground_n_per_m(plane) if plane_index == curve_index else knot_block, curve_index
-                    )
-                )
-            by_knots.append(knot_blocks[0] + knot_blocks[1])
+        for k, plane in enumerate(record.planes):
+            force_gain = self._force_gain(k)
+            by_law[k] /= force_gain
+            blocks = []
+            for i, moved_plane in enumerate(record.planes):
+                curve = moved_plane.drift_spline
+                values, rates = plane.at_force_samples(curve.value), plane.at_force_samples(curve.rate)
+                block = diags(by_eta[k, i]) @ values + diags(by_rate[k, i]) @ rates
+                block = self._motion_gain(i) / force_gain * block
+                blocks.append(interleaved(block + ground_n_per_m(plane) if k == i else block, i))
+            by_knots.append(blocks[0] + blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
+
+    def _force_gain(self, direction: int) -> float:
+        plane = self.record.planes[direction]
+        return float(1 - self.state.pulls[self.record.columns[direction]] @ plane.force_noise_multiple)
 
     def _motion_gain(self, direction: int) -> float:
         plane = self.record.planes[direction]
@@ -186,38 +165,27 @@ class AnnularFit:
     ) -> Float[np.ndarray, "twice nuisances"]:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
         record, state = self.record, self.state
-        sample_count = record.force_n.shape[1]
-        nuisance_rows = np.zeros((state.pulls.size, DIRECTIONS, sample_count), np.float32)
-        for plane_index, plane in enumerate(record.planes):
-            plane_columns = record.columns[plane_index]
-            ground_force_n = ground_n_per_m(plane) @ state.knots[plane_index::DIRECTIONS]
-            force_residual_n = state.residual_n.reshape(DIRECTIONS, -1)[plane_index] + ground_force_n
-            for nuisance_index, signal, noise_multiple in zip(
-                plane_columns, plane.nuisance_n, plane.force_noise_multiple, strict=True
+        rows = np.zeros((state.pulls.size, DIRECTIONS, record.force_n.shape[1]), np.float32)
+        for k, plane in enumerate(record.planes):
+            columns, knots = record.columns[k], state.knots[k::DIRECTIONS]
+            force_residual_n = state.residual_n.reshape(DIRECTIONS, -1)[k] + ground_n_per_m(plane) @ knots
+            for index, signal, multiple in zip(columns, plane.nuisance_n, plane.force_noise_multiple, strict=True):
+                rows[index, k] += signal - multiple * force_residual_n
+            drift_m = record.at_forces((plane.drift_spline.value @ knots)[None])[0]
+            for index, signal_m, multiple in zip(
+                columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
             ):
-                nuisance_rows[nuisance_index, plane_index] += signal - noise_multiple * force_residual_n
-            drift_m = record.at_forces((plane.drift_spline.value @ state.knots[plane_index::DIRECTIONS])[None])[0]
-            for nuisance_index, signal_m, noise_multiple in zip(
-                plane_columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
-            ):
-                force_change_n = slopes.by_eta[:, plane_index] * signal_m + slopes.by_rate[
-                    :, plane_index
-                ] * plane.velocity_of(signal_m)
-                nuisance_rows[nuisance_index] -= (
-                    _low_passed(record, force_change_n) + noise_multiple * by_eta[:, plane_index] * drift_m
-                )
-        for plane_index, plane in enumerate(record.planes):
-            nuisance_rows[:, plane_index] /= np.float32(
-                1 - state.pulls[record.columns[plane_index]] @ plane.force_noise_multiple
-            )
-        return nuisance_rows.reshape(state.pulls.size, -1).T
+                change_n = slopes.by_eta[:, k] * signal_m + slopes.by_rate[:, k] * plane.velocity_of(signal_m)
+                rows[index] -= _low_passed(record, change_n) + multiple * by_eta[:, k] * drift_m
+        for k in range(DIRECTIONS):
+            rows[:, k] /= np.float32(self._force_gain(k))
+        return rows.reshape(state.pulls.size, -1).T
 
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
         """Jacobian and normal equations at the state."""
         derivatives = self.jacobian()
-        return derivatives, normal_equations(
-            self.record, self.state, derivatives, self.to_law, self.weights, ANNULAR_BANDWIDTH
-        )
+        equations = normal_equations(self.record, self.state, derivatives, self.to_law, self.weights, ANNULAR_BANDWIDTH)
+        return derivatives, equations
 
     @property
     def minimum(self) -> "AnnularFit":
@@ -234,17 +202,16 @@ class AnnularFit:
                 values = current.values + share * free_to_law @ free_step[pull_count:, 0]
                 if not (values[CLEARANCE] > 0 and values[STIFFNESS] > 0):
                     return None
-                return self.state_at(
-                    values, current.knots + share * knot_step[:, 0], current.pulls + share * free_step[:pull_count, 0]
-                )
+                pulls = current.pulls + share * free_step[:pull_count, 0]
+                return self.state_at(values, current.knots + share * knot_step[:, 0], pulls)
 
             return Step(state_after, float(cost_decrease))
 
+        def negligible_decrease(current: AnnularState) -> float:
+            return max(SETTLED_SHARE * self.record.samples_per_error, COST_TOLERANCE * current.cost)
+
         start_state = self.state_at(self.state.values, self.state.knots, self.state.pulls)
-        settled_decrease = SETTLED_SHARE * self.record.samples_per_error
-        state, _ = gauss_newton(
-            start_state, step_from, lambda current: max(settled_decrease, COST_TOLERANCE * current.cost), MOST_STEPS
-        )
+        state, _ = gauss_newton(start_state, step_from, negligible_decrease, MOST_STEPS)
         return replace(self, state=state)
 
     @property
@@ -252,8 +219,7 @@ class AnnularFit:
         """Mask of the samples around which the fitted contact is open."""
         state = self.state
         eta = self.motion(state.knots, state.pulls)[0] - state.values[CENTER][:, None]
-        is_closed = self.record.at_forces(eta).T
-        is_closed = np.hypot(*is_closed.T) > state.values[CLEARANCE]
+        is_closed = np.hypot(*self.record.at_forces(eta)) > state.values[CLEARANCE]
         return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_SAMPLES + 1) == 0) & self.record.used
 
     @property
@@ -264,13 +230,11 @@ class AnnularFit:
         residual, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.open_samples
         magnitude_n, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
         weights = []
-        for plane_index, plane in enumerate(record.planes):
+        for k, plane in enumerate(record.planes):
             unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
-            open_n = np.std(
-                residual[plane_index, is_open] if np.any(residual[plane_index, is_open]) else residual[plane_index]
-            )
+            open_n = np.std(residual[k, is_open] if np.any(residual[k, is_open]) else residual[k])
             unmodelled_n = plane.unmodelled_share * np.hypot(magnitude_n, np.std(record.force_n))
-            stiffness_n_per_m = np.hypot(*by_eta[plane_index])
+            stiffness_n_per_m = np.hypot(*by_eta[k])
             deviation_n = np.sqrt(open_n**2 + (stiffness_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2)
             weights.append(record.used / deviation_n)
         return replace(self, weights=np.concatenate(weights))
@@ -290,19 +254,13 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
 
     Raises ContactRefusedError as the guess does, or if the normal equations are singular.
     """
-    record_without_nuisances = record.without_nuisances
-    values, knots = annular_guess(record_without_nuisances, sliding_speed_m_per_s)
-    center_indices = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
-    free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
-    force_size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
-    start_state = AnnularState(values, knots, np.zeros(1), np.zeros(force_size))
-    rough_fit = AnnularFit(
-        record_without_nuisances,
-        free_indices,
-        values[LOG_SPEED],
-        start_state,
-        np.tile(record.used / rough_n, DIRECTIONS),
-    ).minimum
+    without_nuisances = record.without_nuisances
+    values, knots = annular_guess(without_nuisances, sliding_speed_m_per_s)
+    center = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
+    free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center, *range(len(RING))[REST])
+    weights = np.tile(record.used / (ROUGH_SHARE * float(np.std(record.force_n))), DIRECTIONS)
+    start_state = AnnularState(values, knots, np.zeros(1), np.zeros(record.force_n.size))
+    rough_fit = AnnularFit(without_nuisances, free, values[LOG_SPEED], start_state, weights).minimum
     pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 

@@ -66,23 +66,13 @@ def ring_motion(
     depth_m = radius_m - values[CLEARANCE]
     damper = radial_rate * np.clip(depth_m / DAMPING_DEPTH_M, 0.0, 1.0)
     normal_n = values[STIFFNESS] * depth_m + values[DAMPING] * damper
-    is_pushing = (depth_m > 0) & (normal_n > 0)
-    normal_n = normal_n * is_pushing
+    pushes = (depth_m > 0) & (normal_n > 0)
+    normal_n = normal_n * pushes
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
-    friction_ratio = values[FRICTION] * sliding
     radial, tangent = np.stack([radial_y, radial_z]), np.stack([-radial_z, radial_y])
+    unit = radial + values[FRICTION] * sliding * tangent
     return RingMotion(
-        radial,
-        tangent,
-        radius_m,
-        depth_m,
-        tangential_rate,
-        radial_rate,
-        is_pushing,
-        damper,
-        normal_n,
-        sliding,
-        radial + friction_ratio * tangent,
+        radial, tangent, radius_m, depth_m, tangential_rate, radial_rate, pushes, damper, normal_n, sliding, unit
     )
 
 
@@ -109,32 +99,24 @@ def ring_derivatives(
 ) -> RingDerivatives:
     """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
     motion = ring_motion(values, eta_m, rate_m_per_s)
+    radial, tangent, unit, pushes, normal_n = motion.radial, motion.tangent, motion.unit, motion.pushes, motion.normal_n
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
-    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * motion.pushes
-    friction_slope = (
-        friction * motion.normal_n * (1 - motion.sliding**2) * np.exp(-log_speed)
-    )  # of the tangential force by v_t
-    normal_by_eta = (
-        stiffness * motion.pushes * motion.radial
-        + damping_slope * motion.tangential_rate_m_per_s / motion.radius_m * motion.tangent
-    )
-    turning_force_n = (
-        motion.normal_n - friction_slope * motion.radial_rate_m_per_s
-    ) * motion.tangent - friction * motion.normal_n * motion.sliding * motion.radial
-    by_eta = (
-        motion.unit[:, None] * normal_by_eta[None] + turning_force_n[:, None] / motion.radius_m * motion.tangent[None]
-    )
-    by_rate = (
-        motion.unit[:, None] * (damping_slope * motion.radial)[None]
-        + (friction_slope * motion.tangent)[:, None] * motion.tangent[None]
-    )
+    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * pushes
+    # of the tangential force by v_t
+    friction_slope = friction * normal_n * (1 - motion.sliding**2) * np.exp(-log_speed)
+    turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
+    normal_by_eta = stiffness * pushes * radial + turning_slope * tangent
+    tangential_n = normal_n - friction_slope * motion.radial_rate_m_per_s
+    turning_n = tangential_n * tangent - friction * normal_n * motion.sliding * radial
+    by_eta = unit[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
+    by_rate = unit[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
     by_law = np.stack(
         [
-            -stiffness * motion.pushes * motion.unit,
-            motion.depth_m * motion.pushes * motion.unit,
-            motion.damper * motion.pushes * motion.unit,
-            motion.normal_n * motion.sliding * motion.tangent,
-            -friction_slope * motion.tangential_rate_m_per_s * motion.tangent,
+            -stiffness * pushes * unit,
+            motion.depth_m * pushes * unit,
+            motion.damper * pushes * unit,
+            normal_n * motion.sliding * tangent,
+            -friction_slope * motion.tangential_rate_m_per_s * tangent,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

@@ -16,6 +16,7 @@ from identify.contacts.contact_record import (
     NOISE_DEVIATIONS,
     QUIET_DEVIATIONS,
     ContactRecord,
+    closed_force_n,
 )
 from identify.contacts.initial_guess import initial_pulls, robust_regression
 from identify.contacts.refusals import RefusalCode, refused
@@ -66,9 +67,7 @@ class AnnularRecord:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
         curves = [plane.drift_spline for plane in self.planes]
         empty_columns = csr_matrix((0, sum(curve.knots for curve in curves)))
-        curvature = vstack(
-            [interleaved(curve.curvature, curve_index) for curve_index, curve in enumerate(curves)]
-        ).tocsr()
+        curvature = vstack([interleaved(curve.curvature, k) for k, curve in enumerate(curves)]).tocsr()
         return Spline(empty_columns, empty_columns, curvature, np.concatenate([curve.target for curve in curves]))
 
     @property
@@ -121,17 +120,12 @@ def annular_record(
 ) -> AnnularRecord:
     """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
     initial states are those of their direction."""
-    index_by_parameter: dict[Nuisance, int] = {}
-    columns_by_plane = []
+    indices: dict[Nuisance, int] = {}
+    columns = []
     for direction, names, plane_parameters in zip("yz", force_names, parameters, strict=True):
-        renamed_parameters = [_in_space(parameter, direction, names) for parameter in plane_parameters]
-        columns_by_plane.append(
-            np.array(
-                [index_by_parameter.setdefault(parameter, len(index_by_parameter)) for parameter in renamed_parameters],
-                dtype=int,
-            )
-        )
-    return AnnularRecord(planes, tuple(index_by_parameter), (columns_by_plane[0], columns_by_plane[1]), quiet_samples)
+        renamed = [_in_space(parameter, direction, names) for parameter in plane_parameters]
+        columns.append(np.array([indices.setdefault(parameter, len(indices)) for parameter in renamed], dtype=int))
+    return AnnularRecord(planes, tuple(indices), (columns[0], columns[1]), quiet_samples)
 
 
 def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
@@ -152,26 +146,24 @@ def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
     """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
     Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
     force = record.force_n[:, record.used]
-    mode_n = np.array([_mode(force_row) for force_row in force])
+    mode_n = np.array([_mode(row) for row in force])
     near_deviation = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
     for _ in range(3):
         is_near = np.abs(force - mode_n[:, None]) < near_deviation[:, None]
         if is_near.all(axis=0).sum() < MODE_SAMPLES:
             break
-        mode_n = np.array([_mode(force[plane_index, is_near[1 - plane_index]]) for plane_index in range(DIRECTIONS)])
+        mode_n = np.array([_mode(force[k, is_near[1 - k]]) for k in range(DIRECTIONS)])
     return mode_n
 
 
 def _mode(force_values: Float[np.ndarray, " samples"]) -> float:
     """Half-sample mode: the shortest interval with half the samples, again and again."""
-    sorted_values = np.sort(force_values)
-    while sorted_values.size > MODE_SAMPLES:
-        half_count = int(np.ceil(MODE_SHARE * sorted_values.size))
-        shortest_start = int(
-            np.argmin(sorted_values[half_count - 1 :] - sorted_values[: sorted_values.size - half_count + 1])
-        )
-        sorted_values = sorted_values[shortest_start : shortest_start + half_count]
-    return float(np.median(sorted_values))
+    values = np.sort(force_values)
+    while values.size > MODE_SAMPLES:
+        half = int(np.ceil(MODE_SHARE * values.size))
+        start = int(np.argmin(values[half - 1 :] - values[: values.size - half + 1]))
+        values = values[start : start + half]
+    return float(np.median(values))
 
 
 def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
@@ -179,14 +171,8 @@ def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"])
     magnitude_n = np.hypot(*force_n)
     noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
     quiet_n = max(plane.quiet_deviation_n for plane in record.planes)
-    return record.used & (
-        magnitude_n
-        > max(
-            CLOSED_FORCE_SHARE * float(np.quantile(magnitude_n, 0.995)),
-            QUIET_DEVIATIONS * quiet_n,
-            NOISE_DEVIATIONS * noise_n,
-        )
-    )
+    least_n = max(closed_force_n(magnitude_n), QUIET_DEVIATIONS * quiet_n, NOISE_DEVIATIONS * noise_n)
+    return record.used & (magnitude_n > least_n)
 
 
 def annular_guess(
@@ -205,22 +191,20 @@ def annular_guess(
     is_closed = closed_samples(record, force)
     if np.mean(is_closed) < LEAST_CLOSED_SHARE:
         raise refused(RefusalCode.HARDLY_CLOSES)
-    eta, rate = (
-        record.at_forces(np.stack([getattr(plane, name) for plane in record.planes]))[:, is_closed]
-        for name in ("eta_m", "velocity_m_per_s")
-    )
+    eta = record.at_forces(np.stack([plane.eta_m for plane in record.planes]))[:, is_closed]
+    rate = record.at_forces(np.stack([plane.velocity_m_per_s for plane in record.planes]))[:, is_closed]
     force = force[:, is_closed]
-    normal_direction = force / np.hypot(*force)
-    tangent_direction = np.stack([-normal_direction[1], normal_direction[0]])
-    sliding_direction = np.tanh(np.sum(rate * tangent_direction, axis=0) / sliding_speed_m_per_s) * tangent_direction
-    center_columns = (
-        np.repeat(np.eye(DIRECTIONS), is_closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
-    )
-    law_columns = np.column_stack([normal_direction.ravel(), -sliding_direction.ravel(), force.ravel(), center_columns])
+    normal = force / np.hypot(*force)
+    tangent = np.stack([-normal[1], normal[0]])
+    sliding = np.tanh(np.sum(rate * tangent, axis=0) / sliding_speed_m_per_s) * tangent
+    center_columns = np.repeat(np.eye(DIRECTIONS), is_closed.sum(), axis=0)
+    if not record.zero_known:
+        center_columns = center_columns[:, :0]
+    law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center_columns])
     drift_columns = vstack(
         [
-            interleaved(plane.at_force_samples(plane.drift_spline.value)[is_closed], plane_index)
-            for plane_index, plane in enumerate(record.planes)
+            interleaved(plane.at_force_samples(plane.drift_spline.value)[is_closed], k)
+            for k, plane in enumerate(record.planes)
         ]
     )
     knots, coefficients = robust_regression(eta.ravel(), -drift_columns, law_columns, record.drift_spline)
@@ -228,12 +212,8 @@ def annular_guess(
     if not (compliance > 0 and clearance > 0):
         raise refused(RefusalCode.NO_STIFFNESS)
     values = np.zeros(len(RING))
-    values[[CLEARANCE, STIFFNESS, FRICTION, LOG_SPEED]] = (
-        clearance,
-        1 / compliance,
-        max(friction_clearance / clearance, 0.0),
-        np.log(sliding_speed_m_per_s),
-    )
+    values[[CLEARANCE, STIFFNESS]] = clearance, 1 / compliance
+    values[[FRICTION, LOG_SPEED]] = max(friction_clearance / clearance, 0.0), np.log(sliding_speed_m_per_s)
     values[5 : 5 + len(center_m)] = center_m
     values[REST] = rest_n
     return values, knots

@@ -38,14 +38,11 @@ def assumptions(result: Identification) -> Iterator[str]:
         "pull were tried too; they are taken only if the record demands them. Both stops of a contact are equally "
         "stiff, and nothing wears during the record."
     )
-    yield (
-        "The bodies are those of rig.json, linear: "
-        + "; ".join(
-            f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
-            for body in condensed(rig).bodies
-        )
-        + "."
+    bodies = (
+        f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
+        for body in condensed(rig).bodies
     )
+    yield f"The bodies are those of rig.json, linear: {'; '.join(bodies)}."
     yield tolerances_sentence(tolerances)
     places = "; ".join(places_of(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
@@ -64,18 +61,13 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
     for group in result.contact_groups:
         if len(group.contact_indices) > 1:
-            stop_count = sum(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices)
-            assignment_rules = [
-                *(["the slope within the gap is the spring's"] if stop_count < len(group.contact_indices) else []),
-                *(
-                    ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
-                        : stop_count - 1
-                    ]
-                ),
-            ]
+            stop_count = sum(rig.contacts[index].law.has_stops for index in group.contact_indices)
+            rules = ["the slope within the gap is the spring's"] if stop_count < len(group.contact_indices) else []
+            if stop_count > 1:
+                rules.append("each stop has the knee that comes nearest to its clearance and stiffness in rig.json")
             yield (
                 f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
-                f"{' and '.join(assignment_rules)}."
+                f"{' and '.join(rules)}."
             )
     if is_unforced(motion):
         yield (
@@ -83,11 +75,8 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        mass_words = (
-            "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
-        )
-        base_name = motion.base.sensor.name
-        yield f"The base shakes, which {base_name} measures: all motion is taken relative to it{mass_words}."
+        words = "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
+        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{words}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -110,13 +99,13 @@ def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
         yield f"{name}: {refusal.advice}."
-    quantity_names_by_source: dict[str, list[str]] = {}
+    by_source: dict[str, list[str]] = {}
     for name, estimate in result.outcomes.estimates.items():
         for quantity, shares in variance_shares(estimate).items():
             for source, share in shares.items():
                 if share >= DOMINANT_SHARE:
-                    quantity_names_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
-    for source, quantities in quantity_names_by_source.items():
+                    by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in by_source.items():
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
@@ -135,16 +124,9 @@ def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
     """Shares of the variance of clearance and stiffness by source, which sum to one."""
     shares_by_quantity = {}
     for quantity, gradient in (("clearance", estimate.clearance_gradient), ("stiffness", STIFFNESS_GRADIENT)):
-        variance_by_source = {
-            source: float(gradient @ source_covariance @ gradient)
-            for source, source_covariance in estimate.covariances.items()
-        }
-        total_variance = sum(variance_by_source.values())
-        shares = (
-            {source: source_covariance / total_variance for source, source_covariance in variance_by_source.items()}
-            if total_variance > 0
-            else {"scatter": 1.0}
-        )
+        variances = {source: float(gradient @ part @ gradient) for source, part in estimate.covariances.items()}
+        total = sum(variances.values())
+        shares = {source: variance / total for source, variance in variances.items()} if total > 0 else {"scatter": 1.0}
         shares_by_quantity[quantity] = shares
     return shares_by_quantity
 

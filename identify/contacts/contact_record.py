@@ -84,11 +84,13 @@ def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHAR
     """Mask of the samples at which the contact is clearly closed."""
     magnitude_n = np.abs(record.force_n)
     noise_n = min(record.noise_n, float(quiet_deviation(record.force_n)))
-    return magnitude_n > max(
-        force_share * float(np.quantile(magnitude_n, 0.995)),
-        QUIET_DEVIATIONS * record.quiet_deviation_n,
-        NOISE_DEVIATIONS * noise_n,
-    )
+    large_n = closed_force_n(magnitude_n, force_share)
+    return magnitude_n > max(large_n, QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n)
+
+
+def closed_force_n(magnitude_n: Float[np.ndarray, " fewer"], force_share: float = CLOSED_FORCE_SHARE) -> float:
+    """Share of the large forces, N, that the force of a contact exceeds where it is clearly closed."""
+    return force_share * float(np.quantile(magnitude_n, 0.995))
 
 
 def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
@@ -98,14 +100,14 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     the zero of the relative displacement is unknown.
     """
     is_closed = clearly_closed(record)
-    is_lower_touched, is_upper_touched = (
+    is_lower, is_upper = (
         bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
         for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
-    if not (is_lower_touched or is_upper_touched):
+    if not (is_lower or is_upper):
         raise refused(RefusalCode.HARDLY_CLOSES)
-    if not ((is_lower_touched and is_upper_touched) or record.sides_known):
+    if not ((is_lower and is_upper) or record.sides_known):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    return is_lower_touched, is_upper_touched
+    return is_lower, is_upper

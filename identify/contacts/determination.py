@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress, permutations
+from operator import itemgetter
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -44,15 +45,10 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        slow_eta_m = [
-            _slow_displacement_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)
-        ]
-        forces_n = coupling_n_per_m @ np.array(slow_eta_m)
-        records_and_forces = zip(records, forces_n, strict=True)
-        uncoupled_records = [
-            replace(record, force_n=record.force_n - force_n) for record, force_n in records_and_forces
-        ]
-        return determine_all(uncoupled_records, forms)
+        places = zip(groups, records, strict=True)
+        slow_eta_m = np.array([_slow_displacement_m(rig, group, record, outcomes) for group, record in places])
+        coupled = zip(records, coupling_n_per_m @ slow_eta_m, strict=True)
+        return determine_all([replace(record, force_n=record.force_n - force_n) for record, force_n in coupled], forms)
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         outcomes = NO_OUTCOMES
@@ -81,11 +77,8 @@ def _slow_displacement_m(
 
 def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal_laws = (
-        [rig.contacts[contact_index].name for contact_index in group.contact_indices],
-        _nominal_laws(rig, group),
-    )
-    are_springs = [not rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices]
+    contacts, nominal_laws = [rig.contacts[index] for index in group.contact_indices], _nominal_laws(rig, group)
+    names, are_springs = [contact.name for contact in contacts], [not contact.law.has_stops for contact in contacts]
     try:
         if not any(are_springs):
             outcomes = _stop_outcomes(names, nominal_laws, record, forms)
@@ -95,32 +88,30 @@ def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms:
             outcomes = _outcomes_beside_spring(names, nominal_laws, record, np.array(are_springs))
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
-    outcomes = replace(outcomes, refusals=_without_gaps(rig, outcomes.refusals))
-    sign_by_name = dict(zip(names, group.signs, strict=True))
+    signs = dict(zip(names, group.signs, strict=True))
     estimates = {
-        name: estimate if sign_by_name[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
+        name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
-    return replace(outcomes, estimates=estimates)
+    return Outcomes(estimates, _without_gaps(rig, outcomes.refusals))
 
 
 def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
     """Refusals, with the advice to describe a spring where stops without clearances show no law with a gap."""
-    zero_clearance_names = {
+    gapless_names = {
         contact.name
         for contact in rig.contacts
         if contact.law.has_stops and not (contact.law.lower_clearance_m or contact.law.upper_clearance_m)
     }
+    no_gap = refused(RefusalCode.NO_GAP).refusal
     return {
-        name: refused(RefusalCode.NO_GAP).refusal
-        if name in zero_clearance_names and refusal.code in SPRING_ADVICE_CODES
-        else refusal
+        name: no_gap if name in gapless_names and refusal.code in SPRING_ADVICE_CODES else refusal
         for name, refusal in refusals.items()
     }
 
 
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    laws = [parameters_of_law(rig.contacts[contact_index].law) for contact_index in group.contact_indices]
+    laws = [parameters_of_law(rig.contacts[index].law) for index in group.contact_indices]
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
 
 
@@ -207,23 +198,19 @@ def _spring_without_stops(
     names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes | None:
     """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
-    spring_index = int(np.argmax(are_springs))
+    name = names[int(np.argmax(are_springs))]
     try:
-        outcomes = _spring_outcome(names[spring_index], nominal_laws[are_springs], record)
+        outcomes = _spring_outcome(name, nominal_laws[are_springs], record)
     except ContactRefusedError:
         return None
-    spring_estimate = outcomes.estimates[names[spring_index]]
-    if spring_estimate.unexplained_share > SPRING_UNEXPLAINED_SHARE:
+    spring = outcomes.estimates[name]
+    if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
-    eta_m = record.eta_m + spring_estimate.drift_m
-    eta_reach_m, hardly_closes_refusal = (
-        np.array([-eta_m.min(), eta_m.max()]),
-        refused(RefusalCode.HARDLY_CLOSES).refusal,
-    )
-    names_and_laws = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
+    eta_m = record.eta_m + spring.drift_m
+    eta_reach_m, hardly_closes = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
+    stops = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
     refusals = {
-        name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes_refusal
-        for name, law in names_and_laws
+        stop: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes for stop, law in stops
     }
     return outcomes | Outcomes({}, refusals)
 
@@ -268,19 +255,17 @@ def _outcomes_in_reach(
     may_touch = (nominal_laws[:, :2] <= UNTOUCHED_STOP_RATIO * eta_reach_m) & is_touched & ~are_springs[:, None]
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
-        is_in_reach = np.any((nominal_laws[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
-        reached_names, farther_names = list(compress(names, is_in_reach)), compress(names, ~is_in_reach)
-        farther_names_and_laws = zip(farther_names, nominal_laws[~is_in_reach], strict=True)
-        unreached_outcomes = Outcomes(
-            {}, {name: _not_reached(law, eta_reach_m) for name, law in farther_names_and_laws}
-        )
+        is_reached = np.any((nominal_laws[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
+        reached_names = list(compress(names, is_reached))
+        farther = zip(compress(names, ~is_reached), nominal_laws[~is_reached], strict=True)
+        unreached = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in farther})
         try:
-            estimates = _certain_estimates(nominal_laws[is_in_reach], may_touch[is_in_reach], record)
+            estimates = _certain_estimates(nominal_laws[is_reached], may_touch[is_reached], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
-            outcomes = unreached_outcomes | Outcomes.refused(reached_names, first_refusal)
+            outcomes = unreached | Outcomes.refused(reached_names, first_refusal)
         else:
-            return unreached_outcomes | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
+            return unreached | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
     return outcomes
 
 
@@ -313,28 +298,20 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal_laws: Nomi
     """
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
-        estimated_and_nominal = np.array(
-            [
-                (estimate.clearance_m, estimate.clearance_gradient @ law),
-                (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law),
-            ]
-        )
-        log_deviations = (
-            np.log(np.maximum(estimated_and_nominal, LEAST_COMPARED_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
-        )
-        return float(log_deviations @ log_deviations)
+        estimated = [estimate.clearance_m, estimate.stiffness_n_per_m]
+        nominal = [estimate.clearance_gradient @ law, STIFFNESS_GRADIENT @ law]
+        log_values = np.log(np.maximum([estimated, nominal], LEAST_COMPARED_VALUE))
+        deviations = (log_values[0] - log_values[1]) / np.log1p(NOMINAL_SPREAD)
+        return float(deviations @ deviations)
 
+    touched = [estimate.touched for estimate in estimates]
     assignments = [
-        (
-            sum(square_distance(estimate, law) for estimate, law in zip(assignment, nominal_laws, strict=True)),
-            assignment,
-        )
+        (sum(map(square_distance, assignment, nominal_laws)), assignment)
         for assignment in permutations(estimates)
-        if [assigned_estimate.touched for assigned_estimate in assignment]
-        == [assigned_estimate.touched for assigned_estimate in estimates]
+        if [estimate.touched for estimate in assignment] == touched
     ]
-    (least_square_distance, nearest_estimates), *farther_assignments = sorted(assignments, key=lambda pair: pair[0])
-    if farther_assignments and farther_assignments[0][0] - least_square_distance < EXCHANGE_DISTANCE**2:
+    (least_distance, nearest_estimates), *farther = sorted(assignments, key=itemgetter(0))
+    if farther and farther[0][0] - least_distance < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
     return nearest_estimates
 

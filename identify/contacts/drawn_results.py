@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Complex
+
 from identify.contacts.figures import contact_figures
 from identify.contacts.identification import Identification
 from identify.contacts.report import write_results
@@ -53,15 +56,13 @@ def curves(result: Identification) -> dict[str, Table]:
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    decimation = result.decimation
-    force = result.separated_n
+    decimation, force = result.decimation, result.separated_n
     eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
     row_count = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(row_count, decimation)}
-    for group, displacement_m, contact_force_n in zip(result.contact_groups, eta, force, strict=True):
-        name = group.contact.name
-        table[f"{name} relative displacement m"] = displacement_m[:row_count]
-        table[f"{name} contact force N"] = contact_force_n[:row_count]
+    for group, eta_m, force_n in zip(result.contact_groups, eta, force, strict=True):
+        table[f"{group.contact.name} relative displacement m"] = eta_m[:row_count]
+        table[f"{group.contact.name} contact force N"] = force_n[:row_count]
     return table
 
 
@@ -81,17 +82,16 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
 
 def _nifo_table(result: Identification, names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
-    table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
-    for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
-        complex_columns = {"FRF s^2": nifo.frf}
-        complex_columns |= {
-            f"{names[contact_index]} stiffness N/m": complex_column
-            for contact_index, complex_column in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)
-        }
-        for name, complex_column in complex_columns.items():
-            if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
-                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = (
-                    complex_column.real,
-                    complex_column.imag,
-                )
+    weak, paper = result.weak_nifo, result.paper_nifo
+    table: Table = {"frequency_Hz": weak.frequency_hz}
+    for form, nifo in (("weak form", weak), ("paper's form", paper)):
+        if nifo.frequency_hz.size != weak.frequency_hz.size:
+            continue
+        table |= _parts(f"{form} FRF s^2", nifo.frf)
+        for contact_index, stiffness in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True):
+            table |= _parts(f"{form} {names[contact_index]} stiffness N/m", stiffness)
     return table
+
+
+def _parts(name: str, column: Complex[np.ndarray, " lines"]) -> Table:
+    return {f"{name} real": column.real, f"{name} imaginary": column.imag}

@@ -46,31 +46,21 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
 
     def draw(figure: Any) -> None:
         axes_rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
-        for axes_column, pooled_contact in zip(axes_rows.T, report.contacts, strict=True):
-            segments_and_contacts = [
-                (segment, contact)
-                for segment in segments
-                for contact in segment.report.contacts
-                if contact.name == pooled_contact.name
-            ]
-            middle_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in segments_and_contacts]
-            for axes, quantity, unit_scale in zip(
-                axes_column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True
-            ):
-                estimates = [getattr(contact, quantity) for _, contact in segments_and_contacts]
-                pooled_estimate = getattr(pooled_contact, quantity)
-                interval = unit_scale * (
-                    pooled_estimate.value + COVERED * pooled_estimate.standard_error * np.array([-1, 1])
-                )
-                half_widths = [COVERED * unit_scale * estimate.standard_error for estimate in estimates]
-                scaled_values = [unit_scale * estimate.value for estimate in estimates]
-                axes.errorbar(
-                    middle_s, scaled_values, half_widths, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %"
-                )
-                axes.plot(middle_s, scaled_values, "k.", ms=3, label="segments")
-                axes.axhline(unit_scale * pooled_estimate.value, color=BLUE, lw=1.2, zorder=3, label="all together")
+        for axes_column, pooled in zip(axes_rows.T, report.contacts, strict=True):
+            parts = [(s, contact) for s in segments for contact in s.report.contacts if contact.name == pooled.name]
+            middle_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in parts]
+            quantities = (("clearance_m", 1e3), ("stiffness_n_per_m", 1.0))
+            for axes, (quantity, scale) in zip(axes_column, quantities, strict=True):
+                estimates, together = [getattr(contact, quantity) for _, contact in parts], getattr(pooled, quantity)
+                interval = scale * (together.value + COVERED * together.standard_error * np.array([-1, 1]))
+                half_widths = [COVERED * scale * estimate.standard_error for estimate in estimates]
+                values = [scale * estimate.value for estimate in estimates]
+                bars = {"fmt": "none", "color": GREY, "lw": 0.8, "alpha": 0.5, "label": "their 95 %"}
+                axes.errorbar(middle_s, values, half_widths, **bars)
+                axes.plot(middle_s, values, "k.", ms=3, label="segments")
+                axes.axhline(scale * together.value, color=BLUE, lw=1.2, zorder=3, label="all together")
                 axes.axhspan(*interval, color=BLUE, alpha=0.2, lw=0, label="95 % of all together")
-            axes_column[0].set_title(pooled_contact.name)
+            axes_column[0].set_title(pooled.name)
             axes_column[1].set_xlabel("time, s")
         axes_rows[0, 0].set_ylabel("clearance, mm")
         axes_rows[1, 0].set_ylabel("contact stiffness, N/m")
@@ -81,35 +71,30 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
 
 def _draw_outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
-    equation, sample_rate_hz = result.surface.equation, result.motion.sample_rate_hz
-    measured_displacement = equation.displacement[:OUTPUT_SAMPLES]
-    low_hz = max(result.weak_nifo.frequency_hz[0], result.motion.trusted_hz[0])
-    exciting_force_n = equivalent_force_n(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
-    force_spectrum = np.fft.rfft(equation.shape_at_force * exciting_force_n, 2 * measured_displacement.size)
-    line_hz = np.fft.rfftfreq(2 * measured_displacement.size, 1 / sample_rate_hz)
-    receptance_frf = np.where(
-        line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0
-    )
-    without_contact = np.fft.irfft(force_spectrum * receptance_frf)[: measured_displacement.size]
-    time_s = result.motion.time_s(measured_displacement.size)
-    excerpt_s = min(3.0, 15 / max(equation.frequency_hz, 5.0))
-    excerpt_samples = slice(
-        int(0.4 * measured_displacement.size), int(0.4 * measured_displacement.size) + int(excerpt_s * sample_rate_hz)
-    )
+    equation, rate_hz, motion = result.surface.equation, result.motion.sample_rate_hz, result.motion
+    measured = equation.displacement[:OUTPUT_SAMPLES]
+    low_hz, high_hz = max(result.weak_nifo.frequency_hz[0], motion.trusted_hz[0]), result.weak_nifo.frequency_hz[-1]
+    force_n = equivalent_force_n(result.rig, equation, motion.forces_n[:, :OUTPUT_SAMPLES])
+    force_spectrum = np.fft.rfft(equation.shape_at_force * force_n, 2 * measured.size)
+    line_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate_hz)
+    frf = np.where(line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0)
+    without_contact = np.fft.irfft(force_spectrum * frf)[: measured.size]
+    time_s = motion.time_s(measured.size)
+    start, excerpt_s = int(0.4 * measured.size), min(3.0, 15 / max(equation.frequency_hz, 5.0))
+    excerpt = slice(start, start + int(excerpt_s * rate_hz))
     time_axes, spectrum_axes = figure.subplots(2, 1)
     for signal, colour, label in (
         (without_contact, GREY, "without contact"),
-        (measured_displacement, BLUE, "as measured, with contact"),
+        (measured, BLUE, "as measured, with contact"),
     ):
-        time_axes.plot(time_s[excerpt_samples], 1e3 * signal[excerpt_samples], color=colour, lw=1.1, label=label)
-        frequency_hz, power_density = welch(signal, sample_rate_hz, nperseg=min(signal.size, int(4 * sample_rate_hz)))
-        is_in_band = (frequency_hz >= low_hz) & (frequency_hz <= 2 * result.weak_nifo.frequency_hz[-1])
-        spectrum_axes.semilogy(frequency_hz[is_in_band], power_density[is_in_band], color=colour, lw=1.1)
+        time_axes.plot(time_s[excerpt], 1e3 * signal[excerpt], color=colour, lw=1.1, label=label)
+        frequency_hz, density = welch(signal, rate_hz, nperseg=min(signal.size, int(4 * rate_hz)))
+        is_in_band = (frequency_hz >= low_hz) & (frequency_hz <= 2 * high_hz)
+        spectrum_axes.semilogy(frequency_hz[is_in_band], density[is_in_band], color=colour, lw=1.1)
     time_axes.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
     time_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    least_density = float(
-        power_density[is_in_band].min()
-    )  # as measured: without contact little moves above the force's band
+    # as measured: without contact little moves above the force's band
+    least_density = float(density[is_in_band].min())
     spectrum_axes.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz", ylim=(0.1 * least_density, None))
     figure.suptitle("Output with and without the contacts")
 
@@ -119,31 +104,20 @@ def _draw_surface(figure: Any, result: Identification, references: References, r
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
     first_group, *other_groups = result.contact_groups
-    first_eta_m = result.eta_m[first_group.contact_indices[0]][every_nth]
+    eta = 1e3 * result.eta_m[first_group.contact_indices[0]][every_nth]
     if other_groups:
-        second_coordinate = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
+        second = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
         second_label = f"η of {other_groups[0].contact.name}, mm"
     else:
-        second_coordinate, second_label = (
-            surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0],
-            "velocity, m/s",
-        )
-    sample_count = min(first_eta_m.size, second_coordinate.size, surface.measured_force.size)
-    axes = figure.subplots()
-    cells = axes.hexbin(
-        1e3 * first_eta_m[:sample_count],
-        second_coordinate[:sample_count],
-        C=surface.measured_force[:sample_count],
-        gridsize=70,
-        cmap="RdBu_r",
-        mincnt=3,
-    )
+        second = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0]
+        second_label = "velocity, m/s"
+    count = min(eta.size, second.size, surface.measured_force.size)
+    axes, force = figure.subplots(), surface.measured_force[:count]
+    cells = axes.hexbin(eta[:count], second[:count], C=force, gridsize=70, cmap="RdBu_r", mincnt=3)
     figure.colorbar(cells, label="restoring force, N/√kg")
     axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=second_label)
-    for group_index, group in enumerate(result.contact_groups[:2]):
-        _mark_stops(
-            axes, result, group, references, reference_name, horizontal=group_index > 0, labelled=group_index == 0
-        )
+    for k, group in enumerate(result.contact_groups[:2]):
+        _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
@@ -152,28 +126,19 @@ def _draw_section(figure: Any, result: Identification, references: References, r
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
     pair of places."""
     surface = result.surface
-    every_nth = slice(None, None, surface.decimation)
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
-    unexplained_force = surface.measured_force - surface.fitted_force
+    unexplained = surface.measured_force - surface.fitted_force
     for axes, group in zip(axes_row, result.contact_groups, strict=True):
         first_contact, contact_indices = group.contact_indices[0], list(group.contact_indices)
         shape_at_contact = surface.equation.shape_at_contacts[first_contact] or 1.0
-        eta = result.eta_m[first_contact][every_nth]
-        sample_count = min(eta.size, unexplained_force.size)
-        drawn_samples = slice(None, None, max(1, sample_count // 6000))
-        fitted_n = surface.contact_forces[contact_indices].sum(axis=0)[:sample_count] / shape_at_contact
-        force = unexplained_force[:sample_count] / shape_at_contact + fitted_n
-        eta_order = np.argsort(eta[:sample_count])
-        axes.plot(1e3 * eta[eta_order], fitted_n[eta_order], color=RED, lw=2.5, label="dead zone as fitted")
-        axes.plot(
-            1e3 * eta[:sample_count][drawn_samples],
-            force[drawn_samples],
-            ".",
-            ms=1.5,
-            color=BLUE,
-            alpha=0.5,
-            label="measured",
-        )
+        eta = result.eta_m[first_contact][:: surface.decimation]
+        count = min(eta.size, unexplained.size)
+        eta_mm, drawn = 1e3 * eta[:count], slice(None, None, max(1, count // 6000))
+        fitted_n = surface.contact_forces[contact_indices].sum(axis=0)[:count] / shape_at_contact
+        force = unexplained[:count] / shape_at_contact + fitted_n
+        order = np.argsort(eta_mm)
+        axes.plot(eta_mm[order], fitted_n[order], color=RED, lw=2.5, label="dead zone as fitted")
+        axes.plot(eta_mm[drawn], force[drawn], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
         _mark_stops(axes, result, group, references, reference_name)
         axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
@@ -184,20 +149,17 @@ def _draw_section(figure: Any, result: Identification, references: References, r
 def _draw_separated_forces(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
-    every_nth = slice(None, None, result.decimation)
-    for axes, group, separated_force_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
-        eta = result.eta_m[group.contact_indices[0]][every_nth]
-        force = separated_force_n[: eta.size]
+    for axes, group, separated_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
+        eta = result.eta_m[group.contact_indices[0]][:: result.decimation]
+        force = separated_n[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law assumed")
-        eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
-        laws = [
-            sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
-            for sign, contact_index in zip(group.signs, group.contact_indices, strict=True)
-            for name, estimate in result.outcomes.estimates.items()
-            if name == result.rig.contacts[contact_index].name
-        ]
+        grid_m = np.linspace(eta.min(), eta.max(), 400)
+        laws = []
+        for sign, index in zip(group.signs, group.contact_indices, strict=True):
+            if estimate := result.outcomes.estimates.get(result.rig.contacts[index].name):
+                laws.append(sign * estimate.force_n(sign * grid_m, np.zeros_like(grid_m)))
         if laws:
-            axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
+            axes.plot(1e3 * grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, result, group, references, reference_name)
         axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
@@ -206,28 +168,18 @@ def _draw_separated_forces(figure: Any, result: Identification, references: Refe
 
 def _draw_histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
-    sample_rate_hz = result.motion.sample_rate_hz
+    rate_hz, motion = result.motion.sample_rate_hz, result.motion
     axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for group_index, group in enumerate(result.contact_groups):
-        eta = result.eta_m[group.contact_indices[0]]
-        excerpt_start = int(0.4 * eta.size)
-        excerpt_samples = slice(
-            excerpt_start, excerpt_start + int(min(4.0, 0.3 * eta.size / sample_rate_hz) * sample_rate_hz)
-        )
-        axes[group_index][0].plot(
-            result.motion.time_s(eta.size)[excerpt_samples], 1e3 * eta[excerpt_samples], color=BLUE, lw=0.8, label="η"
-        )
-        axes[group_index][1].hist(
-            1e3 * eta[result.motion.excited_from :],
-            bins=120,
-            orientation="horizontal",
-            color=BLUE,
-            alpha=0.6,
-            density=True,
-        )
-        for panel in axes[group_index]:
+    for (time_axes, density_axes), group in zip(axes, result.contact_groups, strict=True):
+        eta_mm = 1e3 * result.eta_m[group.contact_indices[0]]
+        start = int(0.4 * eta_mm.size)
+        excerpt = slice(start, start + int(min(4.0, 0.3 * eta_mm.size / rate_hz) * rate_hz))
+        time_axes.plot(motion.time_s(eta_mm.size)[excerpt], eta_mm[excerpt], color=BLUE, lw=0.8, label="η")
+        bars = {"bins": 120, "orientation": "horizontal", "color": BLUE, "alpha": 0.6, "density": True}
+        density_axes.hist(eta_mm[motion.excited_from :], **bars)
+        for panel in (time_axes, density_axes):
             _mark_stops(panel, result, group, references, reference_name, horizontal=True)
-        axes[group_index][0].set_ylabel(f"η of {group.contact.name}, mm")
+        time_axes.set_ylabel(f"η of {group.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
@@ -235,54 +187,43 @@ def _draw_histogram(figure: Any, result: Identification, references: References,
 
 def _draw_stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
-    contact_count = len(result.weak_nifo.contacts)
-    if not contact_count:
-        figure.text(
-            0.5, 0.5, f"modal equation {result.weak_nifo.equation.name} tells no contact's stiffness", ha="center"
-        )
+    weak, paper = result.weak_nifo, result.paper_nifo
+    if not weak.contacts:
+        figure.text(0.5, 0.5, f"modal equation {weak.equation.name} tells no contact's stiffness", ha="center")
         return
-    axes = figure.subplots(2, contact_count, squeeze=False, sharex=True)
-    for column_index, contact_index in enumerate(result.weak_nifo.contacts):
-        contact = result.rig.contacts[contact_index]
-        mean_n_per_m = result.weak_nifo.mean_n_per_m[column_index]
+    axes = figure.subplots(2, len(weak.contacts), squeeze=False, sharex=True)
+    for column, (upper, lower) in enumerate(axes.T):
+        contact = result.rig.contacts[weak.contacts[column]]
+        mean_n_per_m = weak.mean_n_per_m[column]
         reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
-        for nifo, colour, label in (
-            (result.paper_nifo, GREY, "the paper's form"),
-            (result.weak_nifo, BLUE, "weak form"),
-        ):
-            stiffness_n_per_m = nifo.stiffness_n_per_m[column_index].real
-            axes[0][column_index].plot(nifo.frequency_hz, stiffness_n_per_m, color=colour, lw=1.0, label=label)
-            deviation_percent = 100 * np.abs(nifo.stiffness_n_per_m[column_index] / reference_n_per_m - 1)
-            axes[1][column_index].semilogy(nifo.frequency_hz, np.maximum(deviation_percent, 1e-6), color=colour, lw=1.0)
-        axes[0][column_index].axhline(
-            mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m"
-        )
+        for nifo, colour, label in ((paper, GREY, "the paper's form"), (weak, BLUE, "weak form")):
+            stiffness = nifo.stiffness_n_per_m[column]
+            upper.plot(nifo.frequency_hz, stiffness.real, color=colour, lw=1.0, label=label)
+            deviation_percent = 100 * np.abs(stiffness / reference_n_per_m - 1)
+            lower.semilogy(nifo.frequency_hz, np.maximum(deviation_percent, 1e-6), color=colour, lw=1.0)
+        upper.axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
         if contact.name in references:
-            axes[0][column_index].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
-        stiffness_range_n_per_m = np.quantile(result.weak_nifo.stiffness_n_per_m[column_index].real, [0.02, 0.98])
-        margin_n_per_m = max(np.ptp(stiffness_range_n_per_m), 0.02 * abs(mean_n_per_m))
-        axes[0][column_index].set(
-            ylim=(stiffness_range_n_per_m[0] - margin_n_per_m, stiffness_range_n_per_m[1] + margin_n_per_m),
-            title=contact.name,
-        )
-        axes[1][column_index].set(xlabel="frequency, Hz")
-        axes[0][column_index].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
+            upper.axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
+        low, high = np.quantile(weak.stiffness_n_per_m[column].real, [0.02, 0.98])
+        margin = max(high - low, 0.02 * abs(mean_n_per_m))
+        upper.set(ylim=(low - margin, high + margin), title=contact.name)
+        lower.set(xlabel="frequency, Hz")
+        upper.legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     axes[0][0].set_ylabel("Re k, N/m")
     axes[1][0].set_ylabel("|k / reference - 1|, %")
-    figure.suptitle(f"Contact stiffness, modal equation {result.weak_nifo.equation.name}")
+    figure.suptitle(f"Contact stiffness, modal equation {weak.equation.name}")
 
 
 def _draw_frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
     magnitude_axes, middle, phase_axes = figure.subplots(3, 1, sharex=True)
-    weak_nifo, paper_nifo = result.weak_nifo, result.paper_nifo
-    shape_square_per_kg = weak_nifo.equation.shape_at_force**2
+    weak, paper = result.weak_nifo, result.paper_nifo
     for frf, frequency, colour, style, label in (
-        (paper_nifo.frf, paper_nifo.frequency_hz, GREY, "-", "NIFO, the paper's form"),
-        (weak_nifo.frf, weak_nifo.frequency_hz, BLUE, "-", "NIFO, weak form"),
-        (weak_nifo.true_frf(), weak_nifo.frequency_hz, "k", ":", "mode of rig.json"),
+        (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
+        (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
+        (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
     ):
-        receptance_m_per_n = shape_square_per_kg * np.abs(frf)
+        receptance_m_per_n = weak.equation.shape_at_force**2 * np.abs(frf)
         magnitude_axes.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
         middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
         phase_axes.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
@@ -290,7 +231,7 @@ def _draw_frf(figure: Any, result: Identification, _references: References, _ref
     middle.set_ylabel("accelerance,\nm/s²/N")
     magnitude_axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     phase_axes.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
-    figure.suptitle(f"Linear FRF of modal equation {weak_nifo.equation.name}")
+    figure.suptitle(f"Linear FRF of modal equation {weak.equation.name}")
 
 
 def _legend_outside(figure: Any, axes: Any, edge: str, **style: Any) -> None:

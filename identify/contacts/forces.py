@@ -39,12 +39,7 @@ from identify.contacts.station_spectra import (
 )
 from identify.linear.free_motion import InitialStates
 from identify.linear.modal import force_on_mass
-from identify.linear.model import (
-    Response,
-    ResponseCache,
-    accelerances,
-    responses_of,
-)
+from identify.linear.model import Response, ResponseCache, accelerances, responses_of
 from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.linear.slow_stiffness import slow_damping, slow_stiffness
 from identify.signals.kinematics import TAPER_S, Kinematics
@@ -78,9 +73,8 @@ class ContactForces:
 
     def without_start(self, sample_count: int) -> "ContactForces":
         """Contact forces without their first samples."""
-        return replace(
-            self, force_n=self.force_n[:, sample_count:], nuisances=self.nuisances.without_start(sample_count)
-        )
+        nuisances = self.nuisances.without_start(sample_count)
+        return replace(self, force_n=self.force_n[:, sample_count:], nuisances=nuisances)
 
 
 def separated_forces(record: SeparationInput) -> ContactForces:
@@ -130,68 +124,60 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that floats.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
-    force_count, padding_ratio = len(rig.inputs), lines.padded_samples / motion.samples
+    force_count, station_count = len(rig.inputs), len(motion.stations)
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
     is_floating = {response.body.name: not is_held(response) for response in responses}
     if slow_by_gauges and any(is_floating.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
-    separation_rows = station_rows(
-        record, lines, np.array([not is_floating[station.body] for station in motion.stations])
-    )
-    input_accelerances = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
+    rows = station_rows(record, lines, np.array([not is_floating[station.body] for station in motion.stations]))
+    by_input = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
-    input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
-    observed, gauge_errors, noise_power = observation_of(record, lines, responses, separation_rows, input_accelerations)
+    input_accelerations = by_input[:force_count] * force_spectra[:, None]
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, rows, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
     least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
-    lacks_slow_motion = (
-        any(displacement_sensor.measures.order > 0 for displacement_sensor in motion.displaced_by)
-        if motion.zero_known
-        else gauges.sensors
-    )
+    lacks_slow_motion = bool(gauges.sensors)
+    if motion.zero_known:
+        lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
     observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
     noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
-    state_estimate, noise_m = None, np.zeros(len(rig.contacts))
+    states, noise_m = None, np.zeros(len(rig.contacts))
     has_driven_modes = corner_hz > 0 or any(has_hidden_modes(response, motion) for response in responses)
     for is_first_pass in (True, False) if has_driven_modes else (False,):
-        nuisance_changes = tuple(change.in_single_precision for change in changes_of(observed))
-        weighed_changes = tuple(
-            change for change in nuisance_changes if change.parameter.kind is not NuisanceKind.ZERO
-        )  # as that is at 0 Hz
-        station_errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
-        contact_weights = force_weights(input_accelerances[force_count:] * sensor_response, station_errors)
-        unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
+        changes = tuple(change.in_single_precision for change in changes_of(observed))
+        # without the zeros of gauges, which are at 0 Hz
+        weighed_changes = tuple(change for change in changes if change.parameter.kind is not NuisanceKind.ZERO)
+        errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
+        weights = force_weights(by_input[force_count:] * sensor_response, errors)
+        unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
-            state_estimate = initial_states(
-                responses, motion, separation_rows, lines, sensor_response * input_accelerances, station_errors
-            )
-            unexplained_signals = unexplained_signals - state_estimate.signals
+            states = initial_states(responses, motion, rows, lines, sensor_response * by_input, errors)
+            unexplained = unexplained - states.signals
         if slow_by_gauges:
-            contact_accelerances = input_accelerances[force_count:]
-            padded_power = noise_power * padding_ratio
-            acceleration_power = padded_power[: len(motion.stations)] / np.abs(separation_rows.response) ** 2
+            padded_power = noise_power * (lines.padded_samples / motion.samples)
+            acceleration_power = padded_power[:station_count] / np.abs(rows.response) ** 2
             corner_hz, noise_m = quietest_corner(
-                record.signs, contact_accelerances, contact_weights, padded_power, acceleration_power, lines
+                record.signs, by_input[force_count:], weights, padded_power, acceleration_power, lines
             )
         if is_first_pass:
-            input_spectra = np.concatenate([force_spectra, contact_spectra(contact_weights, unexplained_signals)])
+            input_spectra = np.concatenate([force_spectra, contact_spectra(weights, unexplained)])
             observed = with_driven_modes(record, observed, input_spectra, corner_hz, gauge_errors)
-            input_spectra = np.concatenate([0 * force_spectra, contact_spectra(contact_weights, noise_alone.signals)])
+            input_spectra = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.signals)])
             noise_alone = with_driven_modes(record, noise_alone, input_spectra, corner_hz, gauge_errors)
     return _WeightedRows(
-        responses,
-        input_accelerances,
-        noise_power,
-        observed,
-        noise_alone,
-        contact_weights,
-        unexplained_signals,
-        state_estimate,
-        tuple(change.parameter for change in nuisance_changes),
-        corner_hz,
-        noise_m,
+        responses=responses,
+        input_accelerances=by_input,
+        noise_power=noise_power,
+        observed=observed,
+        noise_alone=noise_alone,
+        force_weights=weights,
+        unexplained_signals=unexplained,
+        initial_states=states,
+        parameters=tuple(change.parameter for change in changes),
+        corner_hz=corner_hz,
+        noise_m=noise_m,
     )
 
 
@@ -199,50 +185,39 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
     `_weighted_rows`."""
     rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
-    weighted_rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
-    contact_weights, state_estimate = weighted_rows.force_weights, weighted_rows.initial_states
-    force_spectra = contact_spectra(contact_weights, weighted_rows.unexplained_signals)
+    rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
+    weights, states = rows.force_weights, rows.initial_states
+    force_spectra = contact_spectra(weights, rows.unexplained_signals)
     end_transient_s = END_TRANSIENT_S if any(body.length_m for body in rig.bodies) else TAPER_S
-    slow_response, station_slow_motion = None, None
+    slow_response, slow = None, None
     if slow_by_gauges:
-        observed, corner_hz = weighted_rows.observed, weighted_rows.corner_hz
-        slow_response = slow_model(rig, motion, lines, corner_hz, weighted_rows.input_accelerances, observed)
-        end_transient_s = max(end_transient_s, TAPER_S + 2 / corner_hz)
+        slow_response = slow_model(rig, motion, lines, rows.corner_hz, rows.input_accelerances, rows.observed)
+        end_transient_s = max(end_transient_s, TAPER_S + 2 / rows.corner_hz)
         input_spectra = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
-        slow_correction = slow_response.correction(input_spectra, observed.displacements[: len(motion.stations)])
-        station_slow_motion = slow_motion(slow_correction, lines, motion.samples, weighted_rows.noise_m)
+        correction = slow_response.correction(input_spectra, rows.observed.displacements[: len(motion.stations)])
+        slow = slow_motion(correction, lines, motion.samples, rows.noise_m)
     kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
-        weighted_rows.parameters,
-        weighted_rows.observed,
-        weighted_rows.noise_alone,
-        contact_weights,
-        record.signs,
-        lines,
-        kept_samples,
-        slow_response,
+        rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, slow_response
     )
     force_n = lines.signals(force_spectra, kept_samples)
-    slow_n_per_m = slow_stiffness(rig, weighted_rows.responses)
+    slow_n_per_m = slow_stiffness(rig, rows.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         force_n = _force_on_mass(rig, motion, decimation)[:, :kept_samples]
-    elif state_estimate:
+    elif states:
         start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_samples - 1)
-        state_force_n = lines.signals(
-            np.einsum("jsf,isf->ijf", contact_weights, state_estimate.unit_spectra), kept_samples
-        )
-        state_force_n = np.tensordot(state_estimate.error_root.T, state_force_n, 1)
-        state_rms_n = np.sqrt(np.mean(state_force_n[..., start_sample:] ** 2, axis=(1, 2)))
-        is_significant = state_rms_n > LEAST_INITIAL_SHARE * force_n.std()
-        nuisances = nuisances.with_initial_states(state_force_n[is_significant])
+        state_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.unit_spectra), kept_samples)
+        state_n = np.tensordot(states.error_root.T, state_n, 1)
+        state_rms_n = np.sqrt(np.mean(state_n[..., start_sample:] ** 2, axis=(1, 2)))
+        nuisances = nuisances.with_initial_states(state_n[state_rms_n > LEAST_INITIAL_SHARE * force_n.std()])
     return ContactForces(
         force_n=force_n,
         decimation=decimation,
-        noise_n=_noise_n(contact_weights, weighted_rows.noise_power, motion, lines),
+        noise_n=_noise_n(weights, rows.noise_power, motion, lines),
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
-        slow_n_s_per_m=slow_damping(rig, weighted_rows.responses, slow_n_per_m),
-        slow_motion=station_slow_motion,
+        slow_n_s_per_m=slow_damping(rig, rows.responses, slow_n_per_m),
+        slow_motion=slow,
     )
 
 
@@ -257,14 +232,9 @@ def _noise_n(
 
 def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
-    mass_mode = modes_of(rig, rig.bodies[0])
-    inverse_mass = float(mass_mode.shapes(np.zeros(1), 1)[0, 0] ** 2)
-    natural_omega, damping_ratio = (
-        2 * np.pi * float(mass_mode.frequencies_hz(1)[0]),
-        float(mass_mode.damping_ratios(1)[0]),
-    )
-    resisting_m_per_s2 = (
-        motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * natural_omega * motion.velocity_m_per_s[:1]
-    )
-    resisting_n = (resisting_m_per_s2 + natural_omega**2 * motion.displacement_m[:1]) / inverse_mass
+    mode = modes_of(rig, rig.bodies[0])
+    inverse_mass = float(mode.shapes(np.zeros(1), 1)[0, 0] ** 2)
+    omega, damping_ratio = 2 * np.pi * float(mode.frequencies_hz(1)[0]), float(mode.damping_ratios(1)[0])
+    resisting_m_per_s2 = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
+    resisting_n = (resisting_m_per_s2 + omega**2 * motion.displacement_m[:1]) / inverse_mass
     return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, decimation)

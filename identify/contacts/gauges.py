@@ -47,22 +47,16 @@ class Gauges:
         """Rows of the separation, in a unit in which each gauge has the mean power of the stations' accelerations: all
         errors then have a common floor. Lines that are not usable are zero in the signal and in its response."""
         spectra = lines.spectra(self.strain)
-        for sensor_index, sensor in enumerate(self.sensors):
-            sensor_response = sensor.response(lines.omega)
-            spectra[sensor_index] = np.divide(
-                spectra[sensor_index],
-                sensor_response,
-                out=np.zeros_like(sensor_response),
-                where=is_usable[sensor_index],
-            )
-        signal_power = np.mean(np.abs(spectra) ** 2, axis=1)
-        row_scale = np.sqrt(np.divide(mean_power, signal_power, out=np.ones_like(signal_power), where=signal_power > 0))
-        sample_count = self.strain.shape[1]
-        zero_error = lines.spectra(np.ones(sample_count)) * (row_scale * self.zero_error_strain)[:, None]
+        for spectrum, sensor, usable in zip(spectra, self.sensors, is_usable, strict=True):
+            response = sensor.response(lines.omega)
+            spectrum[:] = np.divide(spectrum, response, out=np.zeros_like(response), where=usable)
+        power, sample_count = np.mean(np.abs(spectra) ** 2, axis=1), self.strain.shape[1]
+        scale = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
+        zero_error = lines.spectra(np.ones(sample_count)) * (scale * self.zero_error_strain)[:, None]
         return GaugeRows(
-            measured=row_scale[:, None] * spectra,
-            response=np.where(is_usable, -row_scale[:, None] / lines.omega**2, 0.0).astype(complex),
-            noise_power=np.broadcast_to((sample_count * (row_scale * self.noise_strain) ** 2)[:, None], spectra.shape),
+            measured=scale[:, None] * spectra,
+            response=np.where(is_usable, -scale[:, None] / lines.omega**2, 0.0).astype(complex),
+            noise_power=np.broadcast_to((sample_count * (scale * self.noise_strain) ** 2)[:, None], spectra.shape),
             zero_error=np.where(is_usable, zero_error, 0.0),
         )
 
@@ -71,22 +65,16 @@ class Gauges:
     ) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
         """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts
         on its body, by the indices of force and gauge."""
-        share_by_force_and_gauge = {}
-        for body_response in responses:
-            highest_modes = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
-            force_shapes = input_shapes(rig, body_response, rig.forces)[:, highest_modes]
-            gauge_shapes, accelerance = (
-                body_response.shapes(self.sensors)[:, highest_modes],
-                body_response.accelerance[highest_modes],
-            )
-            for force_index, gauge_index in product(
-                *(np.flatnonzero(shape_rows.any(axis=1)).tolist() for shape_rows in (force_shapes, gauge_shapes))
-            ):
-                share_by_force_and_gauge[force_index, gauge_index] = (
-                    response[gauge_index]
-                    * real_product((force_shapes[force_index] * gauge_shapes[gauge_index])[None], accelerance)[0]
-                )
-        return share_by_force_and_gauge
+        shares = {}
+        for body in responses:
+            highest = slice(int(CONVERGED_SHARE * body.mode_count), None)
+            force_shapes = input_shapes(rig, body, rig.forces)[:, highest]
+            gauge_shapes, accelerance = body.shapes(self.sensors)[:, highest], body.accelerance[highest]
+            forces, gauges = (np.flatnonzero(shapes.any(axis=1)).tolist() for shapes in (force_shapes, gauge_shapes))
+            for force, gauge in product(forces, gauges):
+                strain_per_n = real_product((force_shapes[force] * gauge_shapes[gauge])[None], accelerance)[0]
+                shares[force, gauge] = response[gauge] * strain_per_n
+        return shares
 
 
 @dataclass(frozen=True)
@@ -112,23 +100,15 @@ class GaugeErrors:
 
     def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
         """Changes by one standard deviation of every error, given the exciting and the contact forces."""
-        zero_changes = [
-            Change(
-                Nuisance(NuisanceKind.ZERO, name), [self.station_count + gauge_index], self.zero_error[[gauge_index]]
-            )
-            for gauge_index, name in enumerate(self.gauge_names)
+        first, names = self.station_count, self.gauge_names
+        changes = [
+            Change(Nuisance(NuisanceKind.ZERO, name), [first + gauge], self.zero_error[[gauge]])
+            for gauge, name in enumerate(names)
         ]
-        truncation_changes = [
-            Change(
-                Nuisance(
-                    NuisanceKind.TRUNCATION, f"{self.gauge_names[truncated_gauge]} by {self.force_names[force_index]}"
-                ),
-                [self.station_count + truncated_gauge],
-                (signal_per_newton * input_spectra[force_index])[None],
-            )
-            for (force_index, truncated_gauge), signal_per_newton in self.truncation.items()
-        ]
-        return (*zero_changes, *truncation_changes)
+        for (force, gauge), signal_per_newton in self.truncation.items():
+            parameter = Nuisance(NuisanceKind.TRUNCATION, f"{names[gauge]} by {self.force_names[force]}")
+            changes.append(Change(parameter, [first + gauge], (signal_per_newton * input_spectra[force])[None]))
+        return tuple(changes)
 
 
 def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:
@@ -138,41 +118,34 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
-    rig, sample_count = recording.rig, motion.samples
+    rig, sample_count, rate_hz = recording.rig, motion.samples, recording.rig.sample_rate_hz
     gauges = [
         sensor for sensor in rig.sensors if not sensor.measures.translates and np.ptp(recording.values_of(sensor)) > 0
     ]
     if use != "auto" or rig.base_sensors:
         gauges = []
-    excited_from = motion.excited_from
-    if (
-        gauges
-        and not (excited_from or recording.start_s)
-        and all(sensor.measures.order == 2 for sensor in motion.sensors)
-    ):
-        excited_from = excitation_start(
-            recording.forces_n, (recording.values_of(gauge) for gauge in gauges), rig.sample_rate_hz
-        )
-    quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
+    excited_from, is_segment = motion.excited_from, recording.start_s > 0
+    tells_no_start = not (excited_from or recording.start_s)
+    if gauges and tells_no_start and all(sensor.measures.order == 2 for sensor in motion.sensors):
+        channels = (recording.values_of(gauge) for gauge in gauges)
+        excited_from = excitation_start(recording.forces_n, channels, rate_hz)
+    quiet_samples = replace(motion, excited_from=excited_from).quiet_samples
     if not (gauges and (quiet_samples or is_segment)):
         return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
-    gauge_signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
+    signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
-        noise_densities = [
-            gauge.noise_density or spectrogram_noise_density(gauge_signal, rig.sample_rate_hz)[0]
-            for gauge, gauge_signal in zip(gauges, gauge_signals, strict=True)
+        densities = [
+            gauge.noise_density or spectrogram_noise_density(signal, rate_hz)[0]
+            for gauge, signal in zip(gauges, signals, strict=True)
         ]
-        noise_deviation = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
-        zero_offset, zero_error = gauge_signals.mean(axis=1), gauge_signals.std(axis=1)
-        strain = (gauge_signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+        noise = np.sqrt(rate_hz / 2) * np.array(densities)
+        zero_offset, zero_error = signals.mean(axis=1), signals.std(axis=1)
+        strain = (signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rate_hz))[::-1]
     else:
-        noise_deviation, zero_offset = (
-            gauge_signals[:, :quiet_samples].std(axis=1),
-            gauge_signals[:, :quiet_samples].mean(axis=1),
-        )
-        strain, zero_error = gauge_signals - zero_offset[:, None], noise_deviation / np.sqrt(quiet_samples)
+        noise, zero_offset = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
+        strain, zero_error = signals - zero_offset[:, None], noise / np.sqrt(quiet_samples)
     gains = np.abs([gauge.gain for gauge in gauges])
     sensors = tuple(with_fields(gauge, fibre_m=rig.fibre_m(gauge)) for gauge in gauges)
-    channels = (*motion.channels, *(gauge.name for gauge in gauges))
-    scaled_gauges = Gauges(sensors, strain, noise_deviation / gains, zero_error / gains)
-    return scaled_gauges, replace(motion, excited_from=excited_from, channels=channels)
+    channel_names = (*motion.channels, *(gauge.name for gauge in gauges))
+    scaled_gauges = Gauges(sensors, strain, noise / gains, zero_error / gains)
+    return scaled_gauges, replace(motion, excited_from=excited_from, channels=channel_names)

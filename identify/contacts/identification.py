@@ -13,13 +13,7 @@ from identify.contacts.acceptance import checked_contacts, equation_findings
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
 from identify.contacts.outcomes import Outcomes
-from identify.contacts.paper_methods import (
-    PaperMethods,
-    check_request,
-    paper_methods,
-    signals_by_law,
-    stops_of,
-)
+from identify.contacts.paper_methods import PaperMethods, check_request, paper_methods, signals_by_law, stops_of
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
 from identify.linear.joined import ContactGroup
@@ -84,9 +78,8 @@ class Identification:
     @property
     def _main_spectra(self) -> tuple[Nifo, ...]:
         if not self.methods.main_spectra:
-            raise RigError(
-                "; ".join(self.methods.notes) or "NIFO needs a force, and the exciting force is zero throughout"
-            )
+            notes = "; ".join(self.methods.notes)
+            raise RigError(notes or "NIFO needs a force, and the exciting force is zero throughout")
         return self.methods.main_spectra
 
 
@@ -115,19 +108,14 @@ def identify_contact(
     check_request(recording, averaging, equation)
     rig, checked = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
     separation, outcomes = checked.separation, checked.outcomes
-    condensed_rig, motion, contact_groups = separation.rig, separation.motion, separation.contact_groups
+    condensed_rig, motion, groups = separation.rig, separation.motion, separation.contact_groups
     separated_n, decimation = separation.forces.force_n, separation.forces.decimation
-    findings, signals = checked.findings, signals_by_law(separation, outcomes)
+    findings, signals, stops = checked.findings, signals_by_law(separation, outcomes), stops_of(rig, outcomes)
     del checked, separation  # whose nuisance signals take much memory
     progress(0.5)
+    single = {group.contact_indices[0] for group in groups if len(group.contact_indices) == 1}
     methods = paper_methods(
-        condensed_rig,
-        motion,
-        signals,
-        stops_of(rig, outcomes),
-        single_contacts={group.contact_indices[0] for group in contact_groups if len(group.contact_indices) == 1},
-        averaging=averaging,
-        equation=equation,
+        condensed_rig, motion, signals, stops, single_contacts=single, averaging=averaging, equation=equation
     )
     progress(0.95)
     names = [contact.name for contact in rig.contacts]
@@ -137,7 +125,7 @@ def identify_contact(
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        contact_groups=contact_groups,
+        contact_groups=groups,
         separated_n=separated_n,
         decimation=decimation,
         outcomes=outcomes,
@@ -151,7 +139,8 @@ def contact_report(
 ) -> results.ContactReport:
     """Report of the outcomes and of the results of the paper's methods."""
     motion = methods.motion
-    eta_m = {contact.name: eta_row for contact, eta_row in zip(rig.contacts, methods.eta_m, strict=True)}
+    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
+    surfaces = tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces)
     return results.ContactReport(
         rig=rig.name,
         contacts=tuple(contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
@@ -159,14 +148,8 @@ def contact_report(
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
         nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.spectra),
-        surface=results.Surfaces(
-            tuple(
-                results.SurfaceResult(surface.equation.name, _clearances(rig, surface.stops))
-                for surface in methods.surfaces
-            ),
-            _clearances(rig, methods.histogram),
-        ),
-        transformation=tuple(_transformation_result(transformation) for transformation in methods.transformations),
+        surface=results.Surfaces(surfaces, _clearances(rig, methods.histogram)),
+        transformation=tuple(map(_transformation_result, methods.transformations)),
         trusted_hz=motion.trusted_hz,
         channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
         findings=findings,
@@ -198,56 +181,48 @@ def contact_estimate(
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
     )
+    form, (lower_touched, upper_touched) = estimate.form, estimate.touched
     return results.ContactEstimate(
         name=name,
         clearance_m=clearance,
         stiffness_n_per_m=stiffness,
         damping_n_s_per_m=damping,
-        lower_clearance_m=lower_clearance if estimate.sides_known and estimate.touched[0] else None,
-        upper_clearance_m=upper_clearance if estimate.sides_known and estimate.touched[1] else None,
+        lower_clearance_m=lower_clearance if estimate.sides_known and lower_touched else None,
+        upper_clearance_m=upper_clearance if estimate.sides_known and upper_touched else None,
         closed_share=closed_share(estimate, eta_m),
-        law=estimate.form.name,
-        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.exponent_count else None,
-        reference_depth_m=estimate.form.reference_depth_m if estimate.form.exponent_count else None,
+        law=form.name,
+        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if form.exponent_count else None,
+        reference_depth_m=form.reference_depth_m if form.exponent_count else None,
     )
 
 
 def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
     """Elastic modes within the band of NIFO."""
-    nifo_in_band = [nifo for nifo in spectra if 0 < nifo.equation.frequency_hz < nifo.frequency_hz[-1]]
-    undetermined_contacts = [contact for contact in rig.contacts if contact.name in refusals]
-
-    def mode_of(nifo: Nifo) -> results.Mode:
-        body = nifo.equation.body
-        undetermined_names = tuple(
-            contact.name
-            for contact in undetermined_contacts
-            if body in {station.body for station in contact_stations(contact)}
-        )
-        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), undetermined_names)
-
-    return tuple(mode_of(nifo) for nifo in nifo_in_band)
+    modes = []
+    for nifo in spectra:
+        equation = nifo.equation
+        if 0 < equation.frequency_hz < nifo.frequency_hz[-1]:
+            undetermined = tuple(
+                contact.name
+                for contact in rig.contacts
+                if contact.name in refusals and equation.body in {s.body for s in contact_stations(contact)}
+            )
+            modes.append(results.Mode(equation.body, equation.index, *fit_mode(nifo), undetermined))
+    return tuple(modes)
 
 
 def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
-    stiffness_by_contact = tuple(
-        results.Stiffness(
-            rig.contacts[contact_index].name,
-            results.Estimate(float(mean_n_per_m), float(error_n_per_m)),
-            float(deviation_n_per_m),
-        )
-        for contact_index, mean_n_per_m, error_n_per_m, deviation_n_per_m in zip(
+    equation, names = nifo.equation, [contact.name for contact in rig.contacts]
+    stiffnesses = tuple(
+        results.Stiffness(names[index], results.Estimate(float(mean_n_per_m), float(error)), float(deviation))
+        for index, mean_n_per_m, error, deviation in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    contacts_and_visibilities = zip(rig.contacts, nifo.equation.visibility, strict=True)
-    invisible_names = tuple(
-        contact.name for contact, visibility in contacts_and_visibilities if visibility < NEARLY_INVISIBLE_SHARE
-    )
+    visibilities = zip(names, equation.visibility, strict=True)
+    invisible = tuple(name for name, visibility in visibilities if visibility < NEARLY_INVISIBLE_SHARE)
     band_hz = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(
-        nifo.equation.name, band_hz, nifo.resolution_hz, nifo.averages, stiffness_by_contact, invisible_names
-    )
+    return results.NifoResult(equation.name, band_hz, nifo.resolution_hz, nifo.averages, stiffnesses, invisible)
 
 
 def _clearances(rig: Rig, stop_by_contact: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:

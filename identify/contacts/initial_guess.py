@@ -8,6 +8,7 @@ stops is subtracted first; its stiffness is the one of a scan that leaves least.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -15,15 +16,7 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord, clearly_closed, touched_stops
-from identify.contacts.law_form import (
-    LAW,
-    LawForm,
-    LawParameters,
-    NominalLaws,
-    TouchedStops,
-    linear_form,
-    unit_forces,
-)
+from identify.contacts.law_form import LAW, LawForm, LawParameters, NominalLaws, TouchedStops, linear_form, unit_forces
 from identify.contacts.linearization import LawGuess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.drift import Spline
@@ -64,12 +57,10 @@ def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> La
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
         *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched_sides)
         if np.isfinite(clearance) and compliance > 0:
-            far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-            lower_clearance_m, upper_clearance_m = (
-                max(clearance, 0.0) if is_touched else far_stop_m for is_touched in touched_sides
-            )
+            far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+            lower_m, upper_m = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched_sides)
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
-            return np.array([lower_clearance_m, upper_clearance_m, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
+            return np.array([lower_m, upper_m, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
@@ -98,20 +89,18 @@ def robust_regression(
     drift_spline: Spline,
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
-    regression_columns = hstack([drift_columns, law_columns]).tocsr()
+    columns = hstack([drift_columns, law_columns]).tocsr()
     curvature_rows = hstack([drift_spline.curvature, csr_matrix((drift_spline.target.size, law_columns.shape[1]))])
     weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
     for residual_share, curvature_weight in REGRESSION_STAGES:
         scale_m = residual_share * float(np.std(eta_m))
-        weighted_rows = vstack(
-            [diags(weights / scale_m) @ regression_columns, curvature_weight * curvature_rows]
-        ).tocsc()
-        normal_matrix = weighted_rows.T @ weighted_rows
+        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
+        normal_matrix = rows.T @ rows
         right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * drift_spline.target])
         knot_ridge = np.full(knot_count, 1e-12 * normal_matrix.diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        coefficients = spsolve((normal_matrix + ridge).tocsc(), weighted_rows.T @ right_side)
-        weights = 1 / (1 + ((eta_m - regression_columns @ coefficients) / (OUTLIER_SCALE * scale_m)) ** 2)
+        coefficients = spsolve((normal_matrix + ridge).tocsc(), rows.T @ right_side)
+        weights = 1 / (1 + ((eta_m - columns @ coefficients) / (OUTLIER_SCALE * scale_m)) ** 2)
     return coefficients[:knot_count], coefficients[knot_count:]
 
 
@@ -135,9 +124,8 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
     """
     is_side_touched, form = np.any(touched, axis=0), linear_form(touched)
     if not is_side_touched.any():
-        return [
-            _refined_guess(record, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots), form)[1]
-        ]
+        unit_spring, no_drift = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots)
+        return [_refined_guess(record, unit_spring, no_drift, form)[1]]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring_law,) = nominal_laws[~are_stops]
@@ -169,17 +157,15 @@ def _guesses_with_spring(
 
 def _best_guesses(record: ContactRecord, candidates: Sequence[LawGuess], form: LawForm) -> list[LawGuess]:
     """Refined guesses of least misfit."""
-    ranked_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
-    return [guess for misfit, guess in ranked_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
+    ranked = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=itemgetter(0))
+    return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
 def without_spring(record: ContactRecord, spring_law: LawParameters) -> ContactRecord:
     """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
     remains, as of a spring to the ground."""
     *_, stiffness_n_per_m, damping_n_s_per_m = spring_law.tolist()
-    eta, velocity = (
-        signal[:: record.decimation][: record.force_n.size] for signal in (record.eta_m, record.velocity_m_per_s)
-    )
+    eta, velocity = (record.at_force_samples(signal) for signal in (record.eta_m, record.velocity_m_per_s))
     drift = record.drift and replace(
         record.drift,
         spring_n_per_m=record.drift.spring_n_per_m + stiffness_n_per_m,
@@ -196,10 +182,8 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
     form = LawForm(spring_indices=(1,))
-    large_force_n, large_eta_m = (
-        float(np.quantile(np.abs(signal), 0.995)) for signal in (record.force_n, record.eta_m)
-    )
-    stiffnesses_n_per_m = large_force_n / max(large_eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
+    force_n, eta_m = (float(np.quantile(np.abs(signal), 0.995)) for signal in (record.force_n, record.eta_m))
+    stiffnesses_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
     spring_laws = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in stiffnesses_n_per_m]
     least_misfit, best_guess = np.inf, None
     for attempt in range(len(spring_laws) + 1):
@@ -228,48 +212,40 @@ def _refined_guess(
     drift_spline, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
     eta = record.at_force_samples(record.eta_m + drift_spline.value @ knots)
     velocity = record.at_force_samples(record.velocity_m_per_s + drift_spline.rate @ knots)
-    unit_force_columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
+    columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
     force_n = record.force_n - ground_n_per_m(record) @ knots
-    coefficients, _, rank, _ = np.linalg.lstsq(unit_force_columns, force_n, rcond=None)
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
-    is_determined = rank == unit_force_columns.shape[1] and np.all(laws[:, 2] > 0)
-    return float(np.sum((force_n - unit_force_columns @ coefficients) ** 2)) if is_determined else np.inf, (
-        laws.ravel(),
-        knots,
-    )
+    is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
+    misfit = float(np.sum((force_n - columns @ coefficients) ** 2)) if is_determined else np.inf
+    return misfit, (laws.ravel(), knots)
 
 
 def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[LawGuess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
-    magnitude_n = np.abs(record.force_n)
-    contact_count_by_side, largest_force_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
-    least_closed_force_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
-    knee_forces_n = np.geomspace(least_closed_force_n, largest_force_n, KNEE_FORCE_COUNT + 2)[1:-1]
-    for knees_n in combinations(knee_forces_n, int(contact_count_by_side.max()) - 1):
-        knee_excess_n = [
-            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *contact_count_by_side) > knee_index)
-            for knee_index, knee_n in enumerate(knees_n, 1)
-        ]
+    magnitude_n, knot_count = np.abs(record.force_n), record.drift_spline.knots
+    counts, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
+    contact_counts = np.where(record.force_n < 0, *counts)
+    least_closed_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
+    knee_forces_n = np.geomspace(least_closed_n, largest_n, KNEE_FORCE_COUNT + 2)[1:-1]
+    for knees_n in combinations(knee_forces_n, int(counts.max()) - 1):
+        excess_n = [np.maximum(magnitude_n - knee_n, 0.0) * (contact_counts > k) for k, knee_n in enumerate(knees_n, 1)]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            coefficients = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
-            knot_count = record.drift_spline.knots
-            knots, (clearance, compliance, *compliance_steps) = (
-                coefficients[:knot_count],
-                coefficients[knot_count:].tolist(),
-            )
-            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *compliance_steps]))
+            coefficients = closed_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
+            knots, (clearance, compliance, *steps) = coefficients[:knot_count], coefficients[knot_count:].tolist()
+            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *steps]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
             clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
             stiffnesses_n_per_m = np.diff([0.0, *summed_n_per_m])
-            guessed_laws = nominal_laws.copy()
+            laws = nominal_laws.copy()
             for side in range(2):
-                touching_contacts = np.flatnonzero(touched[:, side])
-                touching_contacts = touching_contacts[np.argsort(nominal_laws[touching_contacts, side], kind="stable")]
-                guessed_laws[touching_contacts, side] = clearances_m[: touching_contacts.size]
-                guessed_laws[touching_contacts, 2] = stiffnesses_n_per_m[: touching_contacts.size]
+                contacts = np.flatnonzero(touched[:, side])
+                contacts = contacts[np.argsort(nominal_laws[contacts, side], kind="stable")]
+                laws[contacts, side] = clearances_m[: contacts.size]
+                laws[contacts, 2] = stiffnesses_n_per_m[: contacts.size]
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
-            yield guessed_laws.ravel(), knots / drift_ratio
+            yield laws.ravel(), knots / drift_ratio
 
 
 def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
@@ -282,10 +258,10 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     is estimated by least absolute deviations, with a prior of one on each theta, by iteratively reweighted least
     squares.
     """
-    pulls = np.zeros(len(record.nuisance_n))
-    if not np.any(record.is_initial_state):
+    pulls, is_state = np.zeros(len(record.nuisance_n)), record.is_initial_state
+    if not np.any(is_state):
         return pulls
-    state_rows = record.nuisance_n[record.is_initial_state].astype(float)
+    state_rows = record.nuisance_n[is_state].astype(float)
 
     def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
         deviation_n = np.abs(record.force_n - theta @ state_rows)
@@ -294,9 +270,7 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
         prior_matrix = np.eye(len(state_rows)) / median_n
         return np.linalg.solve(weighted_rows @ state_rows.T + prior_matrix, weighted_rows @ record.force_n)
 
-    pulls[record.is_initial_state] = refit_until_settled(
-        pulls[record.is_initial_state], reweighted, rounds=REWEIGHTING_ROUNDS
-    )
+    pulls[is_state] = refit_until_settled(pulls[is_state], reweighted, rounds=REWEIGHTING_ROUNDS)
     return pulls
 
 

@@ -128,15 +128,12 @@ class JointEstimate:
     @property
     def reversed(self) -> "JointEstimate":
         """Estimate with the relative displacement counted in the other direction."""
-        swap_matrix = np.eye(len(LAW))[[1, 0, 2, 3]]
+        swap = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower_touched, upper_touched = self.touched
         return replace(
             self,
-            values=swap_matrix @ self.values,
-            covariances={
-                source: swap_matrix @ source_covariance @ swap_matrix
-                for source, source_covariance in self.covariances.items()
-            },
+            values=swap @ self.values,
+            covariances={source: swap @ part @ swap for source, part in self.covariances.items()},
             touched=(upper_touched, lower_touched),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
@@ -186,54 +183,41 @@ def fit_joint(
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
     fit = chosen_form(fit, forms)
-    state = fit.state
-    scaled_to_laws, (derivatives, normal_equations) = fit.scaled_to_laws, fit.linearized
-    pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    knots_per_gradient, pulls_and_free_per_gradient = normal_equations.solved(
+    state, to_laws, (derivatives, equations) = fit.state, fit.scaled_to_laws, fit.linearized
+    pull_count, free_count = state.pulls.size, to_laws.shape[1]
+    knots, pulls_and_free = equations.solved(
         np.zeros((drift_spline.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    pulls_and_laws_per_gradient = np.concatenate(
-        [pulls_and_free_per_gradient[:pull_count], scaled_to_laws @ pulls_and_free_per_gradient[pull_count:]]
-    )
+    pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], to_laws @ pulls_and_free[pull_count:]])
     # by residuals
-    influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
-    part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
-    scores_by_part = part_scores(influence, state.residual_n, part_starts)
+    influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
+    part_starts = informative_parts(influence @ to_laws[LAW.names.index("stiffness_n_per_m")])
+    scores = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
-        "scatter": small_sample_factor(free_count) * scores_by_part,
-        "tolerances": record.samples_per_error * pulls_and_free_per_gradient[:pull_count],
-        "drift": drift_spline.curvature @ knots_per_gradient,
+        "scatter": small_sample_factor(free_count) * scores,
+        "tolerances": record.samples_per_error * pulls_and_free[:pull_count],
+        "drift": drift_spline.curvature @ knots,
     }
-    covariances = {
-        source: scaled_to_laws @ (source_rows.T @ source_rows) @ scaled_to_laws.T
-        for source, source_rows in rows_by_source.items()
-    }
-    law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
-    covariances["law"] = law_misfit
+    covariances = {source: to_laws @ (rows.T @ rows) @ to_laws.T for source, rows in rows_by_source.items()}
+    covariances["law"] = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
     covariance = np.asarray(sum(covariances.values()))
     drift_m, drift_m_per_s = drift_signals(record, state.knots, state.pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
     def estimate_at(first_parameter: int, lower_touched: bool, upper_touched: bool) -> JointEstimate:
-        contact_parameters = slice(first_parameter, first_parameter + len(LAW))
+        law = slice(first_parameter, first_parameter + len(LAW))
+        gradients = np.stack([_clearance_gradient((lower_touched, upper_touched)), STIFFNESS_GRADIENT], axis=1)
         return JointEstimate(
-            values=state.law_parameters[contact_parameters],
-            covariances={
-                source: source_covariance[contact_parameters, contact_parameters]
-                for source, source_covariance in covariances.items()
-            },
+            values=state.law_parameters[law],
+            covariances={source: part[law, law] for source, part in covariances.items()},
             sides_known=sides_known,
             touched=(lower_touched, upper_touched),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
-            half_differences=half_differences(
-                scores_by_part
-                @ scaled_to_laws[contact_parameters].T
-                @ np.stack([_clearance_gradient((lower_touched, upper_touched)), STIFFNESS_GRADIENT], axis=1)
-            ),
+            half_differences=half_differences(scores @ to_laws[law].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
@@ -255,28 +239,21 @@ def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, flo
     The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
     deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
-    residual_and_force_square = np.zeros(2)
+    residual_square, force_square = 0.0, 0.0
     for residual_n, force_n, sensor_noise_n in residual_force_noise_n:
         noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
         noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual_n.size))
-        residual_and_force_square += [
-            max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (residual_n, force_n)
-        ]
-    return (
-        float(np.sqrt(residual_and_force_square[0] / residual_and_force_square[1]))
-        if residual_and_force_square[1] > 0
-        else 0.0
-    )
+        residual_square += max(float(np.var(residual_n)) - noise_square, 0.0)
+        force_square += max(float(np.var(force_n)) - noise_square, 0.0)
+    return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
 
 
 def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     scatter = np.maximum(np.sqrt(np.sum(influence_by_part**2, axis=0)), 1e-300)
-    first_half, second_half = (
-        influence_by_part[: len(influence_by_part) // 2].sum(axis=0),
-        influence_by_part[len(influence_by_part) // 2 :].sum(axis=0),
-    )
-    clearance_difference, stiffness_difference = (first_half - second_half) / scatter
+    middle = len(influence_by_part) // 2
+    difference = influence_by_part[:middle].sum(axis=0) - influence_by_part[middle:].sum(axis=0)
+    clearance_difference, stiffness_difference = difference / scatter
     return float(clearance_difference), float(stiffness_difference)
 
 
@@ -316,16 +293,11 @@ def _check_separable(
     interval."""
     laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
-        touching_contacts = np.flatnonzero(touched[:, side])
-        if any(
-            np.mean(sign * eta_m > laws[contact_index, side]) < LEAST_CLOSED_SHARE
-            for contact_index in touching_contacts
-        ):
+        contacts = np.flatnonzero(touched[:, side])
+        if any(np.mean(sign * eta_m > laws[contact, side]) < LEAST_CLOSED_SHARE for contact in contacts):
             raise refused(RefusalCode.NOT_SEPARABLE)
-        for first_contact, second_contact in combinations(touching_contacts, 2):
-            difference_gradient = np.zeros_like(law_parameters)
-            difference_gradient[[len(LAW) * first_contact + side, len(LAW) * second_contact + side]] = 1, -1
-            if abs(difference_gradient @ law_parameters) < COVERED * np.sqrt(
-                difference_gradient @ covariance @ difference_gradient
-            ):
+        for first, second in combinations(contacts, 2):
+            gradient = np.zeros_like(law_parameters)
+            gradient[[len(LAW) * first + side, len(LAW) * second + side]] = 1, -1
+            if abs(gradient @ law_parameters) < COVERED * np.sqrt(gradient @ covariance @ gradient):
                 raise refused(RefusalCode.NOT_SEPARABLE)

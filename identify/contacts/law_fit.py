@@ -60,20 +60,14 @@ class LawFit:
     def scaled_to_laws(self) -> Float[np.ndarray, "numbers sizes"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is
         free."""
-        lower_clearance_m, upper_clearance_m, stiffness_n_per_m, _ = self.state.form.contact_parameters(
-            self.state.law_parameters
-        ).T
-        clearance_m = np.maximum(np.minimum(lower_clearance_m, upper_clearance_m), 1e-9)
-        parameter_scales = np.stack(
-            [clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1
-        ).ravel()
-        scaled_to_dead_zone = self.free_to_laws * np.max(self.free_to_laws * parameter_scales[:, None], axis=0)
-        exponent_count = self.state.form.exponent_count
-        return np.asarray(
-            block_diag(scaled_to_dead_zone, EXPONENT_STEP * np.eye(exponent_count))
-            if exponent_count
-            else scaled_to_dead_zone
-        )
+        form = self.state.form
+        lower_m, upper_m, stiffness_n_per_m, _ = form.contact_parameters(self.state.law_parameters).T
+        clearance_m = np.maximum(np.minimum(lower_m, upper_m), 1e-9)
+        scales = np.stack([clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1).ravel()
+        scaled = self.free_to_laws * np.max(self.free_to_laws * scales[:, None], axis=0)
+        if not form.exponent_count:
+            return scaled
+        return np.asarray(block_diag(scaled, EXPONENT_STEP * np.eye(form.exponent_count)))
 
     @property
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
@@ -91,22 +85,16 @@ class LawFit:
 
     def _step_from(self, state: FitState) -> Step[FitState]:
         fit = replace(self, state=state)
-        scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
-        knot_step, pulls_and_free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
-        cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(
-            equations.free_gradient * pulls_and_free_step
-        )
+        to_laws, (_, equations), pull_count = fit.scaled_to_laws, fit.linearized, state.pulls.size
+        knot_step, free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
+        cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.free_gradient * free_step)
 
-        def state_after(step_share: float) -> FitState | None:
-            law_parameters = (
-                state.law_parameters + step_share * scaled_to_laws @ pulls_and_free_step[state.pulls.size :, 0]
-            )
+        def state_after(share: float) -> FitState | None:
+            law_parameters = state.law_parameters + share * to_laws @ free_step[pull_count:, 0]
             if not state.form.is_within_bounds(law_parameters):
                 return None
-            pulls = state.pulls + step_share * pulls_and_free_step[: state.pulls.size, 0]
-            return self._with_cost(
-                state_at(self.record, state.form, law_parameters, state.knots + step_share * knot_step[:, 0], pulls)
-            )
+            knots, pulls = state.knots + share * knot_step[:, 0], state.pulls + share * free_step[:pull_count, 0]
+            return self._with_cost(state_at(self.record, state.form, law_parameters, knots, pulls))
 
         return Step(state_after, float(cost_decrease))
 
@@ -148,8 +136,8 @@ class LawFit:
 
     def depth_m(self, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
         """Penetration of the first contact's stops, m."""
-        lower_clearance_m, upper_clearance_m, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
-        return np.asarray(eta_m - np.clip(eta_m, -lower_clearance_m, upper_clearance_m))
+        lower_m, upper_m, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
+        return np.asarray(eta_m - np.clip(eta_m, -lower_m, upper_m))
 
 
 def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
@@ -236,29 +224,25 @@ def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
 def is_preferred_form(dead_zone_fit: LawFit, alternative: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
     independent_samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
-    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative, independent_samples)
-    return bool(
-        likelihood_gain > alternative.state.form.exponent_count * np.log(independent_samples) + 2 * np.log(LEAST_ODDS)
-        and consistency > CONSISTENCY_LIMIT
-    )
+    gain, consistency = form_evidence(dead_zone_fit, alternative, independent_samples)
+    least_gain = alternative.state.form.exponent_count * np.log(independent_samples) + 2 * np.log(LEAST_ODDS)
+    return bool(gain > least_gain and consistency > CONSISTENCY_LIMIT)
 
 
 def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, independent_samples: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
     spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative)]
     line_count = spectra[0].size
-    band_edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
-    band_starts = np.unique(np.r_[0, band_edges[1:-1]])
-    line_counts = np.diff(np.r_[band_starts, line_count])
-    squares_before, squares_after = (np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in spectra)
-    if not np.all((squares_before > 0) & (squares_after > 0)):
+    edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
+    starts = np.unique(np.r_[0, edges[1:-1]])
+    counts = np.diff(np.r_[starts, line_count])
+    before, after = (np.add.reduceat(np.abs(spectrum) ** 2, starts) for spectrum in spectra)
+    if not np.all((before > 0) & (after > 0)):
         return 0.0, 0.0
-    likelihood_gain = independent_samples * float(line_counts @ np.log(squares_before / squares_after)) / line_count
-    usual_amplitude = np.repeat(np.sqrt(squares_before / line_counts), line_counts)
-    flattened_squares = [
-        np.fft.irfft(spectrum / usual_amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra
-    ]
-    part_gains = np.array([part.sum() for part in np.array_split(flattened_squares[0] - flattened_squares[1], PARTS)])
+    likelihood_gain = independent_samples * float(counts @ np.log(before / after)) / line_count
+    amplitude = np.repeat(np.sqrt(before / counts), counts)
+    flattened = [np.fft.irfft(spectrum / amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra]
+    part_gains = np.array([part.sum() for part in np.array_split(flattened[0] - flattened[1], PARTS)])
     gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 
@@ -275,17 +259,15 @@ def misfit_covariance(
 
         D D' / 4 max(0, 1 - T0^2 / T^2).
     """
-    law_parameters = fit.state.law_parameters
-    covariance = np.zeros((law_parameters.size, law_parameters.size))
+    law_count = fit.state.law_parameters.size
+    covariance = np.zeros((law_count, law_count))
     force_by_free = derivatives.by_law @ fit.scaled_to_laws
-    for half_masks in _closed_splits(fit):
-        first_scores, second_scores = (
-            _half_scores(fit, force_by_free, is_in_half, part_starts) for is_in_half in half_masks
-        )
-        if first_scores is None or second_scores is None:
+    for halves in _closed_splits(fit):
+        first, second = (_half_scores(fit, force_by_free, is_in_half, part_starts) for is_in_half in halves)
+        if first is None or second is None:
             continue
-        parameter_difference, excess = misfit_excess(first_scores - second_scores)
-        law_error = fit.scaled_to_laws @ parameter_difference / 2
+        difference, excess = misfit_excess(first - second)
+        law_error = fit.scaled_to_laws @ difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
@@ -293,19 +275,15 @@ def misfit_covariance(
 def misfit_excess(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     part_count, parameter_count = score_differences.shape
-    parameter_difference = score_differences.sum(axis=0)
-    difference_scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
-    scaled_scatter = (score_differences - score_differences.mean(axis=0)) / difference_scale
-    covariance = part_count / (part_count - 1) * scaled_scatter.T @ scaled_scatter
-    t_square = float(
-        (parameter_difference / difference_scale)
-        @ np.linalg.pinv(covariance, hermitian=True)
-        @ (parameter_difference / difference_scale)
-    )
+    difference = score_differences.sum(axis=0)
+    scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
+    scatter = (score_differences - score_differences.mean(axis=0)) / scale
+    covariance = part_count / (part_count - 1) * scatter.T @ scatter
+    t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
     degrees_of_freedom = part_count - parameter_count
     f_quantile = float(f.ppf(MISFIT_CONFIDENCE, parameter_count, degrees_of_freedom))
     t_square_limit = parameter_count * (part_count - 1) / degrees_of_freedom * f_quantile
-    return parameter_difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
+    return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
 def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:

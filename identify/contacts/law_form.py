@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
+from msgspec.structs import replace
 
 from rig.model.contact_laws import ContactLaw, DeadZone
 from rig.model.parameters import Parameter, ParameterSet
@@ -105,36 +106,32 @@ class LawForm:
     def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
         by_parameters, by_exponent = [], np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            by_lower_clearance = contribution.slope_n_per_m * (contribution.depth_m < 0)
-            by_parameters += [
-                by_lower_clearance,
-                by_lower_clearance - contribution.slope_n_per_m,
-                contribution.spring_m * contribution.is_closed,
-                contribution.damper_m_per_s * contribution.is_closed,
-            ]
+        for part in self.contributions(law_parameters, eta_m, rate_m_per_s):
+            by_lower_clearance = part.slope_n_per_m * (part.depth_m < 0)
+            by_upper_clearance = by_lower_clearance - part.slope_n_per_m
+            by_parameters += [by_lower_clearance, by_upper_clearance]
+            by_parameters += [part.spring_m * part.is_closed, part.damper_m_per_s * part.is_closed]
             if self.exponent_count:
-                depth_ratio = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(depth_ratio)
+                depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += part.stiffness_n_per_m * part.spring_m * np.log(depth_ratio)
         return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
 
     def contributions(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
     ) -> "Iterator[Contribution]":
         """Contributions of the contacts to the force."""
-        for contact_index, contact_values in enumerate(self.contact_parameters(law_parameters)):
-            lower_m, upper_m, stiffness, damping = contact_values.tolist()
-            unit_spring, unit_damper = (
-                DeadZone(
-                    lower_clearance_m=lower_m,
-                    upper_clearance_m=upper_m,
-                    stiffness_n_per_m=unit_stiffness,
-                    damping_n_s_per_m=unit_damping,
-                    exponent=self.exponent(law_parameters),
-                    reference_depth_m=self.reference_depth_m,
-                )
-                for unit_stiffness, unit_damping in ((1.0, 0.0), (0.0, 1.0))
+        exponent = self.exponent(law_parameters)
+        for contact_index, values in enumerate(self.contact_parameters(law_parameters)):
+            lower_m, upper_m, stiffness, damping = values.tolist()
+            unit_spring = DeadZone(
+                lower_clearance_m=lower_m,
+                upper_clearance_m=upper_m,
+                stiffness_n_per_m=1.0,
+                damping_n_s_per_m=0.0,
+                exponent=exponent,
+                reference_depth_m=self.reference_depth_m,
             )
+            unit_damper = replace(unit_spring, stiffness_n_per_m=0.0, damping_n_s_per_m=1.0)
             depth_m, spring_m = unit_spring.penetration_m(eta_m), unit_spring.force_n(eta_m)
             damper_m_per_s, is_closed = unit_damper.force_n(eta_m, rate_m_per_s), depth_m != 0
             if contact_index in self.spring_indices:
@@ -175,8 +172,4 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [
-        unit_force
-        for contribution in contributions
-        for unit_force in (contribution.spring_m, contribution.damper_m_per_s)
-    ]
+    return [force for part in contributions for force in (part.spring_m, part.damper_m_per_s)]

@@ -69,18 +69,16 @@ class FitState:
     @property
     def stiffness_n_per_m(self) -> float:
         """Stiffness of the stop that closes first, N/m; of a spring without stops, its own."""
-        values_by_contact = self.form.contact_parameters(self.law_parameters)
-        stop_values = np.delete(values_by_contact, self.form.spring_indices, axis=0)
-        lower_m, upper_m, stiffness, _ = (stop_values if len(stop_values) else values_by_contact).T
+        values = self.form.contact_parameters(self.law_parameters)
+        stops = np.delete(values, self.form.spring_indices, axis=0)
+        lower_m, upper_m, stiffness, _ = (stops if len(stops) else values).T
         return float(stiffness[np.argmin(np.minimum(lower_m, upper_m))])
 
     @property
     def spring_n_per_m(self) -> float:
         """Stiffness of the springs beside stops, N/m; zero of a spring without stops."""
-        spring_stiffnesses_n_per_m = self.form.contact_parameters(self.law_parameters)[
-            list(self.form.spring_indices), 2
-        ]
-        return float(spring_stiffnesses_n_per_m.sum()) if self.form.name != "spring" else 0.0
+        springs = self.form.contact_parameters(self.law_parameters)[list(self.form.spring_indices)]
+        return float(springs[:, 2].sum()) if self.form.name != "spring" else 0.0
 
 
 @dataclass(frozen=True)
@@ -98,16 +96,14 @@ class Jacobian:
         self, knots: Float[np.ndarray, "knots columns"], pulls_and_laws: Float[np.ndarray, "free columns"]
     ) -> Float[np.ndarray, "fewer columns"]:
         """Jacobian times columns of knots and of free parameters: the nuisance parameters, then the law's."""
-        pull_count = self.by_pulls.shape[1]
-        pull_columns = np.concatenate(
-            [self.by_pulls[chunk] @ pulls_and_laws[:pull_count] for chunk in sample_chunks(len(self.by_law))]
-        )
+        pull_count, chunks = self.by_pulls.shape[1], sample_chunks(len(self.by_law))
+        pull_columns = np.concatenate([self.by_pulls[chunk] @ pulls_and_laws[:pull_count] for chunk in chunks])
         return np.asarray(self.by_knots @ knots + pull_columns + self.by_law @ pulls_and_laws[pull_count:])
 
 
 def sample_chunks(sample_count: int) -> Iterator[slice]:
     """Slices of `CHUNK_SAMPLES` samples."""
-    return (slice(first_sample, first_sample + CHUNK_SAMPLES) for first_sample in range(0, sample_count, CHUNK_SAMPLES))
+    return (slice(first, first + CHUNK_SAMPLES) for first in range(0, sample_count, CHUNK_SAMPLES))
 
 
 def state_at(
@@ -137,13 +133,9 @@ def drift_signals(
     record: ContactRecord, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Drift signals h b - theta' nuisance_m, m, and their rate, m/s, with h = 1 - theta' eta_noise_multiple."""
-    eta_pulls = pulls[record.shifts_eta]
-    motion_gain, nuisance_m = 1 - eta_pulls @ record.eta_noise_multiple, _weighted_sum(eta_pulls, record.nuisance_m)
-    nuisance_m_per_s = record.velocity_of(nuisance_m)
-    drift_spline = record.drift_spline
-    return motion_gain * (drift_spline.value @ knots) - nuisance_m, motion_gain * (
-        drift_spline.rate @ knots
-    ) - nuisance_m_per_s
+    eta_pulls, curve = pulls[record.shifts_eta], record.drift_spline
+    gain, nuisance_m = 1 - eta_pulls @ record.eta_noise_multiple, _weighted_sum(eta_pulls, record.nuisance_m)
+    return gain * (curve.value @ knots) - nuisance_m, gain * (curve.rate @ knots) - record.velocity_of(nuisance_m)
 
 
 def _weighted_sum(
@@ -165,29 +157,29 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     ground_matrix, drift_force_n = ground_n_per_m(record), by_drift @ state.knots
     force_residual_n = state.residual_n + ground_matrix @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
-    for nuisance_index, noise_multiple in enumerate(record.force_noise_multiple):
-        by_pulls[nuisance_index] -= noise_multiple * force_residual_n
-    for moving_index, nuisance_m, noise_multiple in zip(
+    for k, noise_multiple in enumerate(record.force_noise_multiple):
+        by_pulls[k] -= noise_multiple * force_residual_n
+    for index, nuisance_m, noise_multiple in zip(
         np.flatnonzero(record.shifts_eta), record.nuisance_m, record.eta_noise_multiple, strict=True
     ):
         force_change_n = by_displacement * nuisance_m + by_velocity * record.velocity_of(nuisance_m)
-        by_pulls[moving_index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
+        by_pulls[index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
     force_gain = 1 - state.pulls @ record.force_noise_multiple
     by_pulls /= np.float32(force_gain)
     motion_gain = 1 - state.pulls[record.shifts_eta] @ record.eta_noise_multiple
     return Jacobian(
         by_knots=motion_gain / force_gain * by_drift + ground_matrix,
         by_pulls=by_pulls.T,
-        by_law=np.stack([_low_passed(record, moving_index) for moving_index in by_law], axis=1) / force_gain,
+        by_law=np.stack([_low_passed(record, column) for column in by_law], axis=1) / force_gain,
     )
 
 
 def ground_n_per_m(record: ContactRecord) -> csr_matrix:
     """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
-    drift_spline = record.drift_spline
+    curve = record.drift_spline
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
-        return csr_matrix((record.force_n.size, drift_spline.knots))
-    knot_values, knot_rates = record.at_force_samples(drift_spline.value), record.at_force_samples(drift_spline.rate)
+        return csr_matrix((record.force_n.size, curve.knots))
+    knot_values, knot_rates = record.at_force_samples(curve.value), record.at_force_samples(curve.rate)
     return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates
 
 
@@ -215,9 +207,9 @@ class BorderedEquations:
         self, knot_right_side: Float[np.ndarray, "knots columns"], free_right_side: Float[np.ndarray, "free columns"]
     ) -> tuple[Float[np.ndarray, "knots columns"], Float[np.ndarray, "free columns"]]:
         """Solution for a right-hand side: knots, and free parameters."""
-        knots_alone = (
-            cho_solve_banded((self.cholesky, False), knot_right_side) if knot_right_side.size else knot_right_side
-        )
+        knots_alone = knot_right_side
+        if knot_right_side.size:
+            knots_alone = cho_solve_banded((self.cholesky, False), knot_right_side)
         free_solution = self.schur_inverse @ (free_right_side - self.border.T @ knots_alone)
         return knots_alone - self.eliminated_border @ free_solution, free_solution
 
@@ -237,26 +229,21 @@ def normal_equations(
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
     free_block = np.diag(np.r_[np.full(pull_count, record.samples_per_error), np.zeros(free_count)])
     free_gradient = np.r_[-record.samples_per_error * state.pulls, np.zeros(free_count)]
-    drift_spline, weighted_residual = record.drift_spline, weights * state.residual_n
-    border = np.zeros((drift_spline.knots, pull_count + free_count))
+    curve, weighted_residual = record.drift_spline, weights * state.residual_n
+    border = np.zeros((curve.knots, pull_count + free_count))
     by_knots = csr_matrix(diags(weights) @ derivatives.by_knots)
-    for sample_chunk in sample_chunks(weighted_residual.size):
-        weighted_rows = np.concatenate(
-            [derivatives.by_pulls[sample_chunk], derivatives.by_law[sample_chunk] @ scaled_to_laws], axis=1
-        )
-        weighted_rows *= weights[sample_chunk, None]
-        free_block += weighted_rows.T @ weighted_rows
-        free_gradient += weighted_rows.T @ weighted_residual[sample_chunk]
-        if drift_spline.knots:
-            border += by_knots[sample_chunk].T @ weighted_rows
-    knot_gradient = by_knots.T @ weighted_residual + drift_spline.curvature.T @ (
-        drift_spline.target - drift_spline.curvature @ state.knots
-    )
+    for chunk in sample_chunks(weighted_residual.size):
+        rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ scaled_to_laws], axis=1)
+        rows *= weights[chunk, None]
+        free_block += rows.T @ rows
+        free_gradient += rows.T @ weighted_residual[chunk]
+        if curve.knots:
+            border += by_knots[chunk].T @ rows
+    prior_residual = curve.target - curve.curvature @ state.knots
+    knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ prior_residual
     try:
-        cholesky = _banded_cholesky(
-            by_knots.T @ by_knots + drift_spline.curvature.T @ drift_spline.curvature, bandwidth
-        )
-        eliminated_border = cho_solve_banded((cholesky, False), border) if drift_spline.knots else border
+        cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)
+        eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knots else border
         schur_inverse = np.linalg.inv(free_block - border.T @ eliminated_border)
     except LinAlgError as error:
         raise refused(RefusalCode.NO_LAW) from error
@@ -267,7 +254,7 @@ def normal_equations(
 def _banded_cholesky(symmetric_matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:
     """Cholesky factor of a symmetric matrix with `bandwidth` diagonals on either side."""
     knot_count = symmetric_matrix.shape[0]
-    upper_diagonals = np.zeros((bandwidth + 1, knot_count))
+    band = np.zeros((bandwidth + 1, knot_count))
     for diagonal in range(min(bandwidth + 1, knot_count)):
-        upper_diagonals[bandwidth - diagonal, diagonal:] = symmetric_matrix.diagonal(diagonal)
-    return np.asarray(cholesky_banded(upper_diagonals)) if knot_count else upper_diagonals
+        band[bandwidth - diagonal, diagonal:] = symmetric_matrix.diagonal(diagonal)
+    return np.asarray(cholesky_banded(band)) if knot_count else band

@@ -32,12 +32,10 @@ class NuisanceSignals:
 
     def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
         """Signals with the contact forces by initial states, which change no displacement."""
-        kind, zero_multiples = NuisanceKind.INITIAL_STATE, np.zeros(force_n.shape[:2])
+        states = (Nuisance(NuisanceKind.INITIAL_STATE, RECORD_NAME, k + 1) for k in range(len(force_n)))
+        zero_multiples = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (
-                *self.parameters,
-                *(Nuisance(kind, RECORD_NAME, state_number + 1) for state_number in range(len(force_n))),
-            ),
+            (*self.parameters, *states),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
             np.concatenate([self.force_noise_multiple, zero_multiples]),
@@ -66,45 +64,29 @@ def nuisance_signals(
     """
     row_count, station_count = contact_weights.shape[1], signs.shape[1]
     signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
-    signal_shape = (len(parameters), len(signs), sample_count)
-    force_n, eta_m = np.empty(signal_shape, np.float32), np.zeros(signal_shape, np.float32)
-    force_multiple, eta_multiple = np.zeros(signal_shape[:2]), np.zeros(signal_shape[:2])
+    shape = (len(parameters), len(signs), sample_count)
+    force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
+    force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
     noise_forces = contact_spectra(contact_weights, noise_alone.signals)
     noise_etas = real_product(signs, noise_alone.displacements)
-    for nuisance_index, (nuisance_change, noise_change) in enumerate(
-        zip(changes_of(observed), changes_of(noise_alone), strict=True)
-    ):
-        sensor_weights, sensor_signs = contact_weights[:, nuisance_change.sensors], signs[:, nuisance_change.sensors]
-        force_spectra = contact_spectra(sensor_weights, nuisance_change.signals)
-        force_n[nuisance_index] = lines.signals(force_spectra, sample_count)
-        force_multiple[nuisance_index] = _noise_multiple(
-            noise_forces, contact_spectra(sensor_weights, noise_change.signals)
-        )
-        displacements = (
-            np.zeros_like(nuisance_change.signals)
-            if nuisance_change.displacements is None
-            else nuisance_change.displacements
-        )
+    pairs = zip(changes_of(observed), changes_of(noise_alone), strict=True)
+    for index, (change, noise_change) in enumerate(pairs):
+        sensor_weights, sensor_signs = contact_weights[:, change.sensors], signs[:, change.sensors]
+        force_spectra = contact_spectra(sensor_weights, change.signals)
+        force_n[index] = lines.signals(force_spectra, sample_count)
+        noise_force = contact_spectra(sensor_weights, noise_change.signals)
+        force_multiple[index] = _noise_multiple(noise_forces, noise_force)
+        moves_contact = np.any(sensor_signs)
         if slow_model is not None:
-            row_displacements = np.zeros((row_count, displacements.shape[1]), dtype=complex)
-            row_displacements[nuisance_change.sensors] = displacements
-            station_displacements = row_displacements[:station_count]
-            displacement_change = slow_model.displacement_change(
-                nuisance_change.parameter, force_spectra, station_displacements
-            )
-            eta_m[nuisance_index] = lines.signals(
-                real_product(signs[:, :station_count], displacement_change), sample_count
-            )
-        elif nuisance_change.displacements is not None and np.any(sensor_signs):
-            eta_m[nuisance_index] = lines.signals(real_product(sensor_signs, displacements), sample_count)
-        if (
-            nuisance_change.displacements is not None
-            and noise_change.displacements is not None
-            and np.any(sensor_signs)
-        ):
-            eta_multiple[nuisance_index] = _noise_multiple(
-                noise_etas, real_product(sensor_signs, noise_change.displacements)
-            )
+            displacements = np.zeros((row_count, change.signals.shape[1]), dtype=complex)
+            displacements[change.sensors] = 0.0 if change.displacements is None else change.displacements
+            slow_change = slow_model.displacement_change(change.parameter, force_spectra, displacements[:station_count])
+            eta_m[index] = lines.signals(real_product(signs[:, :station_count], slow_change), sample_count)
+        elif moves_contact and change.displacements is not None:
+            eta_m[index] = lines.signals(real_product(sensor_signs, change.displacements), sample_count)
+        if moves_contact and not (change.displacements is None or noise_change.displacements is None):
+            noise_eta = real_product(sensor_signs, noise_change.displacements)
+            eta_multiple[index] = _noise_multiple(noise_etas, noise_eta)
     return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)
 
 
@@ -128,6 +110,6 @@ def _noise_multiple(
     noise_force: Complex[np.ndarray, "contacts lines"], nuisance_force: Complex[np.ndarray, "contacts lines"]
 ) -> Float[np.ndarray, " contacts"]:
     """Multiple of the noise that is nearest to the nuisance, by least squares."""
-    noise_power = np.sum(np.abs(noise_force) ** 2, axis=1)
-    noise_product = np.sum((noise_force.conj() * nuisance_force).real, axis=1)
-    return np.divide(noise_product, noise_power, out=np.zeros_like(noise_power), where=noise_power > 0)
+    power = np.sum(np.abs(noise_force) ** 2, axis=1)
+    product = np.sum((noise_force.conj() * nuisance_force).real, axis=1)
+    return np.divide(product, power, out=np.zeros_like(power), where=power > 0)

@@ -58,13 +58,8 @@ class SeparationInput:
     @property
     def signs(self) -> Float[np.ndarray, "contacts stations"]:
         """Signs of the stations' displacements in the relative ones."""
-        stations, contacts = self.motion.stations, self.rig.contacts
-        return np.array(
-            [
-                [float(station == contact.at) - float(station == contact.against) for station in stations]
-                for contact in contacts
-            ]
-        )
+        stations = self.motion.stations
+        return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in self.rig.contacts])
 
 
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
@@ -84,9 +79,8 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     shows_zero = motion.zero_known & is_held & (orders[:, 1] == 0)
     is_in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
     scale_per_s2 = np.where(is_quieter.any(axis=1), np.max(omega * is_quieter, axis=1) ** 2, 1.0)
-    acceleration_variance = np.where(
-        is_in_metres & has_both[:, None], variance_by_displacement, variance_by_acceleration
-    )
+    by_displacement = is_in_metres & has_both[:, None]
+    acceleration_variance = np.where(by_displacement, variance_by_displacement, variance_by_acceleration)
     return StationRows(is_in_metres, scale_per_s2, omega, acceleration_variance)
 
 
@@ -104,30 +98,25 @@ def observation_of(
     """
     rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.samples
     displacements, accelerations = _station_spectra(record, motion, lines)
-    station_signals, station_response = rows.signals(displacements, accelerations), rows.response
+    signals, response = rows.signals(displacements, accelerations), rows.response
     shows_slow_motion = [not (has_high_passed_springs(responses) or sensor.high_pass_hz) for sensor in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
     observed_base = None
     if base := motion.base:
-        base_acceleration, base_displacement = (
-            lines.spectra(base_signal) for base_signal in (base.acceleration_m_per_s2, base.displacement_m)
-        )
-        observed_base = ObservedBase(
-            base.sensor, base.displaced_by, base_acceleration, base_displacement, input_accelerations[-1]
-        )
+        acceleration, displacement = lines.spectra(base.acceleration_m_per_s2), lines.spectra(base.displacement_m)
+        by_base = input_accelerations[-1]
+        observed_base = ObservedBase(base.sensor, base.displaced_by, acceleration, displacement, by_base)
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
         tolerances=record.tolerances,
         omega=lines.omega,
-        sensor_response=np.concatenate([station_response, gauge_rows.response]),
-        signals=np.concatenate([station_signals, gauge_rows.measured]),
+        sensor_response=np.concatenate([response, gauge_rows.response]),
+        signals=np.concatenate([signals, gauge_rows.measured]),
         force_accelerations=input_accelerations[: count_on_bodies(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
-        bodies=tuple(
-            observed_body_motion(rig, response, motion, station_signals / station_response) for response in responses
-        ),
+        bodies=tuple(observed_body_motion(rig, body, motion, signals / response) for body in responses),
         base=observed_base,
         transverse=_observed_transverse(record, lines, rows),
         by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
@@ -135,7 +124,7 @@ def observation_of(
     gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
-    gauge_errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
+    gauge_errors = GaugeErrors(len(signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
     return observed, gauge_errors, np.concatenate([sample_count * rows.noise_variance, gauge_rows.noise_power])
 
 
@@ -153,22 +142,13 @@ def _observed_transverse(
     record: SeparationInput, lines: SpectralLines, station_rows: StationRows
 ) -> ObservedTransverse | None:
     """Motion in the other direction at the stations where it is measured too."""
-    transverse, stations = record.motion.transverse, record.motion.stations
+    transverse = record.motion.transverse
     if transverse is None:
         return None
-    station_and_transverse_rows = [
-        (station_index, row)
-        for station_index, station in enumerate(stations)
-        if (row := transverse.row(station)) is not None
-    ]
-    station_indices, transverse_rows = (
-        [sensor_index for sensor_index, _ in station_and_transverse_rows],
-        [row for _, row in station_and_transverse_rows],
-    )
-    displacements, accelerations = (spectra[transverse_rows] for spectra in _station_spectra(record, transverse, lines))
-    return ObservedTransverse(
-        station_indices, station_rows.of(station_indices).signals(displacements, accelerations), displacements
-    )
+    stations = [k for k, station in enumerate(record.motion.stations) if transverse.row(station) is not None]
+    rows = np.array([transverse.row(record.motion.stations[k]) for k in stations], dtype=int)
+    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, transverse, lines))
+    return ObservedTransverse(stations, station_rows.of(stations).signals(displacements, accelerations), displacements)
 
 
 def noise_observation(
@@ -202,13 +182,13 @@ def with_driven_modes(
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
-    force_spectra, contact_force_spectra = input_spectra[:force_count], input_spectra[force_count:]
+    forces, contact_forces = input_spectra[:force_count], input_spectra[force_count:]
     bodies = tuple(
-        driven_body_motion(rig, body.response, motion, accelerations, force_spectra, contact_force_spectra)
+        driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
         for body in observed.bodies
     )
-    driven_observed = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
-    return with_slow_modes(rig, driven_observed, input_spectra, corner_hz) if corner_hz else driven_observed
+    driven = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
+    return with_slow_modes(rig, driven, input_spectra, corner_hz) if corner_hz else driven
 
 
 def with_modes_at_rest(
@@ -221,7 +201,5 @@ def with_modes_at_rest(
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
     input_spectra = np.concatenate([force_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting_observed = replace(observed, further_changes=gauge_errors.changes(input_spectra))
-    return (
-        with_slow_modes(record.rig, resting_observed, 0 * input_spectra, corner_hz) if corner_hz else resting_observed
-    )
+    resting = replace(observed, further_changes=gauge_errors.changes(input_spectra))
+    return with_slow_modes(record.rig, resting, 0 * input_spectra, corner_hz) if corner_hz else resting

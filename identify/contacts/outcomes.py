@@ -23,11 +23,9 @@ class Outcomes:
         """Outcomes of contacts that are all refused for one reason."""
         return Outcomes({}, dict.fromkeys(names, refusal))
 
-    def __or__(self, further_outcomes: "Outcomes") -> "Outcomes":
+    def __or__(self, further: "Outcomes") -> "Outcomes":
         """Outcomes with those of further contacts."""
-        return Outcomes(
-            {**self.estimates, **further_outcomes.estimates}, {**self.refusals, **further_outcomes.refusals}
-        )
+        return Outcomes({**self.estimates, **further.estimates}, {**self.refusals, **further.refusals})
 
 
 NO_OUTCOMES = Outcomes({}, {})
@@ -36,13 +34,12 @@ NO_OUTCOMES = Outcomes({}, {})
 def check_certain(estimate: JointEstimate, lacks_slow_motion: bool) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted.
     Displacement sensors would help where the record lacks the contact's slow motion."""
-    estimate_without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
-    stiffness_and_error = ("stiffness", estimate.stiffness_n_per_m, estimate_without_misfit.error(STIFFNESS_GRADIENT))
-    clearance_and_error = ("clearance", estimate.clearance_m, estimate_without_misfit.clearance_error_m)
-    for quantity, value, standard_error in (
-        [stiffness_and_error] if estimate.is_spring else [clearance_and_error, stiffness_and_error]
-    ):
-        if not standard_error < UNCERTAIN_SHARE * value:
-            error_percent = min(100 * standard_error / max(value, 1e-12), 100)
+    without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
+    quantities = [("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS_GRADIENT))]
+    if not estimate.is_spring:
+        quantities.insert(0, ("clearance", estimate.clearance_m, without_misfit.clearance_error_m))
+    for quantity, value, error in quantities:
+        if not error < UNCERTAIN_SHARE * value:
+            error_percent = min(100 * error / max(value, 1e-12), 100)
             remedy = None if lacks_slow_motion else RemedyCode.RECORD_LONGER_OR_EXCITE_MORE
             raise refused(RefusalCode.UNCERTAIN, remedy, quantity=quantity, uncertain_percent=error_percent)

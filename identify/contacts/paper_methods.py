@@ -81,22 +81,22 @@ def results_by_name(
     notes: list[str], description: str, inputs_by_name: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
     """Results of `compute` for each input, by its name; a note for each where it fails numerically."""
-    result_by_name = {}
+    results = {}
     for name, method_input in inputs_by_name.items():
         try:
-            result_by_name[name] = compute(method_input)
+            results[name] = compute(method_input)
         except (ValueError, ArithmeticError) as error:  # RigError and LinAlgError are ValueErrors
             notes.append(f"{description} of {name} cannot be made: {error}")
-    return result_by_name
+    return results
 
 
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
     names = [
-        f"{body.name} {mode_number}"
+        f"{body.name} {number}"
         for body in driven_bodies(rig)
-        for mode_number in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
+        for number in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
     ]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
@@ -118,30 +118,23 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     force_n, force_over_stiffness_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, velocity = record.eta_m, record.velocity_m_per_s
-        sign_by_name = dict(
-            zip((names[contact_index] for contact_index in group.contact_indices), group.signs, strict=True)
-        )
-        estimated_names = [name for name in sign_by_name if name in outcomes.estimates]
-        if estimated_names:
-            estimate, sign = outcomes.estimates[estimated_names[0]], sign_by_name[estimated_names[0]]
-            eta_m, velocity = eta_m + sign * estimate.drift_m, velocity + sign * estimate.drift_m_per_s
-        for index, sign in zip(group.contact_indices, group.signs, strict=True):
-            eta[index] = sign * eta_m
-            if names[index] in estimated_names:
-                estimate = outcomes.estimates[names[index]]
-                force_over_stiffness_m[index] = evaluated_law(
-                    estimate.spring_m, eta[index][None], record.sample_rate_hz
-                )
-                force_n[index] = estimate.force_n(eta[index], sign * velocity)
+        signs = dict(zip(group.contact_indices, group.signs, strict=True))
+        estimates = {k: outcomes.estimates[names[k]] for k in signs if names[k] in outcomes.estimates}
+        if estimates:
+            k, estimate = next(iter(estimates.items()))
+            eta_m, velocity = eta_m + signs[k] * estimate.drift_m, velocity + signs[k] * estimate.drift_m_per_s
+        for k, sign in signs.items():
+            eta[k] = sign * eta_m
+            if k in estimates:
+                force_over_stiffness_m[k] = evaluated_law(estimates[k].spring_m, eta[k][None], record.sample_rate_hz)
+                force_n[k] = estimates[k].force_n(eta[k], sign * velocity)
     return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
     """Stops of each contact of the rig; None where the record does not determine it."""
-    return tuple(
-        _stops(outcomes.estimates[contact.name]) if contact.name in outcomes.estimates else None
-        for contact in rig.contacts
-    )
+    estimates = [outcomes.estimates.get(contact.name) for contact in rig.contacts]
+    return tuple(None if estimate is None else _stops(estimate) for estimate in estimates)
 
 
 def _stops(estimate: JointEstimate) -> Stops:
@@ -184,23 +177,21 @@ def paper_methods(
     motion = motion.segment(slice(sample_count)).without_rows
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
-
-    def nifo_of(modal_equation: ModalEquation, form: Form = "weak") -> Nifo:
-        force_n = equivalent_force_n(rig, modal_equation, motion.forces_n)
-        return nifo(modal_equation, force_n, force_over_stiffness_m, blocks_by_body[modal_equation.body], form)
-
-    def surface_of(modal_equation: ModalEquation) -> Surface:
-        return fit_surface(
-            modal_equation, equivalent_force_n(rig, modal_equation, motion.forces_n), eta, surface_decimation, stops
-        )
-
     surface_decimation = _surface_decimation(rig, motion)
+
+    def nifo_of(modal: ModalEquation, form: Form = "weak") -> Nifo:
+        force_n = equivalent_force_n(rig, modal, motion.forces_n)
+        return nifo(modal, force_n, force_over_stiffness_m, blocks_by_body[modal.body], form)
+
+    def surface_of(modal: ModalEquation) -> Surface:
+        return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, surface_decimation, stops)
+
     spectra = results_by_name(notes, "NIFO", nifo_equations, nifo_of)
     surfaces = results_by_name(notes, "the restoring force surface", equations, surface_of)
     single_signals = {
-        rig.contacts[stop_index].name: (eta[stop_index, motion.excited_from :], stop.touched)
-        for stop_index, stop in enumerate(stops)
-        if stop and stop_index in single_contacts
+        contact.name: (eta[k, motion.excited_from :], stop.touched)
+        for k, (contact, stop) in enumerate(zip(rig.contacts, stops, strict=True))
+        if stop and k in single_contacts
     }
     histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
     main_name = _main_equation(spectra, driven_equations, equation, notes)
@@ -232,11 +223,9 @@ def _blocks(
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
         low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
-        lowest_hz, highest_hz = motion.trusted_hz
-        band_hz = averaging.band_hz or (
-            max(low_hz, LOWEST_NIFO_CORNER_RATIO * lowest_hz, LOWEST_NIFO_HZ),
-            min(high_hz, highest_hz),
-        )
+        trusted_from_hz, trusted_to_hz = motion.trusted_hz
+        low_hz = max(low_hz, LOWEST_NIFO_CORNER_RATIO * trusted_from_hz, LOWEST_NIFO_HZ)
+        band_hz = averaging.band_hz or (low_hz, min(high_hz, trusted_to_hz))
         return blocks(sample_count, motion.sample_rate_hz, averaging, band_hz)
 
     return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)
@@ -269,16 +258,13 @@ def _main_equation(
 ) -> str:
     """Name of the requested equation, or of the one whose stiffnesses deviate least over frequency; without NIFO, of
     the first with a force. Empty if there is none."""
-    selectable_equations = spectra or driven_equations
-    if requested_name in selectable_equations:
+    if requested_name in (spectra or driven_equations):
         return str(requested_name)
     if requested_name is not None:
         notes.append(f"the modal equation {requested_name} cannot be made; the figures show another one")
 
     def deviation(name: str) -> tuple[int, float]:
-        weak_nifo = spectra[name]
-        return -len(weak_nifo.contacts), float(
-            np.max(weak_nifo.deviation_n_per_m / np.abs(weak_nifo.mean_n_per_m), initial=0.0)
-        )
+        weak = spectra[name]
+        return -len(weak.contacts), float(np.max(weak.deviation_n_per_m / np.abs(weak.mean_n_per_m), initial=0.0))
 
     return min(spectra, key=deviation) if spectra else next(iter(driven_equations), "")

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from identify.contacts.observation import RINGING_S
-from identify.contacts.results import ContactReport, Estimate, Segment
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Segment
 from identify.contacts.space_identification import identify_recording
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
@@ -52,24 +52,23 @@ def identify_long(
         raise RigError(
             f"segments of {segment_s:g} s: give {SHORTEST_SEGMENT_S:g} s or more, of which contacts can be told"
         )
-    identified_segments: list[Segment] = []
-    refusal_reason = ""
+    identified: list[Segment] = []
+    reason = ""
     file_bytes = path.stat().st_size if path.exists() else 0
     for recording in segments(path, segment_s + RINGING_S, RINGING_S):
+        start_s = recording.start_s + (RINGING_S if recording.start_s else 0.0)
         try:
-            report = identify_recording(
+            identification = identify_recording(
                 recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances
-            ).report
-            identified_segments.append(
-                Segment(recording.start_s + (RINGING_S if recording.start_s else 0.0), recording.end_s, report)
             )
+            identified.append(Segment(start_s, recording.end_s, identification.report))
         except RigError as error:
-            refusal_reason = str(error)
+            reason = str(error)
         channel_count = sum(len(signal.channels.names) for signal in recording.signals.values())
         progress(min(1.0, 8 * channel_count * recording.end_s * recording.rig.sample_rate_hz / file_bytes))
-    if not identified_segments:
-        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({refusal_reason})")
-    return pooled_report([segment.report for segment in identified_segments]), tuple(identified_segments)
+    if not identified:
+        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({reason})")
+    return pooled_report([segment.report for segment in identified]), tuple(identified)
 
 
 def longest_segment_s(path: Path) -> float:
@@ -91,8 +90,8 @@ def longest_segment_s(path: Path) -> float:
 
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
-    merged_report = _merged_structs(_with_usual_law(reports))
-    answered_names = {contact.name for contact in merged_report.contacts}
+    merged = _merged_structs(_with_usual_law(reports))
+    answered_names = {contact.name for contact in merged.contacts}
     findings = {
         (finding.cause, finding.channels, finding.of): finding
         for report in reversed(reports)
@@ -100,10 +99,8 @@ def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     }
     main_equations = [report.main_equation for report in reports]
     return msgspec.structs.replace(
-        merged_report,
-        unanswered=tuple(
-            unanswered for unanswered in merged_report.unanswered if unanswered.name not in answered_names
-        ),
+        merged,
+        unanswered=tuple(unanswered for unanswered in merged.unanswered if unanswered.name not in answered_names),
         findings=tuple(findings.values())[::-1],
         main_equation=max(main_equations, key=main_equations.count),
         notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
@@ -113,22 +110,14 @@ def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
 def _with_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
     """Reports with only those contacts whose law is the one of most segments: parameters of different laws cannot be
     pooled."""
-    names_laws_and_depths = [
-        (contact.name, contact.law, contact.reference_depth_m) for report in reports for contact in report.contacts
-    ]
-    usual_laws = {
-        name: max(names_laws_and_depths, key=lambda law: (law[0] == name, names_laws_and_depths.count(law)))
-        for name, *_ in names_laws_and_depths
-    }
+
+    def law_of(contact: ContactEstimate) -> tuple[str, str, float | None]:
+        return contact.name, contact.law, contact.reference_depth_m
+
+    laws = [law_of(contact) for report in reports for contact in report.contacts]
+    usual_laws = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
     return [
-        msgspec.structs.replace(
-            report,
-            contacts=tuple(
-                contact
-                for contact in report.contacts
-                if (contact.name, contact.law, contact.reference_depth_m) == usual_laws[contact.name]
-            ),
-        )
+        msgspec.structs.replace(report, contacts=tuple(c for c in report.contacts if law_of(c) == usual_laws[c.name]))
         for report in reports
     ]
 
@@ -148,39 +137,27 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     if not np.all(errors > 0):
         return Estimate(float(values.mean()), float(errors.max()))
     weights = errors**-2 / np.sum(errors**-2)
-    weighted_mean, effective_count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
-    scatter_variance = effective_count / (effective_count - 1) * weights @ (values - weighted_mean) ** 2
-    shared_variance = max(0.0, mean_variance - scatter_variance * max(0.0, 1 - np.sqrt(2 / effective_count)))
+    mean, count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
+    scatter = count / (count - 1) * weights @ (values - mean) ** 2
+    shared = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
+    error = float(np.sqrt(max(scatter / count, min(scatter / count + shared, mean_variance))))
     own_errors = [estimate.own_error for estimate in estimates if estimate.own_error is not None]
-    return Estimate(
-        float(weighted_mean),
-        float(
-            np.sqrt(
-                max(
-                    scatter_variance / effective_count,
-                    min(scatter_variance / effective_count + shared_variance, mean_variance),
-                )
-            )
-        ),
-        float(np.sqrt(max(scatter_variance / effective_count, weights**2 @ np.square(own_errors))))
-        if len(own_errors) == len(estimates)
-        else None,
-    )
+    if len(own_errors) < len(estimates):
+        return Estimate(float(mean), error)
+    own_error = float(np.sqrt(max(scatter / count, weights**2 @ np.square(own_errors))))
+    return Estimate(float(mean), error, own_error)
 
 
 def _merged_structs(structs: Sequence[Struct]) -> Struct:
     """Structure merged field by field; the numbers of averages are added."""
-    merged_fields: dict[str, Any] = {}
+    merged: dict[str, Any] = {}
     for name in structs[0].__struct_fields__:
-        field_values = [value for struct in structs if (value := getattr(struct, name)) is not None]
-        merged_fields[name] = (
-            sum(field_values[1:], field_values[0])
-            if name in SUMMED_FIELDS
-            else _merged_value(field_values)
-            if field_values
-            else None
-        )
-    return type(structs[0])(**merged_fields)
+        values = [value for struct in structs if (value := getattr(struct, name)) is not None]
+        if name in SUMMED_FIELDS:
+            merged[name] = sum(values[1:], values[0])
+        else:
+            merged[name] = _merged_value(values) if values else None
+    return type(structs[0])(**merged)
 
 
 def _merged_value(field_values: Sequence[Any]) -> Any:
@@ -199,7 +176,7 @@ def _merged_value(field_values: Sequence[Any]) -> Any:
 
 def _merged_rows(struct_rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Structures of several rows, merged where their `IDENTIFYING_FIELDS` agree; the first row if there are none."""
-    structs_by_name: dict[tuple[Any, ...], list[Any]] = {}
-    for struct in (struct for struct_row in struct_rows for struct in struct_row if isinstance(struct, msgspec.Struct)):
-        structs_by_name.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
-    return tuple(map(_merged_structs, structs_by_name.values())) if structs_by_name else struct_rows[0]
+    by_name: dict[tuple[Any, ...], list[Any]] = {}
+    for struct in (struct for row in struct_rows for struct in row if isinstance(struct, msgspec.Struct)):
+        by_name.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
+    return tuple(map(_merged_structs, by_name.values())) if by_name else struct_rows[0]

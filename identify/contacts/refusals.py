@@ -152,10 +152,7 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         "{reach_mm:.3g} mm",
         RemedyCode.EXCITE_MORE,
     ),
-    RefusalCode.NO_STIFFNESS: (
-        "no force grows with this relative displacement",
-        RemedyCode.EXCITE_MORE_OR_CHECK_RIG,
-    ),
+    RefusalCode.NO_STIFFNESS: ("no force grows with this relative displacement", RemedyCode.EXCITE_MORE_OR_CHECK_RIG),
     RefusalCode.NO_LAW: ("its closures tell no law of it", RemedyCode.EXCITE_MORE),
     RefusalCode.DRIFT_TOO_LARGE: (
         "the drift that would explain it is larger than the noise of the accelerometers allows",

@@ -45,6 +45,7 @@ VARIANCE_SOURCES = {
     "law": "what the law leaves",
 }
 """Sources of variance in words."""
+FOOT_TEXT = "Every identified value of this page stands in contact.json, unrounded, with its standard error."
 Laws = Mapping[str, ContactLaw]
 
 
@@ -81,84 +82,74 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    findings = page.list_html(finding.sentence for finding in report.findings)
+    findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
+    decisive = {name: picture for name, picture in figures.items() if name == DECISIVE_FIGURE}
+    decisive_html = _figures_html(decisive, page.FIRST_PLOT_PX)
+    further_html = _figures_html({name: picture for name, picture in figures.items() if name not in decisive})
+    folded = [("Does it fit?", "".join(further_html))] if further_html else []
+    if report.contacts:
+        folded.append(("How sure is it?", variance_table(_shares_by_quantity(result))))
     page.write(
         path,
         title=title,
         answer=answer(report, len(result.rig.contacts)),
         top_blocks=[
-            f"{findings if report.findings else ''}{drawing(result.rig, report)}{values(report, laws, laws_name)}",
-            "".join(
-                _figures_html(
-                    {name: contents for name, contents in figures.items() if name == DECISIVE_FIGURE},
-                    page.FIRST_PLOT_PX,
-                )
-            ),
+            f"{findings}{drawing(result.rig, report)}{values(report, laws, laws_name)}",
+            "".join(decisive_html),
         ],
         sections=[
             *([("What was refused", refusals(report))] if report.unanswered else []),
             ("What would make it surer", page.list_html(recommendations(result))),
         ],
         folded_sections=[
-            *(
-                [("Does it fit?", "".join(other_figures))]
-                if (
-                    other_figures := _figures_html(
-                        {name: contents for name, contents in figures.items() if name != DECISIVE_FIGURE}
-                    )
-                )
-                else []
-            ),
-            *([("How sure is it?", _variance_table(result))] if report.contacts else []),
+            *folded,
             ("What was assumed", page.list_html(assumptions(result))),
             ("For comparison: the paper's methods", _methods_html(result)),
         ],
-        foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+        foot_text=FOOT_TEXT,
         sources=sources,
     )
 
 
 def drawing(rig: Rig, report: ContactReport) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
-    contact_lines: dict[str, tuple[str, ...]] = {
-        contact.name: (
-            *([] if contact.is_spring else [_interval_text(contact.clearance_m, "mm", 1e3)]),
-            _interval_text(contact.stiffness_n_per_m, "N/m"),
-        )
-        for contact in report.contacts
-    }
-    contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
+    lines: dict[str, tuple[str, ...]] = {}
+    for contact in report.contacts:
+        stiffness = _interval_text(contact.stiffness_n_per_m, "N/m")
+        clearance = () if contact.is_spring else (_interval_text(contact.clearance_m, "mm", 1e3),)
+        lines[contact.name] = (*clearance, stiffness)
+    lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
     found_words = "; clearance and stiffness found (± 95 %)" if report.contacts else ""
     caption = f"<figcaption>The rig, to scale along the bodies{found_words}.</figcaption>"
-    return f"<figure>{rig_drawing(rig, contact_lines)}{caption}</figure>"
+    return f"<figure>{rig_drawing(rig, lines)}{caption}</figure>"
 
 
-def _variance_table(result: Identification) -> str:
-    """Table of the share of each estimate's variance by source."""
-    rows = [
-        (f"{quantity} of {name}", *(percent(shares.get(source, 0.0)) for source in VARIANCE_SOURCES))
+def _shares_by_quantity(result: Identification) -> dict[str, Mapping[str, float]]:
+    """Shares of the variance of each estimated quantity by source."""
+    return {
+        f"{quantity} of {name}": shares
         for name, estimate in result.outcomes.estimates.items()
         for quantity, shares in variance_shares(estimate).items()
+    }
+
+
+def variance_table(shares_by_quantity: Mapping[str, Mapping[str, float]]) -> str:
+    """Table of the share of each estimate's variance by source."""
+    rows = [
+        (quantity, *(percent(shares.get(source, 0.0)) for source in VARIANCE_SOURCES))
+        for quantity, shares in shares_by_quantity.items()
     ]
-    return "<p>Where the variance of each value comes from.</p>" + page.table(
-        ("value", *VARIANCE_SOURCES.values()), rows
-    )
+    table = page.table(("value", *VARIANCE_SOURCES.values()), rows)
+    return f"<p>Where the variance of each value comes from.</p>{table}"
 
 
 def answer(report: ContactReport, total_count: int) -> page.Answer:
     """Answer that the page of a report on so many contacts begins with."""
-    identified_count = len(report.contacts)
+    count = len(report.contacts)
+    words = "identified" if count == total_count else f"{count} of {total_count} contacts identified"
     return page.Answer(
-        "red"
-        if not identified_count
-        else "green"
-        if identified_count == total_count and not report.findings
-        else "yellow",
-        "not to be relied on"
-        if report.findings
-        else "identified"
-        if identified_count == total_count
-        else f"{identified_count} of {total_count} contacts identified",
+        "red" if not count else "green" if count == total_count and not report.findings else "yellow",
+        "not to be relied on" if report.findings else words,
         _sentences(report),
     )
 
@@ -169,18 +160,17 @@ def _sentences(report: ContactReport) -> list[str]:
     if not contacts:
         reasons = [f"{unanswered.name}: {unanswered.reason}." for unanswered in report.unanswered]
         return ["This record determines no contact.", *reasons]
-    values_by_contact = (
-        f"{contact.name}: "
-        + ("" if contact.is_spring else f"clearance {_interval_text(contact.clearance_m, 'mm', 1e3)}, ")
-        + f"stiffness {_interval_text(contact.stiffness_n_per_m, 'N/m')}"
-        + (f" ({contact.law})" if contact.law_sentence or contact.is_spring else "")
-        for contact in contacts
-    )
-    return ["; ".join(values_by_contact)]
+    clauses = []
+    for contact in contacts:
+        clearance = "" if contact.is_spring else f"clearance {_interval_text(contact.clearance_m, 'mm', 1e3)}, "
+        law = f" ({contact.law})" if contact.law_sentence or contact.is_spring else ""
+        stiffness = _interval_text(contact.stiffness_n_per_m, "N/m")
+        clauses.append(f"{contact.name}: {clearance}stiffness {stiffness}{law}")
+    return ["; ".join(clauses)]
 
 
-def _interval_text(estimate: Estimate, unit: str, unit_scale: float = 1.0) -> str:
-    return interval(unit_scale * estimate.value, unit_scale * estimate.standard_error, unit)
+def _interval_text(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
+    return interval(scale * estimate.value, scale * estimate.standard_error, unit)
 
 
 def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
@@ -190,19 +180,14 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
         return ""
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    half_play_words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
-    if any(
-        contact.lower_clearance_m and _is_surer(contact.clearance_m, contact.lower_clearance_m) for contact in contacts
-    ):
-        half_play_words = (
+    words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
+    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
+        words = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half_play_words}</p>"
-    return (
-        page.table(("", "", "identified", laws_name, "differs by"), rows)
-        + note
-        + (page.list_html(law_sentences) if law_sentences else "")
-    )
+    table = page.table(("", "", "identified", laws_name, "differs by"), rows)
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{words}</p>"
+    return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 
 def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
@@ -213,7 +198,7 @@ def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
     first_quantity = "stiffness" if contact.is_spring else "clearance"
-    for name, estimate, reference_value, unit, unit_scale in (
+    for name, estimate, reference, unit, scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
         ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
@@ -223,33 +208,28 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("sliding speed", contact.sliding_speed_m_per_s, getattr(law, "sliding_speed_m_per_s", 0.0), "mm/s", 1e3),
     ):
         if estimate is not None and not (contact.is_spring and name == "clearance"):
-            is_comparable = reference_value and np.isfinite(reference_value)
-            difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if is_comparable else ""
+            is_comparable = reference and np.isfinite(reference)
             yield (
                 contact.name if name == first_quantity else "",
                 name if unit == "1" else f"{name}, {unit}",
-                _interval_text(estimate, "1", unit_scale),
-                number(unit_scale * reference_value) if np.isfinite(reference_value) else "no stop",
-                difference,
+                _interval_text(estimate, "1", scale),
+                number(scale * reference) if np.isfinite(reference) else "no stop",
+                f"{100 * (estimate.value / reference - 1):+.3f} %" if is_comparable else "",
             )
 
 
 def refusals(report: ContactReport) -> str:
     """Table of the contacts that the record does not determine, and why."""
-    return page.table(
-        ("contact", "not told by this record, because"),
-        [(unanswered.name, unanswered.reason) for unanswered in report.unanswered],
-    )
+    rows = [(unanswered.name, unanswered.reason) for unanswered in report.unanswered]
+    return page.table(("contact", "not told by this record, because"), rows)
 
 
 def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
-    figure_by_name = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    figure_html = results_by_name(
-        notes, "the figure", figure_by_name, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px)
-    )
-    return [*([page.list_html(notes)] if notes else []), *figure_html.values()]
+    shown = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
+    html = results_by_name(notes, "the figure", shown, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 
 def _methods_html(result: Identification) -> str:
@@ -278,15 +258,10 @@ def _methods_html(result: Identification) -> str:
 def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
     for nifo in report.nifo:
         for stiffness in nifo.stiffness:
-            deviation_percent = f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g} %"
-            visibility_note = "nearly invisible" if stiffness.contact in nifo.nearly_invisible else ""
-            yield (
-                nifo.equation,
-                stiffness.contact,
-                f"{number(stiffness.mean_n_per_m.value)} N/m",
-                deviation_percent,
-                visibility_note,
-            )
+            mean_n_per_m = stiffness.mean_n_per_m.value
+            deviation = f"{100 * stiffness.rms_deviation_n_per_m / abs(mean_n_per_m):.2g} %"
+            note = "nearly invisible" if stiffness.contact in nifo.nearly_invisible else ""
+            yield nifo.equation, stiffness.contact, f"{number(mean_n_per_m)} N/m", deviation, note
     for nifo in report.nifo:
         for name in nifo.nearly_invisible:
             if name not in {stiffness.contact for stiffness in nifo.stiffness}:
@@ -294,14 +269,11 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
 
 
 def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
-    clearances = [
-        (f"surface of {surface.equation}", clearance)
-        for surface in report.surface.surfaces
-        for clearance in surface.clearances
-    ]
-    clearances += [("histogram", clearance) for clearance in report.surface.histogram]
+    surface = report.surface
+    clearances = [(f"surface of {s.equation}", clearance) for s in surface.surfaces for clearance in s.clearances]
+    clearances += [("histogram", clearance) for clearance in surface.histogram]
     for method, clearance in clearances:
         yield clearance.contact, method, f"{number(1e3 * clearance.clearance_m.value)} mm"
     for contact in report.contacts:
-        if contact.name not in {clearance.contact for clearance in report.surface.histogram}:
+        if contact.name not in {clearance.contact for clearance in surface.histogram}:
             yield contact.name, "histogram", "not told"

@@ -88,22 +88,16 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     @property
     def _annular_words(self) -> str:
         """Friction and centre of an annular contact in words."""
-        clauses = []
-        if self.friction_coefficient is not None and self.sliding_speed_m_per_s is not None:
-            friction, sliding_speed = self.friction_coefficient, self.sliding_speed_m_per_s
+        clauses, friction, speed = [], self.friction_coefficient, self.sliding_speed_m_per_s
+        if friction is not None and speed is not None:
             clauses.append(
                 f"friction coefficient {interval(friction.value, friction.standard_error, '1')}, sliding speed "
-                f"{interval(1e3 * sliding_speed.value, 1e3 * sliding_speed.standard_error, 'mm/s')}"
+                f"{interval(1e3 * speed.value, 1e3 * speed.standard_error, 'mm/s')}"
             )
         if self.center_y_m is None or self.center_z_m is None:
             return "; ".join([*clauses, "its centre is not known, as it does not rest in the ring"])
-        center_y_text, center_z_text = (
-            interval(1e3 * center.value, 1e3 * center.standard_error, "mm")
-            for center in (self.center_y_m, self.center_z_m)
-        )
-        return "; ".join(
-            [*clauses, f"its centre lies at y = {center_y_text}, z = {center_z_text} from the rest position"]
-        )
+        y, z = (interval(1e3 * c.value, 1e3 * c.standard_error, "mm") for c in (self.center_y_m, self.center_z_m))
+        return "; ".join([*clauses, f"its centre lies at y = {y}, z = {z} from the rest position"])
 
 
 class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -232,10 +226,10 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 
     Where only half the total play is known, the clearances are placed about the nominal middle of the play.
     """
-    estimate_by_name = {contact.name: contact for contact in report.contacts}
+    estimates = {contact.name: contact for contact in report.contacts}
     contacts = tuple(
-        replace(contact, law=_identified_law(contact.law, estimate_by_name[contact.name]))
-        if contact.name in estimate_by_name
+        replace(contact, law=_identified_law(contact.law, estimates[contact.name]))
+        if contact.name in estimates
         else contact
         for contact in rig.contacts
     )

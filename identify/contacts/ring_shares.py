@@ -55,8 +55,8 @@ def ring_shares(estimate: AnnularEstimate, rate_hz: float, first_sample: int, st
         whirling=float(np.sum(np.diff(whirl_samples))) / max(is_closed.size, 1),
         touched_sectors=sector_numbers.size / SECTORS,
         whirls=tuple(
-            (start_s + (first_sample + whirl_start) / rate_hz, start_s + (first_sample + whirl_end) / rate_hz)
-            for whirl_start, whirl_end in whirl_samples.tolist()
+            (start_s + (first_sample + start) / rate_hz, start_s + (first_sample + end) / rate_hz)
+            for start, end in whirl_samples.tolist()
         ),
     )
 
@@ -65,14 +65,11 @@ def _whirls(
     is_closed: Bool[np.ndarray, " samples"], angle_rad: Float[np.ndarray, " samples"], bridged_samples: int
 ) -> Int[np.ndarray, "whirls 2"]:
     """First and last samples of the times of contact in which the angle goes once around or more."""
-    closed_samples = np.flatnonzero(is_closed)
-    if not closed_samples.size:
+    closed = np.flatnonzero(is_closed)
+    if not closed.size:
         return np.zeros((0, 2), dtype=int)
-    break_indices = np.flatnonzero(np.diff(closed_samples) > bridged_samples)
-    start_samples, end_samples = (
-        closed_samples[np.r_[0, break_indices + 1]],
-        closed_samples[np.r_[break_indices, closed_samples.size - 1]],
-    )
+    breaks = np.flatnonzero(np.diff(closed) > bridged_samples)
+    starts, ends = closed[np.r_[0, breaks + 1]], closed[np.r_[breaks, closed.size - 1]]
     unwrapped_rad = np.unwrap(angle_rad)
-    goes_around = np.abs(unwrapped_rad[end_samples] - unwrapped_rad[start_samples]) >= 2 * np.pi
-    return np.stack([start_samples[goes_around], end_samples[goes_around]], axis=1)
+    goes_around = np.abs(unwrapped_rad[ends] - unwrapped_rad[starts]) >= 2 * np.pi
+    return np.stack([starts[goes_around], ends[goes_around]], axis=1)

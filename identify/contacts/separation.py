@@ -82,23 +82,17 @@ def separate_planes(
     """
     gauged_motions = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
     driven_motions = [motion for _, motion in gauged_motions if not is_unforced(motion)]
-    highest_excited_hz = (
-        max(map(highest_driven_hz, driven_motions))
-        if driven_motions
-        else max(highest_vibration_hz(motion) for _, motion in gauged_motions)
-    )
+    if driven_motions:
+        highest_hz = max(map(highest_driven_hz, driven_motions))
+    else:
+        highest_hz = max(highest_vibration_hz(motion) for _, motion in gauged_motions)
     excited_from = min((motion.excited_from for motion in driven_motions), default=0)
     transverse_motions = [motion for _, motion in gauged_motions[::-1]] if len(gauged_motions) > 1 else [None]
-    return tuple(
-        _separated(
-            recording,
-            gauges,
-            replace(motion, excited_from=excited_from, transverse=transverse),
-            highest_excited_hz,
-            tolerances,
-        )
-        for recording, (gauges, motion), transverse in zip(recordings, gauged_motions, transverse_motions, strict=True)
-    )
+    separations = []
+    for recording, (gauges, motion), transverse in zip(recordings, gauged_motions, transverse_motions, strict=True):
+        motion_in_space = replace(motion, excited_from=excited_from, transverse=transverse)
+        separations.append(_separated(recording, gauges, motion_in_space, highest_hz, tolerances))
+    return tuple(separations)
 
 
 def _separated(
@@ -188,10 +182,10 @@ def _without_start(
     start_s = RINGING_S if begins_at_rest else start_transient_s(group_rig, forces.slow_n_per_m)
     skipped_samples = round(start_s * rate_hz / forces.decimation)
     if (sample_count - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
-        displacement_remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+        remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
         raise refused(
             RefusalCode.TOO_SHORT,
-            RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else displacement_remedy,
+            RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else remedy,
             duration_s=recording.duration_s,
             at_start_s=start_s,
             at_end_s=recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz,
@@ -203,13 +197,12 @@ def check_described(rig: Rig) -> None:
     """Raises ContactRefusedError if the rig has no contact, or a field that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
-    for field_name in UNMODELLED_FIELDS:
-        if getattr(rig, field_name) not in ((), None, ForceSensor()):
-            if field_name == "base_motion" and rig.base_sensors:
-                continue
-            if field_name == "base_motion":
-                raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field_name)
+    for name in UNMODELLED_FIELDS:
+        if getattr(rig, name) in ((), None, ForceSensor()) or (name == "base_motion" and rig.base_sensors):
+            continue
+        if name == "base_motion":
+            raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
+        raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=name)
     if any(spring.cubic_n_per_m3 for spring in rig.springs):
         raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what="springs with cubic_n_per_m3")
 
@@ -218,15 +211,12 @@ def _check_displacements(rig: Rig, motion: Kinematics) -> None:
     """Raises ContactRefusedError if a contact has no sensor, and its body more modes than stations: the displacement
     there does not follow from those at the stations."""
     for contact in rig.contacts:
-        for station in (s for s in contact_stations(contact) if motion.row(s) is None):
-            station_count = sum(s.body == station.body for s in motion.stations)
-            if station_count < rig.body(station.body).max_modes:
+        for station in contact_stations(contact):
+            body, count = station.body, sum(other.body == station.body for other in motion.stations)
+            if motion.row(station) is None and count < rig.body(body).max_modes:
+                position_m = station.position_m
                 raise refused(
-                    RefusalCode.NO_SENSOR,
-                    contact=contact.name,
-                    position_m=station.position_m,
-                    body=station.body,
-                    stations=station_count,
+                    RefusalCode.NO_SENSOR, contact=contact.name, position_m=position_m, body=body, stations=count
                 )
 
 
@@ -246,31 +236,30 @@ def _contact_records(
     quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]
     quiet_deviation_n = quiet_force_n.std(axis=1) if quiet_force_n.shape[1] else np.zeros(len(rig.contacts))
     quiet_deviation_n = np.maximum(quiet_deviation_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
-    for contact_index in range(len(rig.contacts)):
-        displacements_m = nuisances.eta_m[:, contact_index]
+    for j in range(len(rig.contacts)):
+        displacements_m = nuisances.eta_m[:, j]
         shifts_eta = np.any(displacements_m, axis=1)
-        drift = drift_of(rig, motion, contact_index, noise_m_per_s2, tolerances, sample_count)
+        drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, sample_count)
         if drift:
-            spring_n_per_m = float(forces.slow_n_per_m[contact_index, contact_index])
-            damper_n_s_per_m = float(forces.slow_n_s_per_m[contact_index, contact_index])
+            spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
             drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
         nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :sample_count].astype(np.float32)
         records.append(
             ContactRecord(
-                eta_m=eta_m[contact_index, :sample_count],
-                velocity_m_per_s=velocity_m_per_s[contact_index, :sample_count],
+                eta_m=eta_m[j, :sample_count],
+                velocity_m_per_s=velocity_m_per_s[j, :sample_count],
                 sample_rate_hz=motion.sample_rate_hz,
-                force_n=forces.force_n[contact_index],
+                force_n=forces.force_n[j],
                 decimation=forces.decimation,
-                quiet_deviation_n=float(quiet_deviation_n[contact_index]),
-                noise_n=float(forces.noise_n[contact_index]),
+                quiet_deviation_n=float(quiet_deviation_n[j]),
+                noise_n=float(forces.noise_n[j]),
                 unmodelled_share=tolerances.unmodelled_contact,
-                noise_m=float(forces.slow_motion.noise_m[contact_index]) if forces.slow_motion else 0.0,
+                noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
                 drift=drift,
                 drift_spline=spline(sample_count, motion.sample_rate_hz, drift),
-                nuisance_n=nuisances.force_n[:, contact_index],
-                force_noise_multiple=nuisances.force_noise_multiple[:, contact_index],
-                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, contact_index],
+                nuisance_n=nuisances.force_n[:, j],
+                force_noise_multiple=nuisances.force_noise_multiple[:, j],
+                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, j],
                 shifts_eta=shifts_eta,
                 nuisance_m=nuisance_m,
                 is_initial_state=is_initial_state,
@@ -293,24 +282,22 @@ def drift_of(
     """
     if motion.zero_known:
         return None
-    stations = contact_stations(rig.contacts[contact_index])
-    unmeasured_stations = [station for station in stations if motion.row(station) is None]
-    if unmeasured_stations:
-        raise refused(
-            RefusalCode.NO_ACCELEROMETER,
-            contact=rig.contacts[contact_index].name,
-            position_m=unmeasured_stations[0].position_m,
-            body=unmeasured_stations[0].body,
-        )
+    contact = rig.contacts[contact_index]
+    stations = contact_stations(contact)
+    for station in stations:
+        if motion.row(station) is None:
+            raise refused(
+                RefusalCode.NO_ACCELEROMETER, contact=contact.name, position_m=station.position_m, body=station.body
+            )
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
-    error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
+    densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
         error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
-        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
+        densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
     return Drift(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
-        noise_density=max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY),
+        noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )
 
@@ -323,25 +310,23 @@ def _error_density(
     It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
     of the other direction.
     """
-    station_row = motion.stations.index(station)
-    body_rows = [station_index for station_index, s in enumerate(motion.stations) if s.body == station.body]
-    body_rows.sort(key=lambda row_index: motion.stations[row_index].position_m)
-    slow_m_per_s2 = np.stack(
-        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_rows]]
-    )
-    absolute_m_per_s2 = slow_m_per_s2[body_rows.index(station_row)]
+    row = motion.stations.index(station)
+    body_rows = [k for k, other in enumerate(motion.stations) if other.body == station.body]
+    body_rows.sort(key=lambda k: motion.stations[k].position_m)
+    slow_m_per_s2 = np.stack([_slow_acceleration(motion.acceleration_m_per_s2[k], motion) for k in body_rows])
+    place = body_rows.index(row)
+    absolute_m_per_s2 = slow_m_per_s2[place]
     if motion.base:
         absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
     if len(body_rows) > 1:
-        slope = np.gradient(slow_m_per_s2, [motion.stations[row_index].position_m for row_index in body_rows], axis=0)[
-            body_rows.index(station_row)
-        ]
+        positions_m = [motion.stations[k].position_m for k in body_rows]
+        slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[place]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
         transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
+    return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 
 def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:

@@ -86,17 +86,17 @@ def slow_model(
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
-    is_integrated = [float(displacement_sensor.measures.order > 0) for displacement_sensor in motion.displaced_by]
+    is_integrated = [float(sensor.measures.order > 0) for sensor in motion.displaced_by]
     low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
-    tolerances_of_exact_sensors = msgspec.structs.replace(
+    exact_sensors = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
     )
     no_motion = np.zeros((station_count, slow_count), dtype=complex)
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
-    station_signals = ObservedSignals(
+    signals = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
-        tolerances=tolerances_of_exact_sensors,
+        tolerances=exact_sensors,
         omega=omega,
         sensor_response=(low_pass_gain / -(omega**2)).astype(complex),
         signals=no_motion,
@@ -107,10 +107,9 @@ def slow_model(
             for body, response in zip(observed.bodies, responses, strict=True)
         ),
     )
-    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(station_signals)}
-    return SlowModel(
-        low_pass_gain, accelerations_by_input[:, :station_count, :slow_count] * station_signals.sensor_response, changes
-    )
+    displacements_by_input = accelerations_by_input[:, :station_count, :slow_count] * signals.sensor_response
+    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(signals)}
+    return SlowModel(low_pass_gain, displacements_by_input, changes)
 
 
 @dataclass(frozen=True)
@@ -151,8 +150,8 @@ def slow_motion(
     i_omega = 1j * lines.omega[: correction_spectra.shape[-1]]
     real_at_zero = np.concatenate([correction_spectra[:, :1].real, correction_spectra[:, 1:]], axis=1)
     displacement, velocity = (
-        np.fft.irfft(row_spectra, lines.padded_samples)[:, :sample_count]
-        for row_spectra in (real_at_zero, i_omega * correction_spectra)
+        np.fft.irfft(spectra, lines.padded_samples)[:, :sample_count]
+        for spectra in (real_at_zero, i_omega * correction_spectra)
     )
     return SlowMotion(displacement, velocity, noise_m)
 
@@ -170,21 +169,21 @@ def quietest_corner(
     noise_power is that of the rows over the padded record, acceleration_power that of the stations as accelerations:
     integrated twice above the corner, and what all rows make of the contact forces below it.
     """
-    stations = signs.shape[1]
-    integrated_power = np.einsum("cs,sl->cl", signs**2, acceleration_power) / lines.omega**4
-    by_contacts_m = np.einsum("cs,jsl->cjl", signs, contact_accelerances[:, :stations]) / lines.omega**2
+    omega, stations = lines.omega, signs.shape[1]
+    integrated_power = np.einsum("cs,sl->cl", signs**2, acceleration_power) / omega**4
+    by_contacts_m = np.einsum("cs,jsl->cjl", signs, contact_accelerances[:, :stations]) / omega**2
     by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
     modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
-    highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
+    highest_hz = min(HIGHEST_CORNER_HZ, omega[-1] / (2 * np.pi))
     corner_count = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
     corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count)
     noise_m = []
     for corner_hz in corners_hz:
-        low_pass_gain = low_pass(lines.omega, float(corner_hz))
-        combined_power = low_pass_gain**2 * modelled_power + (1 - low_pass_gain) ** 2 * integrated_power
-        noise_m.append(np.sqrt(2 * combined_power.sum(axis=1)) / lines.padded_samples)
-    quietest_index = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
-    return float(corners_hz[quietest_index]), noise_m[quietest_index]
+        gain = low_pass(omega, float(corner_hz))
+        power = gain**2 * modelled_power + (1 - gain) ** 2 * integrated_power
+        noise_m.append(np.sqrt(2 * power.sum(axis=1)) / lines.padded_samples)
+    quietest = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
+    return float(corners_hz[quietest]), noise_m[quietest]
 
 
 def with_slow_modes(
@@ -192,17 +191,13 @@ def with_slow_modes(
 ) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
-    slow_count = int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))
+    slow = slice(int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz)))
     bodies = []
     for body in observed.bodies:
         response, acceleration = body.response, body.acceleration.copy()
-        mode_count, dynamics = len(acceleration), response.dynamics
-        held_modes = [
-            mode_index
-            for mode_index in np.flatnonzero(dynamics.natural_hz[:mode_count]).tolist()
-            if mode_index not in dynamics.high_passed
-        ]
-        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ input_spectra[:, :slow_count]
-        acceleration[held_modes, :slow_count] = response.accelerance[held_modes, :slow_count] * modal_force
+        held_modes = np.flatnonzero(response.dynamics.natural_hz[: len(acceleration)]).tolist()
+        held_modes = [mode for mode in held_modes if mode not in response.dynamics.high_passed]
+        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ input_spectra[:, slow]
+        acceleration[held_modes, slow] = response.accelerance[held_modes, slow] * modal_force
         bodies.append(replace(body, acceleration=acceleration))
     return replace(observed, bodies=tuple(bodies))

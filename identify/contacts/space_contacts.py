@@ -9,11 +9,7 @@ import numpy as np
 
 from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Finding
-from identify.contacts.acceptance import (
-    fit_findings,
-    widened_estimate,
-    without_dead_force,
-)
+from identify.contacts.acceptance import fit_findings, widened_estimate, without_dead_force
 from identify.contacts.annular_estimate import AnnularEstimate, estimate_annular
 from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.annular_record import AnnularRecord, annular_record
@@ -68,36 +64,28 @@ def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolera
 def check_directions(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
     for contact in (contact for contact in rig.contacts if contact.law.spatial):
-        for station in contact_stations(contact):
-            sensors = [
-                sensor
+        for body in (station.body for station in contact_stations(contact)):
+            measured = {
+                sensor.station.direction
                 for sensor in rig.sensors
-                if sensor.station.body == station.body and use in ("auto", sensor.quantity)
-            ]
-            measured_directions = {sensor.station.direction for sensor in sensors if sensor.measures.translates}
-            if missing_directions := {*rig.directions} - measured_directions:
-                raise refused(
-                    RefusalCode.ONE_DIRECTION,
-                    contact=contact.name,
-                    body=station.body,
-                    direction=min(missing_directions),
-                )
+                if sensor.station.body == body and use in ("auto", sensor.quantity) and sensor.measures.translates
+            }
+            if missing := {*rig.directions} - measured:
+                raise refused(RefusalCode.ONE_DIRECTION, contact=contact.name, body=body, direction=min(missing))
 
 
 def counted_from_rest(recording: Recording) -> Recording:
     """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
     has none, or does not begin at rest."""
-    rig = recording.rig
-    first_excited_sample = 0
+    rig, first_excited = recording.rig, 0
     if rig.gravity_m_per_s2 and not recording.start_s:
         channels = (recording.values_of(sensor) for sensor in rig.sensors)
-        first_excited_sample = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
+        first_excited = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
     signals = dict(recording.signals)
-    for name in {"displacement", "strain"} & signals.keys() if first_excited_sample else ():
-        channel_values = signals[name].values
-        signals[name] = replace(
-            signals[name], values=channel_values - channel_values[:, :first_excited_sample].mean(axis=1, keepdims=True)
-        )
+    for name in {"displacement", "strain"} & signals.keys() if first_excited else ():
+        values = signals[name].values
+        rest = values[:, :first_excited].mean(axis=1, keepdims=True)
+        signals[name] = replace(signals[name], values=values - rest)
     return replace(recording, signals=signals)
 
 
@@ -110,12 +98,11 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     check_described(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
-            unmodelled_words = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
+            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
     recording_from_rest = counted_from_rest(recording)
-    plane_recordings = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
-    plane_recordings = [replace(plane, rig=condensed(plane.rig)) for plane in plane_recordings]
-    y, z = separate_planes(plane_recordings, use, tolerances)
+    planes = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
+    y, z = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)
     records = annular_records(rig, (y, z), tolerances)
     annular = dict[str, AnnularEstimate]()
     refusals = dict[str, Refusal]()
@@ -132,40 +119,33 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     plane, findings = _plane_outcomes(rig, (y, z))
     shared_parameters = next(iter(records.values())).parameters if annular else ()
     annular_findings = fit_findings(annular, shared_parameters, DAMPING)
-    return SpaceContacts(
-        (y, z),
-        annular,
-        records,
-        plane,
-        refusals,
-        (*findings, *annular_findings),
-    )
+    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *annular_findings))
 
 
 def annular_records(
     rig: Rig, separations: tuple[Separation, Separation], tolerances: Tolerances
 ) -> dict[str, AnnularRecord]:
     """Record of every annular contact."""
-    names = [rig.force_names_in(direction) for direction in rig.directions]
-    parameters = [separation.forces.nuisances.parameters for separation in separations]
+    (y_names, z_names) = (rig.force_names_in(direction) for direction in rig.directions)
+    (y_parameters, z_parameters) = (separation.forces.nuisances.parameters for separation in separations)
     records = {}
-    for contact in (contact for contact in rig.contacts if contact.law.spatial):
-        plane_records = []
-        for separation in separations:
-            plane_contact = separation.rig.contact(contact.name)
-            (record,) = (
-                record
-                for group, record in zip(separation.contact_groups, separation.records, strict=True)
-                if plane_contact in [separation.rig.contacts[contact_index] for contact_index in group.contact_indices]
-            )
-            plane_records.append(_with_whole_band(record, separation, plane_contact, tolerances))
-        records[contact.name] = annular_record(
-            (plane_records[0], plane_records[1]),
-            (parameters[0], parameters[1]),
-            (names[0], names[1]),
-            separations[0].motion.quiet_samples,
+    for name in (contact.name for contact in rig.contacts if contact.law.spatial):
+        y_record, z_record = (_record_of(name, separation, tolerances) for separation in separations)
+        records[name] = annular_record(
+            (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), separations[0].motion.quiet_samples
         )
     return records
+
+
+def _record_of(name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
+    """Record of a contact of that name in one direction."""
+    contacts = separation.rig.contacts
+    (record,) = (
+        record
+        for group, record in zip(separation.contact_groups, separation.records, strict=True)
+        if name in [contacts[index].name for index in group.contact_indices]
+    )
+    return _with_whole_band(record, separation, separation.rig.contact(name), tolerances)
 
 
 def _with_whole_band(
@@ -182,15 +162,13 @@ def _with_whole_band(
         if station is None or (row := motion.row(station)) is None:
             continue
         sensor = motion.displaced_by[row].name
-        sensor_tolerances = tolerances.of_sensor(sensor)
+        stated = tolerances.of_sensor(sensor)
         changes_m = {
-            NuisanceKind.GAIN: sensor_tolerances.gain * motion.displacement_m[row],
-            NuisanceKind.DELAY: -sensor_tolerances.delay_s * motion.velocity_m_per_s[row],
+            NuisanceKind.GAIN: stated.gain * motion.displacement_m[row],
+            NuisanceKind.DELAY: -stated.delay_s * motion.velocity_m_per_s[row],
         }
-        if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
-            changes_m[NuisanceKind.CROSS_AXIS] = (
-                sensor_tolerances.cross_axis * motion.transverse.displacement_m[transverse_row]
-            )
+        if motion.transverse and (across := motion.transverse.row(station)) is not None:
+            changes_m[NuisanceKind.CROSS_AXIS] = stated.cross_axis * motion.transverse.displacement_m[across]
         for kind, change_m in changes_m.items():
             if (parameter := Nuisance(kind, sensor)) in parameters:
                 whole_m = sign * change_m[:sample_count]
@@ -201,10 +179,10 @@ def _with_whole_band(
 
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
-    for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
-        if not error_share < UNCERTAIN_SHARE:
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
+    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        share = float(estimate.errors[index] / estimate.values[index])
+        if not share < UNCERTAIN_SHARE:
+            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * share, 100.0))
 
 
 def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tuple[Outcomes, tuple[Finding, ...]]:
@@ -212,22 +190,16 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
     outcomes, findings = NO_OUTCOMES, list[Finding]()
     annular_names = {contact.name for contact in rig.contacts if contact.law.spatial}
     for separation in separations:
-        contacts = separation.rig.contacts
-        plane_group_indices = [
-            group_index
-            for group_index, group in enumerate(separation.contact_groups)
-            if not annular_names & {contacts[contact_index].name for contact_index in group.contact_indices}
-        ]
-        if not plane_group_indices:
+        contacts, groups = separation.rig.contacts, separation.contact_groups
+        plane = [k for k, g in enumerate(groups) if not annular_names & {contacts[i].name for i in g.contact_indices}]
+        if not plane:
             continue
+        slow_n_per_m = separation.forces.slow_n_per_m[np.ix_(plane, plane)]
         plane_separation = replace(
             separation,
-            forces=replace(
-                separation.forces,
-                slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(plane_group_indices, plane_group_indices)],
-            ),
-            contact_groups=tuple(separation.contact_groups[group_index] for group_index in plane_group_indices),
-            records=tuple(separation.records[group_index] for group_index in plane_group_indices),
+            forces=replace(separation.forces, slow_n_per_m=slow_n_per_m),
+            contact_groups=tuple(groups[k] for k in plane),
+            records=tuple(separation.records[k] for k in plane),
         )
         plane_outcomes, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {

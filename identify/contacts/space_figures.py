@@ -76,10 +76,9 @@ def _orbit(panel: _Panel) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
     axes, estimate = panel.axes, panel.estimate
     (eta_y_mm, eta_z_mm), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
-    drawn_samples = slice(None, None, max(1, force.size // POINTS))
-    points = axes.scatter(
-        eta_z_mm[drawn_samples], eta_y_mm[drawn_samples], c=force[drawn_samples], s=1.5, cmap="viridis", rasterized=True
-    )
+    drawn = slice(None, None, max(1, force.size // POINTS))
+    colours = {"c": force[drawn], "cmap": "viridis"}
+    points = axes.scatter(eta_z_mm[drawn], eta_y_mm[drawn], s=1.5, rasterized=True, **colours)
     panel.figure.colorbar(points, ax=axes, label="contact force, N", location="bottom")
     angles_rad = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.sin(angles_rad), np.cos(angles_rad)])
@@ -96,19 +95,11 @@ def _radial(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
     axes, estimate = panel.axes, panel.estimate
     radius_m, normal_n, _ = panel.polar
-    drawn_samples = slice(None, None, max(1, radius_m.size // POINTS))
-    axes.plot(
-        1e3 * radius_m[drawn_samples],
-        normal_n[drawn_samples],
-        ".",
-        ms=4,
-        color=GREY,
-        alpha=0.4,
-        label="separated, no law",
-    )
-    radius_grid_m = np.linspace(0, radius_m.max(), 200)
-    force = estimate.values[STIFFNESS] * np.maximum(radius_grid_m - estimate.values[CLEARANCE], 0)
-    axes.plot(1e3 * radius_grid_m, force, color=BLUE, lw=1.2, label="law found (without damping)")
+    drawn = slice(None, None, max(1, radius_m.size // POINTS))
+    axes.plot(1e3 * radius_m[drawn], normal_n[drawn], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
+    grid_m = np.linspace(0, radius_m.max(), 200)
+    force = estimate.values[STIFFNESS] * np.maximum(grid_m - estimate.values[CLEARANCE], 0)
+    axes.plot(1e3 * grid_m, force, color=BLUE, lw=1.2, label="law found (without damping)")
     axes.axvline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
@@ -121,9 +112,8 @@ def _surface(panel: _Panel) -> None:
     axes, estimate = panel.axes, panel.estimate
     radius_m, normal_n, _ = panel.polar
     eta_y, eta_z = panel.eta_m
-    cells = axes.hexbin(
-        np.degrees(np.arctan2(eta_z, eta_y)), 1e3 * radius_m, C=normal_n, gridsize=(36, 36), cmap="viridis", mincnt=2
-    )
+    angles = np.degrees(np.arctan2(eta_z, eta_y))
+    cells = axes.hexbin(angles, 1e3 * radius_m, C=normal_n, gridsize=(36, 36), cmap="viridis", mincnt=2)
     panel.figure.colorbar(cells, ax=axes, label="normal force, N", shrink=0.7)
     axes.axhline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
     axes.set(xlabel="angle from y (up) towards z, degrees", ylabel="radius |η|, mm", xlim=(-180, 180))
@@ -134,47 +124,35 @@ def _friction(panel: _Panel) -> None:
     axes, estimate, law = panel.axes, panel.estimate, panel.law
     radius_m, normal_n, tangential_n = panel.polar
     (eta_y, eta_z), (rate_y, rate_z) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
-    sliding_m_per_s = (eta_y * rate_z - eta_z * rate_y) / radius_m
     is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius_m > estimate.values[CLEARANCE])
-    force_ratio = tangential_n[is_closed] / normal_n[is_closed]
-    axes.plot(
-        1e3 * sliding_m_per_s[is_closed], force_ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law"
-    )
-    speed_range = np.quantile(sliding_m_per_s[is_closed], [0.005, 0.995]) if is_closed.any() else np.zeros(2)
-    sliding_grid_m_per_s = np.linspace(speed_range[0], speed_range[1], 200)
-    friction_coefficient, sliding_speed_m_per_s = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
-    axes.plot(
-        1e3 * sliding_grid_m_per_s,
-        friction_coefficient * np.tanh(sliding_grid_m_per_s / sliding_speed_m_per_s),
-        color=BLUE,
-        lw=1.2,
-        label="law found",
-    )
-    ratio_limit = 3 * abs(friction_coefficient) + 0.05
+    speed_m_per_s = ((eta_y * rate_z - eta_z * rate_y) / radius_m)[is_closed]
+    ratio = tangential_n[is_closed] / normal_n[is_closed]
+    axes.plot(1e3 * speed_m_per_s, ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
+    low, high = np.quantile(speed_m_per_s, [0.005, 0.995]) if is_closed.any() else np.zeros(2)
+    grid_m_per_s = np.linspace(low, high, 200)
+    friction, sliding_m_per_s = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
+    law_ratio = friction * np.tanh(grid_m_per_s / sliding_m_per_s)
+    axes.plot(1e3 * grid_m_per_s, law_ratio, color=BLUE, lw=1.2, label="law found")
     if isinstance(law, Annular):
-        reference_ratio = law.friction_coefficient * np.tanh(sliding_grid_m_per_s / law.sliding_speed_m_per_s)
-        axes.plot(1e3 * sliding_grid_m_per_s, reference_ratio, color="k", ls=":", lw=1.2, label=panel.laws_name)
-    axes.set(
-        xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-ratio_limit, ratio_limit)
-    )
+        reference_ratio = law.friction_coefficient * np.tanh(grid_m_per_s / law.sliding_speed_m_per_s)
+        axes.plot(1e3 * grid_m_per_s, reference_ratio, color="k", ls=":", lw=1.2, label=panel.laws_name)
+    limit = 3 * abs(friction) + 0.05
+    axes.set(xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-limit, limit))
 
 
 def _kinds(panel: _Panel) -> None:
     """Radius over time: open, sliding and sticking, of the first whirl or else of a part amid the record."""
     axes, result, estimate = panel.axes, panel.result, panel.estimate
     motion = result.contacts.separations[0].motion
-    sample_count = estimate.eta_m.shape[1]
-    whirls = next(contact for contact in result.report.contacts if contact.name == axes.get_title()).ring
-    middle_s = sample_count / motion.sample_rate_hz / 2 + motion.start_s
-    if whirls is not None and whirls.whirls:
-        middle_s = sum(whirls.whirls[0]) / 2
-    first_sample = max(
-        0, min(round((middle_s - motion.start_s - EXCERPT_S / 2) * motion.sample_rate_hz), sample_count - 2)
-    )
-    excerpt_samples = slice(first_sample, first_sample + round(EXCERPT_S * motion.sample_rate_hz))
-    (eta_y, eta_z), (rate_y, rate_z) = estimate.eta_m[:, excerpt_samples], estimate.rate_m_per_s[:, excerpt_samples]
+    sample_count, rate_hz, start_s = estimate.eta_m.shape[1], motion.sample_rate_hz, motion.start_s
+    ring = next(contact for contact in result.report.contacts if contact.name == axes.get_title()).ring
+    whirls = () if ring is None else ring.whirls
+    middle_s = sum(whirls[0]) / 2 if whirls else sample_count / rate_hz / 2 + start_s
+    first = max(0, min(round((middle_s - start_s - EXCERPT_S / 2) * rate_hz), sample_count - 2))
+    excerpt = slice(first, first + round(EXCERPT_S * rate_hz))
+    (eta_y, eta_z), (rate_y, rate_z) = estimate.eta_m[:, excerpt], estimate.rate_m_per_s[:, excerpt]
     radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
-    time_s = motion.start_s + (first_sample + np.arange(radius_m.size)) / motion.sample_rate_hz
+    time_s = start_s + (first + np.arange(radius_m.size)) / rate_hz
     is_closed = radius_m > estimate.values[CLEARANCE]
     is_sliding = np.abs(eta_y * rate_z - eta_z * rate_y) / radius_m > np.exp(estimate.values[LOG_SPEED])
     for mask, colour, label in (
@@ -183,7 +161,7 @@ def _kinds(panel: _Panel) -> None:
         (is_closed & ~is_sliding, RED, "sticking"),
     ):
         axes.plot(time_s, np.where(mask, 1e3 * radius_m, np.nan), ".", ms=1.5, color=colour, label=label)
-    for begin_s, end_s in whirls.whirls if whirls is not None else ():
+    for begin_s, end_s in whirls:
         if time_s[0] < end_s and begin_s < time_s[-1]:
             axes.axvspan(max(begin_s, time_s[0]), min(end_s, time_s[-1]), color=GREEN, alpha=0.2, lw=0)
     axes.axhline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.0)
@@ -202,13 +180,7 @@ def _at_forces(
     return signals[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
 
 
-_SPACE_FIGURES = {
-    "orbit": _orbit,
-    "radial": _radial,
-    "ring_surface": _surface,
-    "friction": _friction,
-    "kinds": _kinds,
-}
+_SPACE_FIGURES = {"orbit": _orbit, "radial": _radial, "ring_surface": _surface, "friction": _friction, "kinds": _kinds}
 
 
 def space_curves(result: SpaceIdentification) -> dict[str, Table]:

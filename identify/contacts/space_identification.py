@@ -81,27 +81,23 @@ def identify_in_space(
         name: record.eta_m + contacts.plane.estimates[name].drift_m
         for separation in contacts.separations
         for place, record in zip(separation.contact_groups, separation.records, strict=True)
-        for name in [separation.rig.contacts[contact_index].name for contact_index in place.contact_indices]
+        for name in [separation.rig.contacts[index].name for index in place.contact_indices]
         if name in contacts.plane.estimates
     }
-    first_sample, start_s = motions[0].excited_from, motions[0].start_s
     estimates = []
-    for contact in rig.contacts:
-        if contact.name in contacts.annular:
-            estimate = contacts.annular[contact.name]
-            shares = ring_shares(estimate, motions[0].sample_rate_hz, first_sample, start_s)
-            estimates.append(_annular(contact.name, estimate, shares))
-        elif contact.name in contacts.plane.estimates:
-            estimates.append(
-                contact_estimate(contact.name, contacts.plane.estimates[contact.name], plane_eta_m[contact.name])
-            )
+    for name in (contact.name for contact in rig.contacts):
+        if name in contacts.annular:
+            estimate, motion = contacts.annular[name], motions[0]
+            shares = ring_shares(estimate, motion.sample_rate_hz, motion.excited_from, motion.start_s)
+            estimates.append(_annular(name, estimate, shares))
+        elif name in contacts.plane.estimates:
+            estimates.append(contact_estimate(name, contacts.plane.estimates[name], plane_eta_m[name]))
     refusals = {**contacts.refusals, **contacts.plane.refusals}
+    refusals = {contact.name: refusals[contact.name] for contact in rig.contacts if contact.name in refusals}
     report = results.ContactReport(
         rig=rig.name,
         contacts=tuple(estimates),
-        unanswered=results.unanswered(
-            {contact.name: refusals[contact.name] for contact in rig.contacts if contact.name in refusals}
-        ),
+        unanswered=results.unanswered(refusals),
         main_equation="",
         modes=(),
         nifo=(),
@@ -118,21 +114,20 @@ def identify_in_space(
 
 def _rings_are_coupled(contacts: SpaceContacts) -> bool:
     """True if springs couple the slow motion of some contact to that of others, beside a ring."""
-    slow_n_per_m = [separation.forces.slow_n_per_m for separation in contacts.separations]
-    return bool(contacts.records) and any(
-        np.any(stiffness_n_per_m - np.diag(np.diag(stiffness_n_per_m))) for stiffness_n_per_m in slow_n_per_m
-    )
+    stiffnesses = [separation.forces.slow_n_per_m for separation in contacts.separations]
+    return bool(contacts.records) and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)
 
 
 def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
-    values, errors, repeatable_errors = estimate.values, estimate.errors, estimate.own_errors
+    values, errors, own_errors = estimate.values, estimate.errors, estimate.own_errors
 
     def ring_estimate(index: int) -> results.Estimate:
-        return results.Estimate(float(values[index]), float(errors[index]), float(repeatable_errors[index]))
+        return results.Estimate(float(values[index]), float(errors[index]), float(own_errors[index]))
 
     speed = float(np.exp(values[LOG_SPEED]))
-    center_y, center_z = range(len(values))[CENTER]
-    rest_y, rest_z = range(len(values))[REST]
+    speed_errors = (speed * float(errors[LOG_SPEED]), speed * float(own_errors[LOG_SPEED]))
+    center_y, center_z = (ring_estimate(index) for index in range(len(values))[CENTER])
+    rest_y, rest_z = (ring_estimate(index) for index in range(len(values))[REST])
     return results.ContactEstimate(
         name=name,
         clearance_m=ring_estimate(CLEARANCE),
@@ -141,12 +136,10 @@ def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> result
         closed_share=1.0 - shares.free,
         law="annular",
         friction_coefficient=ring_estimate(FRICTION),
-        sliding_speed_m_per_s=results.Estimate(
-            speed, speed * float(errors[LOG_SPEED]), speed * float(repeatable_errors[LOG_SPEED])
-        ),
-        center_y_m=ring_estimate(center_y) if estimate.center_known else None,
-        center_z_m=ring_estimate(center_z) if estimate.center_known else None,
-        rest_force_y_n=ring_estimate(rest_y),
-        rest_force_z_n=ring_estimate(rest_z),
+        sliding_speed_m_per_s=results.Estimate(speed, *speed_errors),
+        center_y_m=center_y if estimate.center_known else None,
+        center_z_m=center_z if estimate.center_known else None,
+        rest_force_y_n=rest_y,
+        rest_force_z_n=rest_z,
         ring=shares,
     )

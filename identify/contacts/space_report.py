@@ -5,13 +5,12 @@ from pathlib import Path
 
 from identify.contacts.annular_law import CLEARANCE, DAMPING, FRICTION, STIFFNESS
 from identify.contacts.assumptions import places_of, tolerances_sentence
-from identify.contacts.report import VARIANCE_SOURCES, Laws, answer, drawing, refusals, values
+from identify.contacts.report import FOOT_TEXT, Laws, answer, drawing, refusals, values, variance_table
 from identify.contacts.results import identified_rig
 from identify.contacts.space_figures import space_figures
 from identify.contacts.space_identification import SpaceIdentification
 from identify.pages import page
 from identify.pages.style import Picture
-from identify.pages.wording import percent
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import to_json
 
@@ -57,33 +56,25 @@ def _write_page(
         sections=[("What was refused", refusals(report))] if report.unanswered else [],
         folded_sections=[
             ("Does it fit?", "".join(html.values())),
-            *([("How sure is it?", _variance_table(result))] if report.contacts else []),
+            *([("How sure is it?", variance_table(_shares_by_quantity(result)))] if report.contacts else []),
             ("What was assumed", page.list_html(_assumptions(result))),
         ],
-        foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+        foot_text=FOOT_TEXT,
         sources=sources,
     )
 
 
-def _variance_table(result: SpaceIdentification) -> str:
-    """Table of the share of each annular estimate's variance by source."""
-    rows = []
-    for name, estimate in result.contacts.annular.items():
-        for quantity, parameter_index in (
-            ("clearance", CLEARANCE),
-            ("stiffness", STIFFNESS),
-            ("damping", DAMPING),
-            ("friction", FRICTION),
-        ):
-            variance = estimate.covariance[parameter_index, parameter_index]
-            shares = {
-                source: float(source_covariance[parameter_index, parameter_index] / variance)
-                for source, source_covariance in estimate.covariances.items()
-            }
-            rows.append((f"{quantity} of {name}", *(percent(shares[source]) for source in VARIANCE_SOURCES)))
-    return "<p>Where the variance of each value comes from.</p>" + page.table(
-        ("value", *VARIANCE_SOURCES.values()), rows
-    )
+def _shares_by_quantity(result: SpaceIdentification) -> dict[str, Mapping[str, float]]:
+    """Shares of the variance of each quantity of the annular contacts by source."""
+    quantities = {"clearance": CLEARANCE, "stiffness": STIFFNESS, "damping": DAMPING, "friction": FRICTION}
+    return {
+        f"{quantity} of {name}": {
+            source: float(part[index, index] / estimate.covariance[index, index])
+            for source, part in estimate.covariances.items()
+        }
+        for name, estimate in result.contacts.annular.items()
+        for quantity, index in quantities.items()
+    }
 
 
 def _assumptions(result: SpaceIdentification) -> Iterator[str]:

@@ -122,17 +122,17 @@ class StationErrors:
     def covariance(self, first_line: int, stop_line: int) -> Complex[np.ndarray, "some stations stations"]:
         """Covariance of the stations' errors on the lines from `first_line` to before `stop_line`."""
         station_count, line_count = self.noise_power.shape
-        smoothing_lines = self.correlated_line_count
-        averaged_from, averaged_to = max(first_line - smoothing_lines, 0), min(stop_line + smoothing_lines, line_count)
-        chunk_lines = slice(first_line - averaged_from, stop_line - averaged_from)
+        reach = self.correlated_line_count
+        averaged = slice(max(first_line - reach, 0), min(stop_line + reach, line_count))
+        chunk = slice(first_line - averaged.start, stop_line - averaged.start)
         covariance = np.zeros((station_count, station_count, stop_line - first_line), dtype=complex)
-        station_index = np.arange(station_count)
+        diagonal = np.arange(station_count)
         least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
-        covariance[station_index, station_index] = self.noise_power[:, first_line:stop_line] + least_power
+        covariance[diagonal, diagonal] = self.noise_power[:, first_line:stop_line] + least_power
         for change in self.changes:
-            sensor_rows, signals = np.array(change.sensors), change.signals[:, averaged_from:averaged_to]
-            products = uniform_filter1d(signals[:, None] * signals[None].conj(), smoothing_lines, axis=-1)
-            covariance[sensor_rows[:, None], sensor_rows[None]] += products[..., chunk_lines]
+            rows, signals = np.array(change.sensors), change.signals[:, averaged]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), reach, axis=-1)
+            covariance[rows[:, None], rows[None]] += products[..., chunk]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
     @cached_property
@@ -166,10 +166,8 @@ def observed_body_motion(
     rig: Rig, response: Response, motion: Kinematics, accelerations: Complex[np.ndarray, "stations lines"]
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
-    body_transformation = transformation(rig, response.body, motion)
-    modal_accelerations = real_product(
-        body_transformation.inverse_shapes, accelerations[list(body_transformation.station_rows)]
-    )
+    body = transformation(rig, response.body, motion)
+    modal_accelerations = real_product(body.inverse_shapes, accelerations[list(body.station_rows)])
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
@@ -192,16 +190,16 @@ def driven_body_motion(
 
     and are subtracted from the stations' accelerations before the others are determined.
     """
-    observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
+    count = len(transformation(rig, response.body, motion).inverse_shapes)
     modal_force = real_product(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
-    hidden_accelerations = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
-    hidden_shapes = response.shapes(motion.stations)[:, observed_mode_count:]
+    hidden_accelerations = response.accelerance[count:] * modal_force[count:]
+    hidden_shapes = response.shapes(motion.stations)[:, count:]
     visible_accelerations = accelerations - real_product(hidden_shapes, hidden_accelerations)
     body_motion = observed_body_motion(rig, response, motion, visible_accelerations)
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic_indices=elastic_modes(response, max(observed_mode_count, modes_near_band(response))),
+        elastic_indices=elastic_modes(response, max(count, modes_near_band(response))),
     )
 
 
@@ -219,10 +217,8 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
     """
     motion_by_order = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     orders = [sensor.measures.order for sensor in motion.sensors]
-    sensor_spectra = lines.spectra(
-        np.array([motion_by_order[order][sensor_index] for sensor_index, order in enumerate(orders)])
-    )
-    return np.asarray(sensor_spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
+    spectra = lines.spectra(np.array([motion_by_order[order][row] for row, order in enumerate(orders)]))
+    return np.asarray(spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
 def initial_states(
@@ -237,43 +233,33 @@ def initial_states(
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
-    untapered = replace(lines, is_tapered=False)
-    sample_count, padding_samples, force_count = (
-        motion.samples,
-        lines.padded_samples - motion.samples,
-        len(motion.forces_n),
-    )
-    highest_hz = float(lines.omega[-1]) / (2 * np.pi)
-    motions_of_modes, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
-    derivative_orders = [sensor.measures.order for sensor in motion.sensors]
+    untapered, omega, force_count = replace(lines, is_tapered=False), lines.omega, len(motion.forces_n)
+    sample_count, padding_samples = motion.samples, lines.padded_samples - motion.samples
+    highest_hz = float(omega[-1]) / (2 * np.pi)
+    modes, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
+    orders = [sensor.measures.order for sensor in motion.sensors]
 
     def unit_spectra(cut_lines: SpectralLines, cut_samples: int) -> Complex[np.ndarray, "states stations lines"]:
-        in_metres, omega = station_rows.in_metres, lines.omega
-        spectra = unit_free_spectra(
-            motions_of_modes,
-            derivative_orders,
-            in_metres,
-            omega,
-            lambda free_signals: cut_lines.spectra(free_signals[:, :cut_samples]),
-        )
+        def cut_spectra(signals: Float[np.ndarray, "rows samples"]) -> Complex[np.ndarray, "rows lines"]:
+            return cut_lines.spectra(signals[:, :cut_samples])
+
+        spectra = unit_free_spectra(modes, orders, station_rows.in_metres, omega, cut_spectra)
         return station_rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)
-    end_shift = np.exp(-1j * lines.omega * sample_count / lines.rate_hz)
-    measured_signals = station_rows.signals(
-        untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered)
-    )
-    is_spring_held = np.array([mode_motion.is_held for mode_motion in motions_of_modes])
-    state_estimate = estimated_states(
+    end_shift = np.exp(-1j * omega * sample_count / lines.rate_hz)
+    measured = station_rows.signals(untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
+    by_forces = accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None]
+    first_line = 0 if motion.zero_known else int(np.count_nonzero(omega < 2 * 2 * np.pi * CORNER_HZ))
+    prior_mean, prior_deviation = (np.concatenate(ends) for ends in zip(start_prior, end_prior, strict=True))
+    states = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
-        np.concatenate([start_prior[0], end_prior[0]]),
-        np.concatenate([start_prior[1], end_prior[1]]),
-        measured_signals
-        - np.sum(accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
+        prior_mean,
+        prior_deviation,
+        measured - np.sum(by_forces, axis=0),
         accelerations_by_input[force_count:],
-        station_errors.line_chunks(
-            0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))
-        ),
+        station_errors.line_chunks(first_line),
         correlated_line_count=lines.correlated_line_count,
     )
-    return state_estimate.initial_states(unit_spectra(lines, sample_count), np.flatnonzero(is_spring_held))
+    held_modes = np.flatnonzero([mode.is_held for mode in modes])
+    return states.initial_states(unit_spectra(lines, sample_count), held_modes)

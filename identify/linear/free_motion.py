@@ -62,42 +62,33 @@ def free_motions(
     moves as a free one: the part that integration loses.
     """
     time_s = np.arange(max(motion.samples, sample_count - motion.samples)) / motion.sample_rate_hz
-    motions = list[FreeMotion]()
-    prior_mean = list[float]()
-    prior_deviation = list[float]()
-    wide_deviation = list[float]()
+    motions, prior_mean, prior_deviation, wide_deviation = list[FreeMotion](), [], [], []
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
-        body_rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
-        mode_count = min(body_rows.size, response.mode_count)
-        coordinates = np.linalg.pinv(shapes[body_rows, :mode_count]) @ np.array(
-            [motion.displacement_m[body_rows], motion.velocity_m_per_s[body_rows]]
-        )
+        rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
+        mode_count = min(rows.size, response.mode_count)
+        start = np.array([motion.displacement_m[rows], motion.velocity_m_per_s[rows]])
+        coordinates = np.linalg.pinv(shapes[rows, :mode_count]) @ start
         is_measured = mode_count == response.mode_count and motion.zero_known
         rms_m, rms_m_per_s2 = (
-            float(np.max(derivatives[body_rows].std(axis=1)))
-            for derivatives in (motion.displacement_m, motion.acceleration_m_per_s2)
+            float(np.max(derivative[rows].std(axis=1)))
+            for derivative in (motion.displacement_m, motion.acceleration_m_per_s2)
         )
-        for mode_index in np.flatnonzero(hz < highest_hz).tolist():
-            largest_shape = float(np.max(np.abs(shapes[body_rows, mode_index])))
-            omega = 2 * np.pi * max(hz[mode_index], MIN_FREQUENCY_HZ)
+        for mode in np.flatnonzero(hz < highest_hz).tolist():
+            largest_shape = float(np.max(np.abs(shapes[rows, mode])))
+            omega = 2 * np.pi * max(hz[mode], MIN_FREQUENCY_HZ)
             amplitude_m = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
+            is_held = mode not in response.dynamics.high_passed
             for order in range(2):
-                derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), order, time_s)
-                motions.append(
-                    FreeMotion(derivatives, shapes[:, mode_index], mode_index not in response.dynamics.high_passed)
-                )
-                prior_mean.append(float(coordinates[order, mode_index, 0]) if is_measured else 0.0)
-                wide_deviation.append(WIDE_PRIOR * (amplitude_m * omega**order))
-                prior_deviation.append(
-                    MEASURED_PRIOR * (amplitude_m * omega**order) if is_measured else wide_deviation[-1]
-                )
-    return (
-        motions,
-        (np.array(prior_mean), np.array(prior_deviation)),
-        (np.zeros(len(prior_mean)), np.array(wide_deviation)),
-    )
+                derivatives = free_motion(float(hz[mode]), float(zeta[mode]), order, time_s)
+                motions.append(FreeMotion(derivatives, shapes[:, mode], is_held))
+                size = amplitude_m * omega**order
+                prior_mean.append(float(coordinates[order, mode, 0]) if is_measured else 0.0)
+                prior_deviation.append((MEASURED_PRIOR if is_measured else WIDE_PRIOR) * size)
+                wide_deviation.append(WIDE_PRIOR * size)
+    start_prior = np.array(prior_mean), np.array(prior_deviation)
+    return motions, start_prior, (np.zeros(len(prior_mean)), np.array(wide_deviation))
 
 
 @dataclass(frozen=True)
@@ -127,10 +118,8 @@ class StateEstimate:
         covariance = self.covariance[np.ix_(indices, indices)]
         deviations = np.sqrt(np.diag(covariance))
         eigenvalues, directions = np.linalg.eigh(covariance / (deviations[:, None] * deviations))
-        covariance_root = deviations[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
-        return InitialStates(
-            np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], covariance_root
-        )
+        root = deviations[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
+        return InitialStates(np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], root)
 
 
 def unit_free_spectra(
@@ -142,14 +131,13 @@ def unit_free_spectra(
 ) -> Complex[np.ndarray, "values stations lines"]:
     """Spectra at the stations per unit of every initial value: accelerations, as (i omega)^(2 - order) times the
     spectrum of the derivative that the station's sensor measures, or displacements on the lines in metres."""
-    acceleration_factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
+    factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
     unit_spectra = np.empty((len(motions), *in_metres.shape), dtype=complex)
     for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
-        derivative_spectra = spectra_of(motion.derivatives)
-        for station_index, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
-            unit_spectrum[station_index] = shape * np.where(
-                in_metres[station_index], derivative_spectra[0], acceleration_factors[order] * derivative_spectra[order]
-            )
+        derivatives = spectra_of(motion.derivatives)
+        for row, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
+            acceleration = factors[order] * derivatives[order]
+            unit_spectrum[row] = shape * np.where(in_metres[row], derivatives[0], acceleration)
     return unit_spectra
 
 
@@ -165,24 +153,21 @@ def estimated_states(
     """Initial values theta by generalised least squares, and their covariance.
 
     unexplained = sum_i theta_i spectra_i + sum_j by_contacts_j f_j + error, with contact forces f_j free at every line
-    and the prior mean and deviation of theta. errors are the lines used, batch by batch, with their covariances; the
-    errors of `correlated_line_count` neighbouring lines count as one. Poorly determined directions shrink to the mean.
+    and the prior mean and deviation of theta. error_covariances are those on the lines used, batch by batch; the errors
+    of `correlated_line_count` neighbouring lines count as one. Poorly determined directions shrink to the mean.
     """
     normal_matrix, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
     unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, spectra)
-    for residual_rows in without_free_inputs(
-        [spectra, unexplained_spectra[None]], spectra_by_contact, error_covariances
-    ):
-        real_rows = np.concatenate([residual_rows.real, residual_rows.imag])
+    columns = [spectra, unexplained_spectra[None]]
+    for rows in without_free_inputs(columns, spectra_by_contact, error_covariances):
+        real_rows = np.concatenate([rows.real, rows.imag])
         normal_matrix += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
         gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
     information, directions = np.linalg.eigh(normal_matrix * prior_deviation[:, None] * prior_deviation)
-    scaled_directions = prior_deviation[:, None] * directions
+    directions = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    value_changes = (information - 1) / (information + SHRINKAGE) / information * (scaled_directions.T @ gradient)
-    return StateEstimate(
-        prior_mean + scaled_directions @ value_changes, (scaled_directions / information) @ scaled_directions.T
-    )
+    change = (information - 1) / (information + SHRINKAGE) / information * (directions.T @ gradient)
+    return StateEstimate(prior_mean + directions @ change, (directions / information) @ directions.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,24 +203,20 @@ class FreeMode:
 def free_modes(
     responses: Sequence[Response],
     indices_by_body: Sequence[Int[np.ndarray, "_"]],
-    sensor_stations: Sequence[Station | None],
+    stations: Sequence[Station | None],
     sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
     """Free modes of each body at zero amplitude; without a sampling the sensors miss nothing of them."""
-    modes_at_rest = []
+    modes = []
     for body_index, (response, mode_indices) in enumerate(zip(responses, indices_by_body, strict=True)):
-        dynamics, shapes = response.dynamics, response.shapes(sensor_stations)
-        for mode_index in mode_indices.tolist():
-            hz, zeta = float(dynamics.natural_hz[mode_index]), float(dynamics.damping_ratios[mode_index])
-            accelerance = response.accelerance[mode_index]
+        dynamics, shapes = response.dynamics, response.shapes(stations)
+        for mode in mode_indices.tolist():
+            hz, zeta = float(dynamics.natural_hz[mode]), float(dynamics.damping_ratios[mode])
+            accelerance = response.accelerance[mode]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
-            sensed_accelerations = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
-            modes_at_rest.append(
-                FreeMode(
-                    body_index, mode_index, shapes[:, mode_index], accelerations, sensed_accelerations, np.zeros(2)
-                )
-            )
-    return tuple(modes_at_rest)
+            sensed = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
+            modes.append(FreeMode(body_index, mode, shapes[:, mode], accelerations, sensed, np.zeros(2)))
+    return tuple(modes)
 
 
 def tuning_derivative(
@@ -246,15 +227,13 @@ def tuning_derivative(
     hz, zeta = float(dynamics.natural_hz[mode.mode_index]), float(dynamics.damping_ratios[mode.mode_index])
     if not hz:
         return np.zeros_like(mode.sensed_acceleration)
-    step_factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
-    tuned_modes = (
-        (hz * step_factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * step_factor)
-        for step_factor in step_factors
-    )
-    acceleration_below, acceleration_above = (
-        mode.initial_state @ sampled_accelerations(*hz_and_zeta, sampling) for hz_and_zeta in tuned_modes
-    )
-    return np.outer(mode.shape, acceleration_above - acceleration_below) / (2 * RELATIVE_STEP)
+
+    def acceleration(factor: float) -> Complex[np.ndarray, " lines"]:
+        tuned = (hz * factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * factor)
+        return np.asarray(mode.initial_state @ sampled_accelerations(*tuned, sampling))
+
+    difference = acceleration(1 + RELATIVE_STEP) - acceleration(1 - RELATIVE_STEP)
+    return np.outer(mode.shape, difference) / (2 * RELATIVE_STEP)
 
 
 def fitted_free_modes(
@@ -269,35 +248,23 @@ def fitted_free_modes(
     projection B T, the accelerations of any two modes are weighted line by line by N = Phi S* (1 - B T) S Phi'.
     """
     shapes = np.array([motion.shape for motion in motions])
-    unit_accelerations = np.array([motion.sensed_unit_accelerations for motion in motions])
+    units = np.array([motion.sensed_unit_accelerations for motion in motions])
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
-    line_weights = (
-        (shape_products @ np.abs(scaled_response) ** 2)
-        .reshape(len(shapes), *unit_accelerations.shape[::2])
-        .astype(complex)
-    )
+    weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
         input_by_shape = real_product(shapes, scaled_response.conj() * by_input)
-        line_weights -= input_by_shape[:, None] * real_product(shapes, scaled_response * to_input)
-    weighted_accelerations = (line_weights[:, :, None] * unit_accelerations).reshape(
-        len(unit_accelerations), -1, unit_accelerations.shape[2]
-    )
+        weights -= input_by_shape[:, None] * real_product(shapes, scaled_response * to_input)
+    weighted = (weights[:, :, None] * units).reshape(len(units), -1, units.shape[2])
     weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
-    normal_matrix = np.concatenate(
-        [_products(rows, columns) for rows, columns in zip(unit_accelerations, weighted_accelerations, strict=True)]
-    )
-    gradient = np.concatenate(
-        [_products(rows, row) for rows, row in zip(unit_accelerations, weighted_residual, strict=True)]
+    normal_matrix, gradient = (
+        np.concatenate([_products(rows, columns) for rows, columns in zip(units, others, strict=True)])
+        for others in (weighted, weighted_residual)
     )
     norms = np.sqrt(np.diag(normal_matrix))
-    inverse_norms = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
-    states = inverse_norms * (
-        np.linalg.pinv(inverse_norms[:, None] * normal_matrix * inverse_norms, hermitian=True)
-        @ (inverse_norms * gradient[:, 0])
-    )
-    return tuple(
-        replace(motion, initial_state=state) for motion, state in zip(motions, states.reshape(-1, 2), strict=True)
-    )
+    inverse = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
+    pseudo_inverse = np.linalg.pinv(inverse[:, None] * normal_matrix * inverse, hermitian=True)
+    states = (inverse * (pseudo_inverse @ (inverse * gradient[:, 0]))).reshape(-1, 2)
+    return tuple(replace(motion, initial_state=state) for motion, state in zip(motions, states, strict=True))
 
 
 def _products(

@@ -31,14 +31,13 @@ def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
     indices_by_places: dict[frozenset[Station | None], list[int]] = {}
     for j, contact in enumerate(contacts):
         indices_by_places.setdefault(frozenset({contact.at, contact.against}), []).append(j)
-    return tuple(
-        ContactGroup(
-            replace(contacts[first_index], name=" + ".join(contacts[j].name for j in (first_index, *further_indices))),
-            (first_index, *further_indices),
-            tuple(1 if contacts[j].at == contacts[first_index].at else -1 for j in (first_index, *further_indices)),
-        )
-        for first_index, *further_indices in indices_by_places.values()
-    )
+    groups = []
+    for indices in indices_by_places.values():
+        first = contacts[indices[0]]
+        joined = replace(first, name=" + ".join(contacts[j].name for j in indices))
+        signs = tuple(1 if contacts[j].at == first.at else -1 for j in indices)
+        groups.append(ContactGroup(joined, tuple(indices), signs))
+    return tuple(groups)
 
 
 def group_rig_of(rig: Rig) -> Rig:
@@ -56,24 +55,18 @@ class GroupLaw:
     @property
     def clearances_m(self) -> tuple[float, float]:
         """Clearances of the nearest stops below and above, m."""
-        clearances_by_law = [
-            (law.lower_clearance_m, law.upper_clearance_m)[::sign]
-            for law, sign in zip(self.laws, self.signs, strict=True)
-        ]
-        lower, upper = zip(*clearances_by_law, strict=True)
+        pairs = zip(self.laws, self.signs, strict=True)
+        clearances = [(law.lower_clearance_m, law.upper_clearance_m)[::sign] for law, sign in pairs]
+        lower, upper = zip(*clearances, strict=True)
         return min(lower), min(upper)
 
     def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
         """Sum of the contact forces, N."""
-        signs_and_laws = zip(self.signs, self.laws, strict=True)
-        return np.asarray(
-            sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in signs_and_laws)
-        )
+        laws = zip(self.signs, self.laws, strict=True)
+        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in laws))
 
 
 def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:
     """Laws of every pair of places."""
-    return tuple(
-        GroupLaw(tuple(rig.contacts[contact_index].law for contact_index in group.contact_indices), group.signs)
-        for group in contact_groups(rig)
-    )
+    groups, contacts = contact_groups(rig), rig.contacts
+    return tuple(GroupLaw(tuple(contacts[j].law for j in group.contact_indices), group.signs) for group in groups)

@@ -98,32 +98,31 @@ def modal_equations(
     transform = transformation(rig, body, motion)
     mode_count = min(mode_count, transform.inverse_shapes.shape[0])
     coordinates = [
-        transform.inverse_shapes[:mode_count] @ station_signals[list(transform.station_rows)]
-        for station_signals in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+        transform.inverse_shapes[:mode_count] @ signals[list(transform.station_rows)]
+        for signals in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
+    displacement, velocity, acceleration = coordinates
     force_shapes = input_mode_shapes(rig, body, mode_count)
-    largest_force_shapes = force_shapes[np.argmax(np.abs(force_shapes), axis=0), np.arange(mode_count)]
+    force_shapes = force_shapes[np.argmax(np.abs(force_shapes), axis=0), np.arange(mode_count)]
     eta_shape_rows = [contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]
     eta_shapes = np.array(eta_shape_rows).reshape(-1, mode_count)
     largest_shapes = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
     return tuple(
         ModalEquation(
             body=body.name,
-            index=mode_index + 1,
-            frequency_hz=float(body.frequencies_hz(mode_count)[mode_index]),
-            damping_ratio=float(body.damping_ratios(mode_count)[mode_index]),
-            shape_at_force=float(largest_force_shapes[mode_index]),
-            shape_at_contacts=eta_shapes[:, mode_index],
-            visibility=tuple(
-                float(abs(eta_shape) / largest_shapes[mode_index]) for eta_shape in eta_shapes[:, mode_index]
-            ),
-            displacement=coordinates[0][mode_index],
-            velocity=coordinates[1][mode_index],
-            acceleration=coordinates[2][mode_index],
+            index=m + 1,
+            frequency_hz=float(body.frequencies_hz(mode_count)[m]),
+            damping_ratio=float(body.damping_ratios(mode_count)[m]),
+            shape_at_force=float(force_shapes[m]),
+            shape_at_contacts=eta_shapes[:, m],
+            visibility=tuple(float(abs(eta_shape) / largest_shapes[m]) for eta_shape in eta_shapes[:, m]),
+            displacement=displacement[m],
+            velocity=velocity[m],
+            acceleration=acceleration[m],
         )
-        for mode_index in range(mode_count)
+        for m in range(mode_count)
     )
 
 
@@ -161,19 +160,17 @@ def _without_higher_modes(
     input_shapes = np.stack([*input_mode_shapes(rig, body, body.max_modes), *eta_shapes])
     natural_hz, damping_ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     higher_spectra = np.zeros((len(coordinate_shares), line_hz.size), dtype=complex)
-    for mode_index in range(fitted_count, body.max_modes):
-        modal_force = input_shapes[:, mode_index] @ force_spectra
-        mode_response = (
-            receptance(float(natural_hz[mode_index]), float(damping_ratios[mode_index]), line_hz) * modal_force
-        )
-        for i, mode_share in enumerate(coordinate_shares[:, mode_index]):
-            higher_spectra[i] += mode_share * mode_response
-    corrected_coordinates = []
-    for mode_coordinates in coordinates:
-        higher_coordinates = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
-        corrected_coordinates.append(mode_coordinates[:, :kept_samples] - np.stack(higher_coordinates))
+    for m in range(fitted_count, body.max_modes):
+        modal_force = input_shapes[:, m] @ force_spectra
+        mode_response = receptance(float(natural_hz[m]), float(damping_ratios[m]), line_hz) * modal_force
+        for i, share in enumerate(coordinate_shares[:, m]):
+            higher_spectra[i] += share * mode_response
+    corrected = []
+    for fitted in coordinates:
+        higher = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
+        corrected.append(fitted[:, :kept_samples] - np.stack(higher))
         higher_spectra *= 2j * np.pi * line_hz
-    return corrected_coordinates
+    return corrected
 
 
 def receptance(
@@ -210,12 +207,7 @@ def relative_motion(
         shape = shape_at(body, station, transform.inverse_shapes.shape[0])
         return np.asarray(shape @ transform.inverse_shapes @ station_signals[list(transform.station_rows)])
 
-    return np.stack(
-        [
-            station_motion(contact.at) - (station_motion(contact.against) if contact.against else 0.0)
-            for contact in rig.contacts
-        ]
-    )
+    return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
 def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
@@ -237,11 +229,9 @@ def force_on_mass(
 
 def shape_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Shapes of a body at a station; zero at a station of another body."""
-    return (
-        body.shapes(np.array([station.position_m]), mode_count)[0]
-        if station.body == body.name
-        else np.zeros(mode_count)
-    )
+    if station.body != body.name:
+        return np.zeros(mode_count)
+    return body.shapes(np.array([station.position_m]), mode_count)[0]
 
 
 def _truncation_shares(
@@ -256,13 +246,11 @@ def _truncation_shares(
         return np.zeros(fitted_count)
     natural_hz = body.frequencies_hz(mode_count)
     highest_hz = natural_hz[fitted_count - 1] or natural_hz[fitted_count]
-    mode_responses = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
-    contact_places = [
-        station for contact in rig.contacts for station in contact_stations(contact) if station.body == body.name
-    ]
-    shapes_at_contacts = body.shapes(np.array([s.position_m for s in contact_places]), mode_count)
-    input_shapes = np.concatenate([shapes_at_contacts, input_mode_shapes(rig, body, mode_count)])
-    coordinate_covariance = (mode_responses @ mode_responses.conj().T).real * (input_shapes.T @ input_shapes)
+    responses = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
+    stations = [station for contact in rig.contacts for station in contact_stations(contact)]
+    contacts_m = np.array([station.position_m for station in stations if station.body == body.name])
+    input_shapes = np.concatenate([body.shapes(contacts_m, mode_count), input_mode_shapes(rig, body, mode_count)])
+    covariance = (responses @ responses.conj().T).real * (input_shapes.T @ input_shapes)
     error_shapes = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
-    error_power = np.diag(error_shapes @ coordinate_covariance @ error_shapes.T)
-    return np.asarray(np.sqrt(error_power / np.diag(coordinate_covariance)[:fitted_count]))
+    error_power = np.diag(error_shapes @ covariance @ error_shapes.T)
+    return np.asarray(np.sqrt(error_power / np.diag(covariance)[:fitted_count]))

@@ -76,10 +76,7 @@ class ResponseCache:
         return self._accelerances.get(dynamics, lambda: _accelerance(dynamics))
 
     def transfer(
-        self,
-        dynamics: Dynamics,
-        outputs: Float[np.ndarray, "outputs modes"],
-        inputs: Float[np.ndarray, "inputs modes"],
+        self, dynamics: Dynamics, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others: sum over modes of output, accelerance and input."""
 
@@ -144,13 +141,11 @@ class Response:
         """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors."""
 
         def make() -> Float[np.ndarray, "stations sensors"]:
-            sensor_indices = [
-                i for i, place in enumerate(sensor_stations) if place is not None and place.body == self.body.name
-            ]
-            mode_count = min(len(sensor_indices), self.mode_count)
+            sensors = [i for i, s in enumerate(sensor_stations) if s is not None and s.body == self.body.name]
+            mode_count = min(len(sensors), self.mode_count)
             weights = np.zeros((len(stations), len(sensor_stations)))
-            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensor_indices])[:, :mode_count])
-            weights[:, sensor_indices] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
+            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensors])[:, :mode_count])
+            weights[:, sensors] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
             return weights
 
         return self._cache((tuple(sensor_stations), tuple(stations)), make)
@@ -198,12 +193,12 @@ class Response:
 
     def damped_by(self, dampers: Sequence[PointDamper]) -> "Response":
         """Response with those of some dampers that stand on the body; the modes stay as they are."""
-        body_dampers = [d for d in dampers if d.station.body == self.body.name and d.damping_n_s_per_m]
-        if not body_dampers:
+        dampers = [d for d in dampers if d.station.body == self.body.name and d.damping_n_s_per_m]
+        if not dampers:
             return self
-        undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in body_dampers])
-        damping_n_s_per_m = [damper.damping_n_s_per_m for damper in body_dampers]
-        return replace(self, dampers=damper_feedback(shapes, damping_n_s_per_m, undamped, self.cache.omega))
+        undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in dampers])
+        feedback = damper_feedback(shapes, [d.damping_n_s_per_m for d in dampers], undamped, self.cache.omega)
+        return replace(self, dampers=feedback)
 
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
@@ -212,9 +207,8 @@ class Response:
 
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
         """Response in which the springs of these modes act on the high-passed displacement alone."""
-        return replace(
-            self, dynamics=self.cache.dynamics(self.dynamics.natural_hz, self.dynamics.damping_ratios, modes)
-        )
+        hz, zeta = self.dynamics.natural_hz, self.dynamics.damping_ratios
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, modes))
 
 
 def _station_of(place: Place) -> Station:

@@ -120,13 +120,13 @@ class ObservedSignals:
         self, channel: Sensor, sensor_index: int, base: ObservedBase | None = None
     ) -> Bool[np.ndarray, " lines"]:
         """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
-        sensor, displacement_sensor = self.sensors[sensor_index], self.displaced_by[sensor_index]
+        sensor, displaced_by = self.sensors[sensor_index], self.displaced_by[sensor_index]
         if base is not None:
-            sensor, displacement_sensor = base.sensor, base.displaced_by
+            sensor, displaced_by = base.sensor, base.displaced_by
         from_displacement = np.zeros(self.omega.size, dtype=bool)
         if self.by_displacements is not None:
             from_displacement = self.by_displacements[sensor_index]
-        return ((channel == sensor) & ~from_displacement) | ((channel == displacement_sensor) & from_displacement)
+        return ((channel == sensor) & ~from_displacement) | ((channel == displaced_by) & from_displacement)
 
     @property
     def is_motion_sensed(self) -> bool:
@@ -154,11 +154,9 @@ def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[
     yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
-        sensor_indices = [
-            i for i, sensor in enumerate(observed.sensors) if sensor.station.body == body.response.body.name
-        ]
-        yield from _position_changes(observed, body, sensor_indices)
-        yield from _mode_changes(observed, body, sensor_indices, with_common)
+        sensors = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
+        yield from _position_changes(observed, body, sensors)
+        yield from _mode_changes(observed, body, sensors, with_common)
     yield from observed.further_changes
 
 
@@ -167,90 +165,69 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
     base = observed.base
     base_acceleration, base_displacement = (base.acceleration, base.displacement) if base else (0.0, 0.0)
     unit_rows = np.eye(len(observed.sensors))
-    for i, (sensor, displacement_sensor) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
-        for channel in dict.fromkeys((sensor, displacement_sensor)):
+    for i, (sensor, displaced_by) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+        response = observed.sensor_response[[i]]
+        for channel in dict.fromkeys((sensor, displaced_by)):
             for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
-                    response = observed.sensor_response[[i]]
-                    signals = (
-                        factor * (observed.signals[[i]] + response * base_acceleration) * observed.share_of(channel, i)
-                    )
-                    absolute_displacements = observed.displacements[[i]] + base_displacement
-                    displacements = factor * absolute_displacements if channel == displacement_sensor else None
-                    sensor_pattern = (
-                        SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
-                    )
-                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, sensor_pattern)
+                    signals = factor * (observed.signals[[i]] + response * base_acceleration)
+                    signals = signals * observed.share_of(channel, i)
+                    absolute = observed.displacements[[i]] + base_displacement
+                    displacements = factor * absolute if channel == displaced_by else None
+                    pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
+                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
 
 
 def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the share of the motion across that each sensor shows."""
     transverse = observed.transverse
-    for sensor_index, signals, displacements in (
+    for i, signals, displacements in (
         zip(transverse.sensors, transverse.signals, transverse.displacements, strict=True) if transverse else ()
     ):
-        sensor, displacement_sensor = observed.sensors[sensor_index], observed.displaced_by[sensor_index]
-        for channel in dict.fromkeys((sensor, displacement_sensor)):
-            if cross_axis_share := observed.tolerances.of_sensor(channel.name).cross_axis:
+        sensor, displaced_by = observed.sensors[i], observed.displaced_by[i]
+        for channel in dict.fromkeys((sensor, displaced_by)):
+            if share := observed.tolerances.of_sensor(channel.name).cross_axis:
                 yield Change(
                     Nuisance(NuisanceKind.CROSS_AXIS, channel.name),
-                    [sensor_index],
-                    cross_axis_share * signals[None] * (channel == sensor),
-                    cross_axis_share * displacements[None] if channel == displacement_sensor else None,
+                    [i],
+                    share * signals[None] * (channel == sensor),
+                    share * displacements[None] if channel == displaced_by else None,
                 )
 
 
 def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the chains of the sensors on a shaken base: a gain that is too large takes too much motion from every
     sensor, and more for what the base causes."""
-    base, all_sensors = observed.base, list(range(len(observed.sensors)))
+    base, sensors = observed.base, list(range(len(observed.sensors)))
     if base is None:
         return
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
-        for kind, chain_factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
-            if np.any(chain_factor):
-                channel_masks = np.stack(
-                    [observed.share_of(channel, sensor_index, base) for sensor_index in all_sensors]
-                )
-                station_accelerations = base.station_accelerations * (channel == base.sensor)
-                signals = (
-                    -chain_factor
-                    * observed.sensor_response
-                    * (channel_masks * base.acceleration + station_accelerations)
-                )
-                displacements = np.tile(-chain_factor * base.displacement, (len(all_sensors), 1))
-                yield Change(
-                    Nuisance(kind, channel.name),
-                    all_sensors,
-                    signals,
-                    displacements if channel == base.displaced_by else None,
-                )
+        for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
+            if np.any(factor):
+                shares = np.stack([observed.share_of(channel, i, base) for i in sensors])
+                accelerations = shares * base.acceleration + base.station_accelerations * (channel == base.sensor)
+                signals = -factor * observed.sensor_response * accelerations
+                displacements = None
+                if channel == base.displaced_by:
+                    displacements = np.tile(-factor * base.displacement, (len(sensors), 1))
+                yield Change(Nuisance(kind, channel.name), sensors, signals, displacements)
 
 
 def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
-    crosstalk_share, sensors = observed.tolerances.crosstalk, observed.sensors
+    share, sensors, units = observed.tolerances.crosstalk, observed.sensors, np.eye(len(observed.sensors))
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for left_index, right_index in pairwise(range(len(sensors)) if crosstalk_share else ()):
-        if sensors[left_index].measures != sensors[right_index].measures:
+    for left, right in pairwise(range(len(sensors)) if share else ()):
+        if sensors[left].measures != sensors[right].measures:
             continue
-        for source_index, target_index in ((left_index, right_index), (right_index, left_index)):
-            parameter = Nuisance(
-                NuisanceKind.CROSSTALK, f"{sensors[source_index].name} in {sensors[target_index].name}"
-            )
-            are_displacements = is_displacement[source_index] and is_displacement[target_index]
-            displacements = crosstalk_share * observed.displacements[[source_index]] if are_displacements else None
-            response, unit_weights = observed.sensor_response[[source_index]], np.eye(len(sensors))[source_index]
-            sensor_pattern = (
-                SensorPattern(crosstalk_share * response, unit_weights) if observed.is_motion_sensed else None
-            )
-            yield Change(
-                parameter,
-                [target_index],
-                crosstalk_share * observed.signals[[source_index]],
-                displacements,
-                sensor_pattern,
-            )
+        for source, target in ((left, right), (right, left)):
+            parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
+            are_displacements = is_displacement[source] and is_displacement[target]
+            displacements = share * observed.displacements[[source]] if are_displacements else None
+            pattern = None
+            if observed.is_motion_sensed:
+                pattern = SensorPattern(share * observed.sensor_response[[source]], units[source])
+            yield Change(parameter, [target], share * observed.signals[[source]], displacements, pattern)
 
 
 def _chain_changes(
@@ -282,65 +259,51 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[
     """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
-    slopes = motion.response.slopes([observed.sensors[sensor_index] for sensor_index in rows])[:, motion.moving_modes]
+    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
     double_integral = integrated(observed.omega, -2, CORNER_HZ)
-    for sensor_index, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
-        sensor, displacement_sensor = observed.sensors[sensor_index], observed.displaced_by[sensor_index]
-        for channel in dict.fromkeys((sensor, displacement_sensor)):
+    for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
+        sensor, displaced_by, response = observed.sensors[i], observed.displaced_by[i], observed.sensor_response[i]
+        for channel in dict.fromkeys((sensor, displaced_by)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 acceleration_change = tolerance_m * slope_acceleration[None]
-                signals = (
-                    observed.sensor_response[sensor_index]
-                    * acceleration_change
-                    * observed.share_of(channel, sensor_index)
-                )
-                displacements = double_integral * acceleration_change if channel == displacement_sensor else None
-                sensor_pattern = None
+                signals = response * acceleration_change * observed.share_of(channel, i)
+                displacements = double_integral * acceleration_change if channel == displaced_by else None
+                pattern = None
                 if motion.sensor_weights is not None:
                     weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
-                    sensor_pattern = SensorPattern(tolerance_m * observed.sensor_response[[sensor_index]], weights)
-                yield Change(
-                    Nuisance(NuisanceKind.POSITION, channel.name),
-                    [sensor_index],
-                    signals,
-                    displacements,
-                    sensor_pattern,
-                )
+                    pattern = SensorPattern(tolerance_m * response[None], weights)
+                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], signals, displacements, pattern)
 
 
 def _mode_changes(
-    observed: ObservedSignals, motion: BodyMotion, sensor_indices: list[int], with_common: bool
+    observed: ObservedSignals, motion: BodyMotion, sensors: list[int], with_common: bool
 ) -> Iterator[Change]:
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode.
 
     A body of another mass follows its base as before.
     """
-    response, tolerances = motion.response, observed.tolerances
-    body, sensor_response = response.body, observed.sensor_response[sensor_indices]
-    shapes = response.shapes([observed.sensors[i] for i in sensor_indices])[:, motion.moving_modes]
+    response, tolerances, weights = motion.response, observed.tolerances, motion.sensor_weights
+    body, sensor_response = response.body, observed.sensor_response[sensors]
+    shapes = response.shapes([observed.sensors[i] for i in sensors])[:, motion.moving_modes]
     if with_common and tolerances.mass:
         driven_accelerations = real_product(shapes, motion.acceleration)
         if observed.base:
-            driven_accelerations -= observed.base.station_accelerations[sensor_indices]
+            driven_accelerations -= observed.base.station_accelerations[sensors]
         signals = -tolerances.mass * sensor_response * driven_accelerations
-        yield Change(Nuisance(NuisanceKind.MASS, body.name), sensor_indices, signals)
+        yield Change(Nuisance(NuisanceKind.MASS, body.name), sensors, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         sensitivities = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
         if with_common and (tolerance := _tolerance_of(tolerances, kind)):
             signals = tolerance * sensor_response * real_product(shapes, sensitivities * motion.acceleration)
-            yield Change(Nuisance(kind, body.name), sensor_indices, signals)
-        for mode_index in motion.elastic_indices.tolist():
-            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode_index + 1), kind):
-                response_by_mode = (
-                    tolerance * sensor_response * (shapes[:, mode_index, None] * sensitivities[mode_index])
-                )
-                weights, sensor_pattern = motion.sensor_weights, None
-                if weights is not None and mode_index < len(weights):
-                    sensor_pattern = SensorPattern(response_by_mode, weights[mode_index])
-                signals = response_by_mode * motion.acceleration[mode_index]
-                yield Change(
-                    Nuisance(kind, body.name, mode_index + 1), sensor_indices, signals, sensor_pattern=sensor_pattern
-                )
+            yield Change(Nuisance(kind, body.name), sensors, signals)
+        for mode in motion.elastic_indices.tolist():
+            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode + 1), kind):
+                by_mode = tolerance * sensor_response * (shapes[:, mode, None] * sensitivities[mode])
+                pattern = None
+                if weights is not None and mode < len(weights):
+                    pattern = SensorPattern(by_mode, weights[mode])
+                signals = by_mode * motion.acceleration[mode]
+                yield Change(Nuisance(kind, body.name, mode + 1), sensors, signals, sensor_pattern=pattern)
 
 
 def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:

@@ -50,9 +50,8 @@ def damper_feedback(
 ) -> DamperFeedback:
     """Feedback of dampers above zero; at frequency zero there is none."""
     impedance = undamped(shapes, shapes).transpose(2, 0, 1).copy()
-    nonzero_lines = omega > 0
-    diagonal_indices = np.arange(len(shapes))
-    impedance[:, diagonal_indices, diagonal_indices] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
+    is_moving, diagonal = omega > 0, np.arange(len(shapes))
+    impedance[:, diagonal, diagonal] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
     reaction = np.zeros_like(impedance)
-    reaction[nonzero_lines] = np.linalg.inv(impedance[nonzero_lines])
+    reaction[is_moving] = np.linalg.inv(impedance[is_moving])
     return DamperFeedback(shapes, reaction.transpose(1, 2, 0))

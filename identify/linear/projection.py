@@ -42,11 +42,11 @@ class Projection:
 
         The inputs with a prior are the residual's last rows.
         """
-        standardised_signals = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.empty_like(standardised_signals, shape=(len(self.to_inputs), standardised_signals.shape[1]))
+        signals = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.empty_like(signals, shape=(len(self.to_inputs), signals.shape[1]))
         for input_spectrum, to_input in zip(inputs, self.to_inputs[:, sensors], strict=True):
-            np.sum(to_input * standardised_signals, axis=0, out=input_spectrum)
-        residual = input_residual(self.by_input, inputs, standardised_signals, sensors)
+            np.sum(to_input * signals, axis=0, out=input_spectrum)
+        residual = input_residual(self.by_input, inputs, signals, sensors)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
     def in_single_precision(self) -> "Projection":
@@ -74,9 +74,8 @@ def estimated_inputs(
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
     normal_matrices = _normal_matrices(by_input, by_input, free_count)
-    inputs = _line_solutions(normal_matrices, np.einsum("isl,sl->il", by_input.conj(), standardised_signals)[:, None])[
-        :, 0
-    ]
+    products = np.einsum("isl,sl->il", by_input.conj(), standardised_signals)
+    inputs = _line_solutions(normal_matrices, products[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
     log_det, free_log_det = (
@@ -129,15 +128,13 @@ def without_free_inputs(
     """
     input_count = len(by_input)
     for lines, covariance in covariances:
-        covariance_root = np.linalg.cholesky(covariance)
-        stacked_rows = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
-        standardised_signals = np.linalg.solve(covariance_root, stacked_rows)
-        standardised_inputs = standardised_signals[..., :input_count]
-        standardised_columns = standardised_signals[..., input_count:]
-        products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
-        input_rows = standardised_inputs.transpose(2, 1, 0)
-        inputs = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
-        residual = standardised_columns - standardised_inputs @ inputs.transpose(2, 0, 1)
+        stacked = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
+        standardised = np.linalg.solve(np.linalg.cholesky(covariance), stacked)
+        line_inputs, line_columns = standardised[..., :input_count], standardised[..., input_count:]
+        products = (line_inputs.conj().transpose(0, 2, 1) @ line_columns).transpose(1, 2, 0)
+        input_rows = line_inputs.transpose(2, 1, 0)
+        solutions = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
+        residual = line_columns - line_inputs @ solutions.transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
 

@@ -90,8 +90,6 @@ def sampled_accelerations(
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles = _poles(natural_hz, damping_ratio)
     poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
-    tapered_sums = [tapered_sum(complex(pole), sampling) for pole in poles]
-    acceleration_factor = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
-    return np.stack(
-        [acceleration_factor * _pole_combination(poles, tapered_sums, order, sampling.order) for order in range(2)]
-    )
+    sums = [tapered_sum(complex(pole), sampling) for pole in poles]
+    factor = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
+    return np.stack([factor * _pole_combination(poles, sums, order, sampling.order) for order in range(2)])

@@ -30,15 +30,14 @@ def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray,
     that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
     """
     eta_shapes, omega = eta_modes(rig, responses)
-    contact_combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
-    min_singular_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
-    held_combinations = contact_combinations[:, np.count_nonzero(singular_values > min_singular_value) :]
-    if not (held_combinations.size and has_high_passed_springs(responses)):
+    combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
+    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
+    held = combinations[:, np.count_nonzero(singular_values > least_value) :]
+    if not (held.size and has_high_passed_springs(responses)):
         return np.zeros((len(eta_shapes), len(eta_shapes)))
-    held_shapes = eta_shapes[:, omega > 0]
-    compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
-    inverse_compliance = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
-    return np.asarray(held_combinations @ inverse_compliance @ held_combinations.T)
+    shapes = eta_shapes[:, omega > 0]
+    compliance = held.T @ (shapes / omega[omega > 0] ** 2) @ shapes.T @ held
+    return np.asarray(held @ np.linalg.pinv(compliance, rcond=1e-12, hermitian=True) @ held.T)
 
 
 def has_high_passed_springs(responses: Sequence[Response]) -> bool:
@@ -49,15 +48,11 @@ def has_high_passed_springs(responses: Sequence[Response]) -> bool:
 def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
     """Constant contact forces that balance static loads on floating bodies and on single masses, N."""
     forces_n = np.zeros(len(rig.contacts))
+    loads_n, stations = np.array([load.force_n for load in rig.loads]), [load.station for load in rig.loads]
     for response in responses if rig.loads else ():
-        is_rigid_mode = response.modes.frequencies_hz(response.mode_count) == 0
-        if response.body.is_mass:
-            is_rigid_mode[:] = True
-        modal_load_n = np.array([load.force_n for load in rig.loads]) @ response.shapes(
-            [load.station for load in rig.loads]
-        )
-        if np.any(modal_load_n[is_rigid_mode]):
-            forces_n += np.linalg.lstsq(
-                relative_shapes(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
-            )[0]
+        is_rigid = (response.modes.frequencies_hz(response.mode_count) == 0) | response.body.is_mass
+        modal_load_n = (loads_n @ response.shapes(stations))[is_rigid]
+        if np.any(modal_load_n):
+            shapes = relative_shapes(rig, response)[:, is_rigid]
+            forces_n += np.linalg.lstsq(shapes.T, modal_load_n, rcond=None)[0]
     return forces_n

@@ -60,20 +60,17 @@ def spline(sample_count: int, sample_rate_hz: float, drift: Drift | None, knot_s
         empty_matrix = csr_matrix((sample_count, 0))
         return Spline(empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
     times_s = np.arange(sample_count) / sample_rate_hz
-    knot_times_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_s))) + 1)
-    knot_spacing_s = knot_times_s[1]
-    knots_s = np.concatenate(
-        [-knot_spacing_s * np.arange(3, 0, -1), knot_times_s, knot_times_s[-1] + knot_spacing_s * np.arange(1, 4)]
-    )
-    second_difference = (
-        diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knot_times_s.size, knots_s.size - 4)) / knot_spacing_s**2
-    )
-    curvature_deviation = drift.noise_density / np.sqrt(2 * knot_spacing_s)
+    inner_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_s))) + 1)
+    spacing_s = inner_s[1]
+    before_s, after_s = -spacing_s * np.arange(3, 0, -1), inner_s[-1] + spacing_s * np.arange(1, 4)
+    knots_s = np.concatenate([before_s, inner_s, after_s])
+    second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(inner_s.size, knots_s.size - 4)) / spacing_s**2
+    curvature_deviation = drift.noise_density / np.sqrt(2 * spacing_s)
     return Spline(
         value=csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)),
         rate=_rate_matrix(times_s, knots_s),
         curvature=csr_matrix(second_difference / curvature_deviation),
-        target=np.interp(knot_times_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
+        target=np.interp(inner_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
     )
 
 

@@ -59,9 +59,8 @@ def gauss_newton(
             cost_fall = cost - candidate_state.cost if candidate_state is not None else -np.inf
             if cost_fall > 0 or step.predicted_decrease < min_cost_fall:
                 break
-            step_share *= np.clip(
-                step.predicted_decrease * step_share / (2 * step.predicted_decrease * step_share - cost_fall), 0.1, 0.5
-            )
+            predicted = step.predicted_decrease * step_share
+            step_share *= np.clip(predicted / (2 * predicted - cost_fall), 0.1, 0.5)
         if candidate_state is None or not cost_fall > 0:
             break
         state, cost = candidate_state, cost - cost_fall

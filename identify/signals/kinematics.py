@@ -106,19 +106,15 @@ class Kinematics:
     @property
     def without_rows(self) -> "Kinematics":
         """Kinematics without the motion of any station, which takes much memory."""
-        empty_rows = np.empty((0, self.samples))
+        empty = np.empty((0, self.samples))
         return replace(
-            self,
-            displacement_m=empty_rows,
-            velocity_m_per_s=empty_rows,
-            acceleration_m_per_s2=empty_rows,
-            lost_m_per_s2=empty_rows,
+            self, displacement_m=empty, velocity_m_per_s=empty, acceleration_m_per_s2=empty, lost_m_per_s2=empty
         )
 
 
 @dataclass(frozen=True)
 class _PaddedTransform:
-    """Fourier transform of a record: its samples times `ending`, zeros after them, `length` samples in all.
+    """Fourier transform of a record: its samples times `end_taper`, zeros after them, `padded_count` samples in all.
 
     The zeros keep the record's end, which integration falsifies, from wrapping round to its start. usable_count is the
     number of right samples of the motion, lead_samples that of made-up samples before the first for differentiation.
@@ -139,15 +135,13 @@ class _PaddedTransform:
 
         `lead_samples` of a lead-in stand before the first sample, at the end of the transform's input.
         """
-        padded_signal = np.zeros(self.padded_count)
-        padded_signal[: signal.size] = signal * self.end_taper
+        padded = np.zeros(self.padded_count)
+        padded[: signal.size] = signal * self.end_taper
         if lead_samples:
-            padded_signal[-lead_samples:] = lead_in(padded_signal[: signal.size], lead_samples)
+            padded[-lead_samples:] = lead_in(padded[: signal.size], lead_samples)
         in_passband = self.omega >= PASSBAND_START * 2 * np.pi * sensor.high_pass_hz
-        response = sensor.response(self.omega)
-        return np.divide(
-            scipy.fft.rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband
-        )
+        response, motion = sensor.response(self.omega), np.zeros(self.omega.size, dtype=complex)
+        return np.divide(scipy.fft.rfft(padded), response, out=motion, where=in_passband)
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
         return np.asarray(scipy.fft.irfft(spectrum, self.padded_count)[: self.usable_count])
@@ -223,9 +217,9 @@ def _motion_sensors(recording: Recording, use: MotionQuantity) -> list[Sensor]:
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     sensors = [sensor for sensor in sensors if sensor not in base_sensors]
     if not sensors:
-        required_words = "sensors of motion" if use == "auto" else f"{use} sensors"
+        required = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
-        raise RigError(f"the recording has no {required_words}; it has {', '.join(sorted(recording.signals))}{advice}")
+        raise RigError(f"the recording has no {required}; it has {', '.join(sorted(recording.signals))}{advice}")
     return [*base_sensors, *sensors]
 
 
@@ -254,9 +248,8 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
     padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
-    excited_from = excitation_start(
-        excitations(recording), (recording.values_of(sensor) for sensor in sensors), rate_hz
-    )
+    channels = (recording.values_of(sensor) for sensor in sensors)
+    excited_from = excitation_start(excitations(recording), channels, rate_hz)
     return _PaddedTransform(
         corner_hz=corner_hz,
         end_taper=end_taper,
@@ -280,18 +273,15 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
     lost_m_per_s2 = np.zeros((len(station_sensors), transform.usable_count))
     channels: dict[str, None] = {}
     for row, (station, by_order) in enumerate(station_sensors.items()):
-        spectrum_by_sensor: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
+        spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
             sensor = _nearest_sensor(by_order, order)
             differentiations = order - sensor.measures.order
-            lead_samples = (
-                transform.lead_samples if differentiations > 0 else 0
-            )  # nothing may precede the record in an integral
-            if (sensor.name, lead_samples) not in spectrum_by_sensor:
-                spectrum_by_sensor[sensor.name, lead_samples] = transform.spectrum(
-                    sensor, recording.values_of(sensor), lead_samples
-                )
-            spectrum = spectrum_by_sensor[sensor.name, lead_samples] * integration_factor(differentiations)
+            # nothing may precede the record in an integral
+            lead_samples = transform.lead_samples if differentiations > 0 else 0
+            if (key := (sensor.name, lead_samples)) not in spectra:
+                spectra[key] = transform.spectrum(sensor, recording.values_of(sensor), lead_samples)
+            spectrum = spectra[key] * integration_factor(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
         if station in contact_places and 0 not in by_order:  # the spectrum is the acceleration's
@@ -343,8 +333,6 @@ def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np
 
 def taper(sample_count: int, fading_samples: int) -> Float[np.ndarray, " samples"]:
     """Weights of one that fall smoothly to zero over the last `fading_samples`."""
-    taper_weights = np.ones(sample_count)
-    taper_weights[sample_count - fading_samples :] = 0.5 * (
-        1 + np.cos(np.pi * (np.arange(fading_samples) + 1) / fading_samples)
-    )
-    return taper_weights
+    weights, steps = np.ones(sample_count), np.arange(fading_samples) + 1
+    weights[sample_count - fading_samples :] = 0.5 * (1 + np.cos(np.pi * steps / fading_samples))
+    return weights

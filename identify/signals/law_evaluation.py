@@ -37,33 +37,26 @@ def oversampling(sample_rate_hz: float) -> int:
 
 
 def product_rate_multiple(sample_rate_hz: float, decimation: int) -> int:
-    """Multiple of the rate of every `factor`-th sample at which products of two signals of that rate are exact.
+    """Multiple of the rate of every `decimation`-th sample at which products of two signals of that rate are exact.
 
-    It divides the factor, or that of the rate at which a law is evaluated; 1 where both are 1.
+    It divides the decimation, or the factor of the rate at which a law is evaluated; 1 where both are 1.
     """
-    oversampling_factor = oversampling(sample_rate_hz)
-    return next(
-        (
-            multiple
-            for multiple in range(2, max(decimation, oversampling_factor) + 1)
-            if not decimation % multiple or not oversampling_factor % multiple
-        ),
-        1,
-    )
+    factor = oversampling(sample_rate_hz)
+    multiples = range(2, max(decimation, factor) + 1)
+    return next((multiple for multiple in multiples if not decimation % multiple or not factor % multiple), 1)
 
 
 def evaluated_law(
     law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, decimation: int = 1, multiple: int = 1
 ) -> Float[np.ndarray, "*results fewer"]:
-    """law(*signals), for a law without memory, low-passed to every `factor`-th sample.
+    """law(*signals), for a law without memory, low-passed to every `decimation`-th sample.
 
-    `multiple`, of `product_multiple`, gives so many results for each of these. A law may return several results along
-    leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier transforms
-    under tapers that are one inside the block, so that it need not be periodic.
+    `multiple`, of `product_rate_multiple`, gives so many results for each of these. A law may return several results
+    along leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier
+    transforms under tapers that are one inside the block, so that it need not be periodic.
     """
-    return evaluated_on(
-        law, finer_batches(signals, sample_rate_hz), signals.shape[1], sample_rate_hz, decimation, multiple
-    )
+    batches = finer_batches(signals, sample_rate_hz)
+    return evaluated_on(law, batches, signals.shape[1], sample_rate_hz, decimation, multiple)
 
 
 def finer_batches(
@@ -71,20 +64,17 @@ def finer_batches(
 ) -> Iterator[Float[np.ndarray, "..."]]:
     """Signals at the rate at which laws are evaluated, for `evaluated_on`: some blocks at a time, rows x blocks x
     samples, or as they are if that is their rate."""
-    oversampling_factor, samples = oversampling(sample_rate_hz), signals.shape[1]
-    if oversampling_factor == 1:
+    factor, samples = oversampling(sample_rate_hz), signals.shape[1]
+    if factor == 1:
         yield signals
         return
     block_count = -(-samples // BLOCK_SAMPLES)
-    padded_signals = np.pad(
-        signals, [(0, 0), (2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples)], mode="edge"
-    )
-    blocks = sliding_window_view(padded_signals, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
-    signal_taper = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES)
-    for first_block in range(
-        0, block_count, blocks_per_batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * oversampling_factor))
-    ):
-        yield _finer(blocks[:, first_block : first_block + blocks_per_batch] * signal_taper, oversampling_factor)
+    padding = 2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples
+    padded = np.pad(signals, [(0, 0), padding], mode="edge")
+    blocks = sliding_window_view(padded, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
+    signal_taper, batch = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES), max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
+    for first in range(0, block_count, batch):
+        yield _finer(blocks[:, first : first + batch] * signal_taper, factor)
 
 
 def evaluated_on(
@@ -96,22 +86,17 @@ def evaluated_on(
     multiple: int = 1,
 ) -> Float[np.ndarray, "*results fewer"]:
     """`evaluated_law` on signals of so many samples at the finer rate, of which several laws may be evaluated."""
-    oversampling_factor = oversampling(sample_rate_hz)
+    factor = oversampling(sample_rate_hz)
     if not decimation % multiple:
         decimation, multiple = decimation // multiple, 1
-    if oversampling_factor == 1:
+    if factor == 1:
         (signals,) = batches
         return decimated(law(*signals), decimation)
-    result_taper = _taper(
-        PADDED_SAMPLES * oversampling_factor, MARGIN_SAMPLES * oversampling_factor, MARGIN_SAMPLES * oversampling_factor
-    )
-    block_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
-    results = [
-        _coarser(law(*fine_signals) * result_taper, oversampling_factor, multiple)[..., block_samples]
-        for fine_signals in batches
-    ]
-    result_blocks = np.concatenate(results, axis=-2)
-    return decimated(result_blocks.reshape(*result_blocks.shape[:-2], -1)[..., : samples * multiple], decimation)
+    result_taper = _taper(PADDED_SAMPLES * factor, MARGIN_SAMPLES * factor, MARGIN_SAMPLES * factor)
+    inside = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
+    results = [_coarser(law(*signals) * result_taper, factor, multiple)[..., inside] for signals in batches]
+    blocks = np.concatenate(results, axis=-2)
+    return decimated(blocks.reshape(*blocks.shape[:-2], -1)[..., : samples * multiple], decimation)
 
 
 def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -> Float[np.ndarray, " fine"]:
@@ -120,7 +105,7 @@ def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -
 
 
 def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, decimation: int) -> Float[np.ndarray, " fewer"]:
-    """Signals low-passed from the finer rate to every `factor`-th sample of the recording."""
+    """Signals low-passed from the finer rate to every `decimation`-th sample of the recording."""
     return decimated(fine, decimation * oversampling(sample_rate_hz))
 
 
@@ -131,22 +116,20 @@ def penetration(
     return evaluated_law(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
 
 
-def _finer(
-    blocks: Float[np.ndarray, "rows blocks length"], oversampling_factor: int
-) -> Float[np.ndarray, "rows blocks fine"]:
+def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Float[np.ndarray, "rows blocks fine"]:
     """Blocks at `factor` times their rate."""
-    fine_spectra = rfft(blocks) * oversampling_factor
+    fine_spectra = rfft(blocks) * factor
     fine_spectra[..., -1] /= 2  # half the rate stands for both signs
-    return np.asarray(irfft(fine_spectra, PADDED_SAMPLES * oversampling_factor))
+    return np.asarray(irfft(fine_spectra, PADDED_SAMPLES * factor))
 
 
 def _coarser(
-    fine_results: Float[np.ndarray, "*results fine"], oversampling_factor: int, multiple: int
+    fine_results: Float[np.ndarray, "*results fine"], factor: int, multiple: int
 ) -> Float[np.ndarray, "*results length"]:
     """Rows at multiple / factor times the rate."""
     padded_length = PADDED_SAMPLES * multiple
-    spectra = rfft(fine_results)[..., : padded_length // 2 + 1] * (multiple / oversampling_factor)
-    if multiple < oversampling_factor:
+    spectra = rfft(fine_results)[..., : padded_length // 2 + 1] * (multiple / factor)
+    if multiple < factor:
         spectra[..., -1] *= 2
     return np.asarray(irfft(spectra, padded_length))
 

@@ -34,20 +34,14 @@ ROUNDING_SHARE = 1e-7
 
 def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
     """Standard deviation per sample of each station's acceleration noise, m/s^2, from `noise_source`."""
-    source = noise_source(motion, rig)
+    source, rate_hz = noise_source(motion, rig), motion.sample_rate_hz
     if source == "the quiet start of the record":
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     if source == "noise_density in rig.json":
-        base_noise = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
-        return np.array(
-            [np.hypot(_described_noise(sensor, motion.sample_rate_hz), base_noise) for sensor in motion.sensors]
-        )
-    return np.array(
-        [
-            _noise_from_high_band(row, max(0, 2 - s.measures.order), motion.sample_rate_hz)
-            for s, row in zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)
-        ]
-    )
+        base_noise = _described_noise(motion.base.sensor, rate_hz) if motion.base else 0.0
+        return np.array([np.hypot(_described_noise(sensor, rate_hz), base_noise) for sensor in motion.sensors])
+    rows = zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)
+    return np.array([_noise_from_high_band(row, max(0, 2 - s.measures.order), rate_hz) for s, row in rows])
 
 
 def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
@@ -77,23 +71,18 @@ def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:
 def _described_noise(sensor: Sensor, rate_hz: float) -> float:
     """Rms of white noise s in the d-th derivative, differentiated n = 2 - d times: s (2 pi)^n sqrt(f^(2n+1)/(2n+1))."""
     differentiations = max(0, 2 - sensor.measures.order)
-    return float(
-        sensor.noise_density
-        * (2 * np.pi) ** differentiations
-        * np.sqrt((rate_hz / 2) ** (2 * differentiations + 1) / (2 * differentiations + 1))
-    )
+    power = 2 * differentiations + 1
+    return float(sensor.noise_density * (2 * np.pi) ** differentiations * np.sqrt((rate_hz / 2) ** power / power))
 
 
 def _noise_from_high_band(signal: Float[np.ndarray, " samples"], differentiations: int, rate_hz: float) -> float:
     """White noise, differentiated so often, as loud as the quietest parts of a high band: an upper bound of its rms."""
-    low_share, high_share = (rate_share * 2 for rate_share in NOISE_BAND)
+    low_share, high_share = (share * 2 for share in NOISE_BAND)
     band_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), signal)
     part_samples = max(1, round(PART_S * rate_hz))
-    part_powers = (band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples) ** 2).mean(
-        axis=1
-    )
-    noise_power_share = high_share ** (2 * differentiations + 1) - low_share ** (2 * differentiations + 1)
-    return float(np.sqrt(np.quantile(part_powers[1:], QUIET_QUANTILE) / noise_power_share))
+    parts = band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples)
+    powers, power = (parts**2).mean(axis=1), 2 * differentiations + 1
+    return float(np.sqrt(np.quantile(powers[1:], QUIET_QUANTILE) / (high_share**power - low_share**power)))
 
 
 def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> tuple[float, bool]:
@@ -104,20 +93,19 @@ def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: fl
     lines is distributed as chi-square with 2 n degrees of freedom, of which a Hann window leaves 18 of 35; the quantile
     is divided by that of this distribution.
     """
-    segment_samples = min(SEGMENT_SAMPLES, signal.size)
-    line_hz, _, power = spectrogram(signal, rate_hz, "hann", segment_samples, segment_samples // 2, detrend="linear")
+    samples = min(SEGMENT_SAMPLES, signal.size)
+    line_hz, _, power = spectrogram(signal, rate_hz, "hann", samples, samples // 2, detrend="linear")
     power = power[(line_hz > LOWEST_RATE_SHARE * rate_hz) & (line_hz < PASSBAND * rate_hz)]
     cell_count = len(power) // CELL_LINES
     if not cell_count:
         return 0.0, False
-    cell_powers = power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
-    power_density = float(np.quantile(cell_powers, QUIET_QUANTILE)) / (
-        chi2.ppf(QUIET_QUANTILE, CELL_DEGREES_OF_FREEDOM) / CELL_DEGREES_OF_FREEDOM
-    )
-    segment_power = np.median(cell_powers, axis=0)
+    cells = power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
+    quantile_ratio = chi2.ppf(QUIET_QUANTILE, CELL_DEGREES_OF_FREEDOM) / CELL_DEGREES_OF_FREEDOM
+    power_density = float(np.quantile(cells, QUIET_QUANTILE)) / quantile_ratio
+    segment_power = np.median(cells, axis=0)
     quiet_share = max(QUIET_QUANTILE, MIN_SEGMENTS / segment_power.size)
-    quiet_cell_powers = cell_powers[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
-    return float(np.sqrt(power_density)), bool(np.max(quiet_cell_powers) < FLAT_RATIO * np.min(quiet_cell_powers))
+    quiet_cells = cells[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
+    return float(np.sqrt(power_density)), bool(np.max(quiet_cells) < FLAT_RATIO * np.min(quiet_cells))
 
 
 def rounding_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> float:

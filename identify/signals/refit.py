@@ -19,9 +19,9 @@ def refit_until_settled(
     rounds: int,
     at_least: int = 0,
 ) -> Estimate:
-    """Fixed point x of x_(k+1) = refit(x_k), to the tolerance of `settled(x_k, x_(k+1))`.
+    """Fixed point x of x_(k+1) = refit(x_k), to the tolerance of `is_settled(x_k, x_(k+1))`.
 
-    At most `rounds` refits are made, and `at_least` so many whatever `settled` says. To keep only improvements, let
+    At most `rounds` refits are made, and `at_least` so many whatever `is_settled` says. To keep only improvements, let
     `refit` return the estimate that it was given if the new one is no better: no change counts as settled.
     """
     for round_number in range(1, rounds + 1):

@@ -33,27 +33,27 @@ def line_by_line(
         channel_count, _, line_count = block_spectra.shape
         if first_block == 0:
             normal_matrix = np.zeros((line_count, channel_count, channel_count), dtype=complex)
-        for line_chunk in _chunks(line_count):
-            channel_rows = _by_line(block_spectra, line_chunk)
-            normal_matrix[line_chunk] += channel_rows.conj().transpose(0, 2, 1) @ channel_rows
+        for chunk in _chunks(line_count):
+            channel_rows = _by_line(block_spectra, chunk)
+            normal_matrix[chunk] += channel_rows.conj().transpose(0, 2, 1) @ channel_rows
     input_count = normal_matrix.shape[1] - 1
     input_weights = np.empty((len(normal_matrix), input_count), dtype=complex)
     inverse_normal = normal_matrix[:, :input_count, :input_count]
-    for line_chunk in _chunks(len(normal_matrix)):
-        input_scale = np.sqrt(np.einsum("lii->li", normal_matrix[line_chunk]).real[:, :input_count])
+    for chunk in _chunks(len(normal_matrix)):
+        input_scale = np.sqrt(np.einsum("lii->li", normal_matrix[chunk]).real[:, :input_count])
         input_scale[input_scale == 0] = 1.0
         scale_products = input_scale[:, :, None] * input_scale[:, None, :]
         try:
-            scaled_inverse = np.linalg.inv(normal_matrix[line_chunk, :input_count, :input_count] / scale_products)
+            scaled_inverse = np.linalg.inv(normal_matrix[chunk, :input_count, :input_count] / scale_products)
         except np.linalg.LinAlgError as error:
             raise RigError(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        input_weights[line_chunk] = (
-            scaled_inverse @ (normal_matrix[line_chunk, :input_count, input_count:] / input_scale[:, :, None])
+        input_weights[chunk] = (
+            scaled_inverse @ (normal_matrix[chunk, :input_count, input_count:] / input_scale[:, :, None])
         )[:, :, 0] / input_scale
-        inverse_normal[line_chunk] = scaled_inverse / scale_products
+        inverse_normal[chunk] = scaled_inverse / scale_products
     return input_weights, inverse_normal
 
 
@@ -72,14 +72,14 @@ def influences(
     for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
         block_spectra = spectra_of(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
         chunk_sums = []
-        for line_chunk in _chunks(len(input_weights)):
-            spectra_by_line = _by_line(block_spectra, line_chunk)
+        for chunk in _chunks(len(input_weights)):
+            spectra_by_line = _by_line(block_spectra, chunk)
             inputs, response = spectra_by_line[:, :, :-1], spectra_by_line[:, :, -1]
-            weight_changes = inputs.conj() @ inverse_normal[line_chunk].transpose(0, 2, 1)
+            weight_changes = inputs.conj() @ inverse_normal[chunk].transpose(0, 2, 1)
             leverage = np.sum(inputs * weight_changes, axis=2).real
-            residual = response - (inputs @ input_weights[line_chunk, :, None])[:, :, 0]
+            residual = response - (inputs @ input_weights[chunk, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
-            chunk_sums.append(quantities_of(weight_changes, line_chunk))
+            chunk_sums.append(quantities_of(weight_changes, chunk))
         batches.append(np.sum(chunk_sums, axis=0))
     return np.concatenate(batches)
 
@@ -110,7 +110,7 @@ def _chunks(line_count: int) -> list[slice]:
 
 
 def _by_line(
-    spectra_of: Complex[np.ndarray, "channels blocks lines"], line_chunk: slice
+    spectra_of: Complex[np.ndarray, "channels blocks lines"], chunk: slice
 ) -> Complex[np.ndarray, "some blocks channels"]:
     """Spectra on a slice of the lines, with the line as the first axis."""
-    return np.ascontiguousarray(spectra_of[:, :, line_chunk].transpose(2, 1, 0))
+    return np.ascontiguousarray(spectra_of[:, :, chunk].transpose(2, 1, 0))

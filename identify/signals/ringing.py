@@ -33,37 +33,33 @@ def modes_of_decay(
     p = -zeta omega +- i omega sqrt(1 - zeta^2) are the poles; amplitudes follow by least squares.
     """
     decimation = max(1, int(sample_rate_hz / (RATE_TO_HIGHEST_HZ * highest_hz)))
-    decimated_signals = (
+    slow_signals = (
         resample_poly(signals - signals.mean(axis=1, keepdims=True), 1, decimation, axis=1)
         if decimation > 1
         else signals
     )
     rate_hz = sample_rate_hz / decimation
-    lag_count = min(MAX_LAGS, decimated_signals.shape[1] // 3)
-    if lag_count < 2 or not np.any(decimated_signals):
+    lag_count = min(MAX_LAGS, slow_signals.shape[1] // 3)
+    if lag_count < 2 or not np.any(slow_signals):
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(
-        decimated_signals, decimated_signals.shape[1] - lag_count + 1, axis=1
-    )
-    hankel = windows.transpose(1, 0, 2).reshape(lag_count * len(decimated_signals), -1)
+    windows = np.lib.stride_tricks.sliding_window_view(slow_signals, slow_signals.shape[1] - lag_count + 1, axis=1)
+    hankel = windows.transpose(1, 0, 2).reshape(lag_count * len(slow_signals), -1)
     subspace = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * max_modes]
-    shift_matrix = np.linalg.lstsq(subspace[: -len(decimated_signals)], subspace[len(decimated_signals) :], rcond=None)[
-        0
-    ]
+    shift_matrix = np.linalg.lstsq(subspace[: -len(slow_signals)], subspace[len(slow_signals) :], rcond=None)[0]
     eigenvalues = np.linalg.eigvals(shift_matrix)
     poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * rate_hz
     poles = poles[poles.imag > 0]
-    time_s = np.arange(decimated_signals.shape[1]) / rate_hz
+    time_s = np.arange(slow_signals.shape[1]) / rate_hz
     unit_decays = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
     basis = np.concatenate([unit_decays.real, unit_decays.imag])
-    amplitudes = np.linalg.lstsq(basis.T, decimated_signals.T, rcond=1e-9)[0]
+    amplitudes = np.linalg.lstsq(basis.T, slow_signals.T, rcond=1e-9)[0]
     modes = []
     for pole_index, pole in enumerate(poles):
         mode_signals = (
             basis[[pole_index, pole_index + len(poles)]].T @ amplitudes[[pole_index, pole_index + len(poles)]]
         )
         damping_ratio = float(-pole.real / abs(pole))
-        energy_share = float(np.sum(mode_signals**2) / np.sum(decimated_signals**2))
+        energy_share = float(np.sum(mode_signals**2) / np.sum(slow_signals**2))
         frequency_hz = float(abs(pole) / (2 * np.pi))
         if 0 < damping_ratio < MAX_DAMPING_RATIO and frequency_hz < highest_hz and energy_share > MIN_ENERGY_SHARE:
             modes.append(RingingMode(frequency_hz, damping_ratio, energy_share))

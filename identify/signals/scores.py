@@ -16,22 +16,19 @@ def part_scores(
 ) -> Float[np.ndarray, "parts parameters"]:
     """Scores influence' residual of each part: by how much its residuals move the parameters.
 
-    The parts are sixteenths of the record, or begin at `starts`. With influence = J (J'J)^-1, the sum of the outer
+    The parts are sixteenths of the record, or begin at `part_starts`. With influence = J (J'J)^-1, the sum of the outer
     products of the scores is a covariance of the parameters that allows for residuals correlated within a part (White,
     Econometrica 48, 1980, by clusters).
     """
-    part_starts = even_parts(residual.size) if part_starts is None else part_starts
-    part_stops = np.append(part_starts[1:], residual.size)
-    return np.array(
-        [influence[start:stop].T @ residual[start:stop] for start, stop in zip(part_starts, part_stops, strict=True)]
-    )
+    starts = even_parts(residual.size) if part_starts is None else part_starts
+    bounds = zip(starts, np.append(starts[1:], residual.size), strict=True)
+    return np.array([influence[start:stop].T @ residual[start:stop] for start, stop in bounds])
 
 
 def even_parts(sample_count: int) -> Int[np.ndarray, " parts"]:
     """First samples of sixteenths of the record."""
-    return np.array(
-        [indices[0] if indices.size else sample_count for indices in np.array_split(np.arange(sample_count), PARTS)]
-    )
+    parts = np.array_split(np.arange(sample_count), PARTS)
+    return np.array([part[0] if part.size else sample_count for part in parts])
 
 
 def informative_parts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " parts"]:
@@ -40,12 +37,12 @@ def informative_parts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarra
     Of parts with shares w of the squared influence, 1 / sum(w^2) are effective. Few are, for instance, in a decay.
     """
     even_starts = even_parts(influence.size)
-    cumulative_influence = np.cumsum(influence**2)
-    share_by_part = np.add.reduceat(influence**2, even_starts) / max(float(cumulative_influence[-1]), 1e-300)
-    if share_by_part.sum() == 0 or 1 / np.sum(share_by_part**2) >= MIN_EFFECTIVE_PARTS:
+    cumulative = np.cumsum(influence**2)
+    shares = np.add.reduceat(influence**2, even_starts) / max(float(cumulative[-1]), 1e-300)
+    if shares.sum() == 0 or 1 / np.sum(shares**2) >= MIN_EFFECTIVE_PARTS:
         return even_starts
-    part_boundaries = np.searchsorted(cumulative_influence, cumulative_influence[-1] * np.arange(1, PARTS) / PARTS)
-    return np.unique(np.append(0, part_boundaries))
+    boundaries = np.searchsorted(cumulative, cumulative[-1] * np.arange(1, PARTS) / PARTS)
+    return np.unique(np.append(0, boundaries))
 
 
 def quiet_deviation(signal: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows"]:

@@ -81,22 +81,21 @@ class Blocks:
     ) -> Complex[np.ndarray, "channels blocks lines"]:
         """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
         windows = window_derivatives(self.window, self.block_samples, self.sample_rate_hz)
-        window_weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
-        windowed_channels = np.empty((len(channels), self.block_samples))
+        weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
+        windowed = np.empty((len(channels), self.block_samples))
         spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
-        for block_index, first_sample in enumerate(starts):
+        for block, first_sample in enumerate(starts):
             samples = slice(first_sample, first_sample + self.block_samples)
-            for channel_index, terms in enumerate(channels):
-                first_term, *other_terms = zip(window_weights[channel_index], terms, strict=True)
-                np.multiply(first_term[0], first_term[1].signal[samples], out=windowed_channels[channel_index])
-                for window_weight, term in other_terms:
-                    windowed_channels[channel_index] += window_weight * term.signal[samples]
-            spectra[:, block_index] = scipy.fft.rfft(windowed_channels, axis=1)[:, self.lines]
+            for row, channel_weights, terms in zip(windowed, weights, channels, strict=True):
+                np.multiply(channel_weights[0], terms[0].signal[samples], out=row)
+                for weight, term in zip(channel_weights[1:], terms[1:], strict=True):
+                    np.add(row, weight * term.signal[samples], out=row)
+            spectra[:, block] = scipy.fft.rfft(windowed, axis=1)[:, self.lines]
         return spectra
 
 
 def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:
-    """Blocks that cover `samples` samples, with the lines in the band.
+    """Blocks that cover `sample_count` samples, with the lines in the band.
 
     Raises RigError if a block is longer than the record or the band holds no line.
     """
@@ -116,22 +115,16 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
             f"second show the motion up to {band_hz[1]:.4g} Hz; excite below that, or sample faster"
         )
     resolution_hz = sample_rate_hz / block_samples
-    band_lines = slice(
-        int(np.ceil(band_hz[0] / resolution_hz - 1e-9)), int(np.floor(band_hz[1] / resolution_hz + 1e-9)) + 1
-    )
-    if band_lines.stop <= band_lines.start or band_lines.stop > block_samples // 2:
+    first_line = int(np.ceil(band_hz[0] / resolution_hz - 1e-9))
+    stop_line = int(np.floor(band_hz[1] / resolution_hz + 1e-9)) + 1
+    if stop_line <= first_line or stop_line > block_samples // 2:
         raise RigError(
             f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution_hz:.4g} "
             f"Hz and {sample_rate_hz:g} samples a second; choose another band or block"
         )
     hop_samples = max(1, int(block_samples * (1 - averaging.overlap) + 1e-6))
-    return Blocks(
-        tuple(range(0, sample_count - block_samples + 1, hop_samples)),
-        block_samples,
-        averaging.window,
-        sample_rate_hz,
-        band_lines,
-    )
+    starts = tuple(range(0, sample_count - block_samples + 1, hop_samples))
+    return Blocks(starts, block_samples, averaging.window, sample_rate_hz, slice(first_line, stop_line))
 
 
 def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
@@ -151,23 +144,23 @@ def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: flo
 
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
-    ramped_signals = _ramped(signals, 1)
-    fine_signals = scipy.signal.resample(ramped_signals, factor * ramped_signals.shape[-1], axis=-1)
-    return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
+    ramped = _ramped(signals, 1)
+    fine = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
+    return np.asarray(fine[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
     """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
     if factor == 1:
         return signals
-    ramped_signals = _ramped(signals, factor)
-    new_length = ramped_signals.shape[-1] // factor
-    subsequences = np.moveaxis(ramped_signals.reshape(*ramped_signals.shape[:-1], new_length, factor), -1, -2)
-    low_spectra = np.einsum("pk,...pk->...k", _phase_factors(new_length, factor), scipy.fft.rfft(subsequences))
-    if new_length % 2 == 0:
+    ramped = _ramped(signals, factor)
+    length = ramped.shape[-1] // factor
+    subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], length, factor), -1, -2)
+    low_spectra = np.einsum("pk,...pk->...k", _phase_factors(length, factor), scipy.fft.rfft(subsequences))
+    if length % 2 == 0:
         low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
-    first_sample, new_count = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
-    return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., first_sample : first_sample + new_count])
+    new_count = -(-signals.shape[-1] // factor)
+    return np.asarray(scipy.fft.irfft(low_spectra / factor, length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
 
 
 @lru_cache(maxsize=4)
@@ -196,7 +189,7 @@ def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[n
 def force_band(
     force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, outside_share: float = 1e-3
 ) -> tuple[float, float]:
-    """Band that holds all but `share` of the force's power at either end, Hz; the union of the bands of several forces.
+    """Band that holds all but `outside_share` of the force's power at either end, Hz; of several forces the union.
 
     Raises RigError if no force differs from zero, or one is constant.
     """
@@ -210,12 +203,10 @@ def _band_of(
     force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, outside_share: float
 ) -> tuple[float, float]:
     """Band of one force, Hz."""
-    cumulative_power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
-    if not cumulative_power[-1] > 0:
+    power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
+    if not power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
-    low_line, high_line = np.searchsorted(
-        cumulative_power, [outside_share * cumulative_power[-1], (1 - outside_share) * cumulative_power[-1]]
-    )
+    low_line, high_line = np.searchsorted(power, [outside_share * power[-1], (1 - outside_share) * power[-1]])
     if not high_line:
         raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")
     resolution_hz = sample_rate_hz / force_n.size

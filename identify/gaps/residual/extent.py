@@ -59,14 +59,12 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
 
     Raises RigError if there are no sensors of motion.
     """
-    motion_sensors = body_sensors(recording.rig)
-    if not motion_sensors:
+    sensors = body_sensors(recording.rig)
+    if not sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     highest_or_lowest = max if np.any(recording.forces_n) else min
-    quantity = (
-        read_quantity(recording.rig) or highest_or_lowest(motion_sensors, key=lambda s: s.measures.order).quantity
-    )
-    return tuple(sensor for sensor in motion_sensors if sensor.quantity == quantity)
+    quantity = read_quantity(recording.rig) or highest_or_lowest(sensors, key=lambda s: s.measures.order).quantity
+    return tuple(sensor for sensor in sensors if sensor.quantity == quantity)
 
 
 @dataclass(frozen=True)
@@ -98,12 +96,9 @@ class RecordBeginning:
     @property
     def omitted_s(self) -> tuple[float, float]:
         """Seconds omitted at the start and at the end."""
-        is_ringing_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
-        omitted_end_s = (
-            min(OMITTED_EDGE_S, OMITTED_SHARE * self.duration_s)
-            if is_ringing_on
-            else OMITTED_FADES * self.fade_length_s
-        )
+        omitted_end_s = OMITTED_FADES * self.fade_length_s
+        if not self.all_free and (self.has_contacts or not self.counts_from_blow):  # the end rings on
+            omitted_end_s = min(OMITTED_EDGE_S, OMITTED_SHARE * self.duration_s)
         if self.starts_quiet:
             return 0.0, omitted_end_s
         if self.counts_from_blow:
@@ -117,10 +112,8 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> RecordBeg
     zero_known = all(sensor.measures.order == 0 for sensor in sensors)
     has_contacts = bool(rig.contacts)
     is_integrated = has_contacts and not zero_known
-    excitation_start_sample = excitation_start(
-        recording.forces_n, (recording.values_of(sensor) for sensor in sensors), rate_hz
-    )
-    samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
+    start_sample = excitation_start(recording.forces_n, (recording.values_of(sensor) for sensor in sensors), rate_hz)
+    samples_before = start_sample - round(QUIET_MARGIN_S * rate_hz)
     counts_from_blow = not np.any(recording.forces_n) and not is_integrated
     fade_length_s = 2 * FADE_S if zero_known and not counts_from_blow else FADE_S
     return RecordBeginning(
@@ -130,7 +123,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> RecordBeg
         counts_from_blow=counts_from_blow,
         all_free=zero_known and all(is_free(rig, body.name) for body in rig.bodies),
         floats_in_contacts=floats_in_contacts(rig),
-        excitation_start_sample=excitation_start_sample,
+        excitation_start_sample=start_sample,
         quiet_samples=samples_before if samples_before > QUIET_S * rate_hz else 0,
         fade_length_s=fade_length_s if has_contacts else min(fade_length_s, FADE_SHARE * recording.duration_s),
         duration_s=recording.duration_s,
@@ -162,11 +155,11 @@ def high_hz_of(
         excited_hz = BAND_REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
         signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-        excited_hz = BAND_REACH * (
-            highest_vibrating_hz(signals, rate_hz, noise_densities)
-            if recording.rig.contacts
-            else highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
-        )
+        if recording.rig.contacts:
+            shown_hz = highest_vibrating_hz(signals, rate_hz, noise_densities)
+        else:
+            shown_hz = highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
+        excited_hz = BAND_REACH * shown_hz
     high_hz = min(excited_hz, PASSBAND * rate_hz, tolerances.highest_hz or np.inf)
     if high_hz <= CORNER_HZ:
         raise RigError(
@@ -179,11 +172,9 @@ def high_hz_of(
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(
-            BAND_REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1]
-        )
-        for force_n in forces_n
-        if np.any(force_n)
+        min(BAND_REACH * force_band(n, rate_hz)[1], POWER_REACH * force_band(n, rate_hz, 1 - POWER_SHARE)[1])
+        for n in forces_n
+        if np.any(n)
     )
 
 
@@ -205,10 +196,10 @@ def noise_corner_hz(
         lowest_natural_hz = min(lowest_natural_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
     lines_hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
     while (next_corner_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_natural_hz:
-        is_in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
-        if not is_in_half_octave.any() or np.any(
-            signal_power[:, is_in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
-        ):
+        in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
+        if not in_half_octave.any():
+            break
+        if np.any(signal_power[:, in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power):
             break
         corner_hz = float(next_corner_hz)
     return corner_hz
@@ -217,14 +208,9 @@ def noise_corner_hz(
 def is_free(rig: Rig, body_name: str) -> bool:
     """True if a body is an unsupported mass."""
     body = rig.body(body_name)
-    support_stations = [spring.station for spring in rig.springs] + [
-        station for contact in rig.contacts for station in contact_stations(contact)
-    ]
-    return (
-        body.is_mass
-        and bool(body.rigid_modes)
-        and all(support_station.body != body_name for support_station in support_stations)
-    )
+    supports = [spring.station for spring in rig.springs]
+    supports += [station for contact in rig.contacts for station in contact_stations(contact)]
+    return body.is_mass and bool(body.rigid_modes) and all(station.body != body_name for station in supports)
 
 
 def floats_in_contacts(rig: Rig) -> bool:
@@ -232,21 +218,17 @@ def floats_in_contacts(rig: Rig) -> bool:
     return bool(rig.contacts) and any(body.rigid_modes and not body.is_mass for body in rig.bodies)
 
 
-def end_of_motion_s(sensor_accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
+def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
     """End of the last second with motion, s; inf for the whole record. Raises RigError if the sensors show none."""
-    second_samples = max(1, round(min(1.0, sensor_accelerations.shape[1] / rate_hz / 4) * rate_hz))
-    second_count = sensor_accelerations.shape[1] // second_samples
-    power_by_second = (
-        (sensor_accelerations[:, : second_count * second_samples] ** 2)
-        .sum(axis=0)
-        .reshape(second_count, second_samples)
-        .mean(axis=1)
-    )
+    samples = max(1, round(min(1.0, accelerations.shape[1] / rate_hz / 4) * rate_hz))
+    count = accelerations.shape[1] // samples
+    power_by_sample = (accelerations[:, : count * samples] ** 2).sum(axis=0)
+    power_by_second = power_by_sample.reshape(count, samples).mean(axis=1)
     moving_seconds = np.flatnonzero(power_by_second > DECAYED_SHARE**2 * power_by_second.max())
     if not moving_seconds.size:
         raise RigError("the sensors show no motion; look at their channels")
-    motion_end_second = int(moving_seconds[-1]) + 1
-    return np.inf if motion_end_second == second_count else motion_end_second * second_samples / rate_hz
+    end = int(moving_seconds[-1]) + 1
+    return np.inf if end == count else end * samples / rate_hz
 
 
 def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:

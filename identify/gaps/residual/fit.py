@@ -110,40 +110,36 @@ class ReducedEquations:
     def with_lines(self) -> "ReducedEquations":
         """Equations whose gradient includes the outstanding lines, for effects that may explain them."""
         residual = replace(self.residual, linear_without_lines=self.residual.linear_residual)
-        gradient_of_lines = self.linearization.columns.products(
-            (residual.linear_without_lines - self.residual.linear_without_lines).ravel()
-        )
+        lines = residual.linear_without_lines - self.residual.linear_without_lines
+        gradient_of_lines = self.linearization.columns.products(lines.ravel())
         return replace(self, residual=residual, gradient=self.gradient + gradient_of_lines)
 
     def with_columns(self, columns: list[ResidualColumn]) -> NormalEquations:
         """Normal equations of the nuisance parameters, followed by one parameter for each column."""
-        effects_at, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
-        matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
-        matrix[:effects_at, :effects_at], gradient[:effects_at] = self.matrix, self.gradient
-        linear_columns = np.array([column[0].ravel() for column in columns]).reshape(
-            len(columns), self.residual.linear_residual.size
-        )
-        matrix[:effects_at, effects_at:] = self.linearization.columns.products(linear_columns)
-        matrix[effects_at:, effects_at:] = linear_columns @ linear_columns.T
-        gradient[effects_at:] = linear_columns @ self.residual.linear_without_lines.ravel()
+        first, count = len(self.gradient), len(self.gradient) + len(columns)
+        matrix, gradient = np.zeros((count, count)), np.zeros(count)
+        matrix[:first, :first], gradient[:first] = self.matrix, self.gradient
+        linear_columns = np.array([column[0].ravel() for column in columns])
+        linear_columns = linear_columns.reshape(len(columns), self.residual.linear_residual.size)
+        matrix[:first, first:] = self.linearization.columns.products(linear_columns)
+        matrix[first:, first:] = linear_columns @ linear_columns.T
+        gradient[first:] = linear_columns @ self.residual.linear_without_lines.ravel()
         unknown_solutions = []
         for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
-            unknowns_by_column = contact.columns.T @ contact_columns
-            solved = eliminated.unknowns_solver.solve(unknowns_by_column)
-            matrix[:effects_at, effects_at:] += (
-                eliminated.nuisance_columns.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved
-            )
-            matrix[effects_at:, effects_at:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
-            gradient[effects_at:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
-            unknown_solutions.append(
-                (eliminated.unknowns_step, np.concatenate([eliminated.solved_by_nuisance, solved], axis=1))
-            )
-        matrix[effects_at:, :effects_at] = matrix[:effects_at, effects_at:].T
-        cost_decrease_by_contacts = float(
-            sum(e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts)
+            products = contact.columns.T @ contact_columns
+            solved = eliminated.unknowns_solver.solve(products)
+            nuisance_products = eliminated.nuisance_columns.T @ contact_columns
+            matrix[:first, first:] += nuisance_products - eliminated.unknowns_by_nuisance.T @ solved
+            matrix[first:, first:] += contact_columns.T @ contact_columns - products.T @ solved
+            gradient[first:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
+            all_solved = np.concatenate([eliminated.solved_by_nuisance, solved], axis=1)
+            unknown_solutions.append((eliminated.unknowns_step, all_solved))
+        matrix[first:, :first] = matrix[:first, first:].T
+        cost_decrease = sum(
+            e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts
         )
-        return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
+        return NormalEquations(matrix, gradient, tuple(unknown_solutions), float(cost_decrease))
 
 
 def reduced_equations(
@@ -153,23 +149,21 @@ def reduced_equations(
 
     `sides` are those of each contact's pulls, by default the present ones.
     """
-    nuisance_count = len(linearization.columns.parameters)
-    matrix = linearization.column_gram + linearization.record.sample_ratio * np.eye(nuisance_count)
+    sample_ratio = linearization.record.sample_ratio
+    matrix = linearization.column_gram + sample_ratio * np.eye(len(linearization.columns.parameters))
     gradient = linearization.columns.products(residual.linear_without_lines.ravel())
-    gradient = gradient - linearization.record.sample_ratio * residual.nuisance_pulls
+    gradient = gradient - sample_ratio * residual.nuisance_pulls
     eliminated = []
     for j, contact in enumerate(residual.contacts):
         contact_sides = contact.sides_after() if sides is None else sides[j]
-        columns, straight_residual = (contact.columns_beyond(contact_sides), contact.residual_beyond(contact_sides))
-        solver, by_nuisance = (splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j))
-        own_gradient, cross_products = (columns.T @ straight_residual, columns.T @ by_nuisance)
-        solved_products = solver.solve(cross_products)
-        matrix = matrix + by_nuisance.T @ by_nuisance - cross_products.T @ solved_products
-        gradient = gradient + by_nuisance.T @ contact.residual - solved_products.T @ own_gradient
-        own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight_residual @ straight_residual))
-        eliminated.append(
-            EliminatedContact(solver, by_nuisance, cross_products, solved_products, own_gradient, own_step, cost_fall)
-        )
+        columns, straight_residual = contact.columns_beyond(contact_sides), contact.residual_beyond(contact_sides)
+        solver, by_nuisance = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
+        contact_gradient, products = columns.T @ straight_residual, columns.T @ by_nuisance
+        solved = solver.solve(products)
+        matrix = matrix + by_nuisance.T @ by_nuisance - products.T @ solved
+        gradient = gradient + by_nuisance.T @ contact.residual - solved.T @ contact_gradient
+        step, cost_fall = solver.solve(contact_gradient), contact.cost - float(straight_residual @ straight_residual)
+        eliminated.append(EliminatedContact(solver, by_nuisance, products, solved, contact_gradient, step, cost_fall))
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
@@ -195,11 +189,10 @@ def contact_columns(
     contact, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
     columns = np.zeros((contact.residual.size, column_count))
     columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
-    first_tolerance = nuisance_count + sum(contact.pulls.size for contact in residual.contacts[:contact_index])
+    first = nuisance_count + sum(earlier.pulls.size for earlier in residual.contacts[:contact_index])
     sample_count = contact.observation.weights.size
-    columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
-        :sample_count, contact.observation.tolerance_slice
-    ].toarray()
+    tolerance_columns = contact.columns[:sample_count, contact.observation.tolerance_slice]
+    columns[:sample_count, first : first + contact.pulls.size] = tolerance_columns.toarray()
     return columns
 
 
@@ -216,14 +209,12 @@ def fit(
 
     `start_residual` gives the nuisance parameters and contact unknowns to start from.
     """
-    initial_pulls, initial_unknowns = (
-        (start_residual.nuisance_pulls, tuple(contact.unknowns for contact in start_residual.contacts))
-        if start_residual
-        else (None, None)
-    )
-    if initial_pulls is not None and linearization.tuning.pulls and not initial_pulls.any():
-        initial_pulls = None  # the modes' parameters start at the values that the record's modes give
-    start_point = _Point(values, residual_of(linearization, build_rig(values), initial_pulls, initial_unknowns))
+    pulls, unknowns = None, None
+    if start_residual:
+        pulls, unknowns = start_residual.nuisance_pulls, tuple(contact.unknowns for contact in start_residual.contacts)
+        if linearization.tuning.pulls and not pulls.any():
+            pulls = None  # the modes' parameters start at the values that the record's modes give
+    start_point = _Point(values, residual_of(linearization, build_rig(values), pulls, unknowns))
     step_from = partial(_step, linearization, build_rig, steps, bounds)
     best_point, last_step = gauss_newton(start_point, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
     if linearization.record.measured_modes:  # within a sharp mode's width the nuisance columns change already
@@ -296,24 +287,20 @@ def _step_column(
 
     A shift by a fraction of a resonance's width is nonlinear, and nuisance parameters cannot absorb its curvature.
     """
-    single_step = derivative(linearization, build_rig(values + step), residual)
+    linear_decrease, contact_decreases = derivative(linearization, build_rig(values + step), residual)
     if not linearization.record.measured_modes:
-        return single_step
-    linear_decrease, contact_decreases = single_step
+        return linear_decrease, contact_decreases
     double_linear_decrease, double_decreases = derivative(linearization, build_rig(values + 2 * step), residual)
-    contact_decreases = [
-        2 * single_decrease - double_decrease / 2
-        for single_decrease, double_decrease in zip(contact_decreases, double_decreases, strict=True)
-    ]
-    return 2 * linear_decrease - double_linear_decrease / 2, contact_decreases
+    pairs = zip(contact_decreases, double_decreases, strict=True)
+    return 2 * linear_decrease - double_linear_decrease / 2, [2 * single - double / 2 for single, double in pairs]
 
 
 def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Pseudo-inverse of normal equations after scaling to a unit diagonal; zero for parameters without information."""
-    root_diagonal = np.sqrt(np.diag(matrix))
-    inverse_root = np.divide(1.0, root_diagonal, out=np.zeros_like(root_diagonal), where=root_diagonal > 0)
-    scaling_matrix = np.outer(inverse_root, inverse_root)
-    return np.asarray(np.linalg.pinv(matrix * scaling_matrix, hermitian=True) * scaling_matrix)
+    root = np.sqrt(np.diag(matrix))
+    inverse_root = np.divide(1.0, root, out=np.zeros_like(root), where=root > 0)
+    scaling = np.outer(inverse_root, inverse_root)
+    return np.asarray(np.linalg.pinv(matrix * scaling, hermitian=True) * scaling)
 
 
 def bounded_minimum(
@@ -332,17 +319,15 @@ def bounded_minimum(
         )
     cholesky = _cholesky(matrix)
     whitened_gradient = solve_triangular(cholesky, gradient, lower=True)
-    lower_bounds = np.minimum(lower_bounds, 0.0) - BOUND_SLACK
-    return np.asarray(
-        lsq_linear(cholesky.T, whitened_gradient, (lower_bounds, np.maximum(upper_bounds, 0.0) + BOUND_SLACK), "bvls").x
-    )
+    bounds = np.minimum(lower_bounds, 0.0) - BOUND_SLACK, np.maximum(upper_bounds, 0.0) + BOUND_SLACK
+    return np.asarray(lsq_linear(cholesky.T, whitened_gradient, bounds, "bvls").x)
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Cholesky factor of a matrix of single-precision products; a diagonal shift if rounding made it indefinite."""
-    for diagonal_share in (0.0, SINGLE_PRECISION):
+    for share in (0.0, SINGLE_PRECISION):
         with suppress(np.linalg.LinAlgError):
-            return np.asarray(np.linalg.cholesky(matrix + diagonal_share * np.diag(np.diag(matrix))))
+            return np.asarray(np.linalg.cholesky(matrix + share * np.diag(np.diag(matrix))))
     raise RigError(
         "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
         "describe fewer contacts in rig.json"

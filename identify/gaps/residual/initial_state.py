@@ -39,20 +39,17 @@ def free_motion_of(
     if not record.counts_from_blow:
         return ()
     sampling = None if floats_in_contacts(record.rig) else record.sampling
-    sensors_by_name = {sensor.name: sensor for sensor in rig.sensors}
-    sensor_stations = [sensors_by_name[sensor.name].station for sensor in record.sensors]
-    all_free_modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
-    free_modes_to_fit, mass_modes = _split_by_state(record, rig, all_free_modes, responses)
-    if free_modes_to_fit:
-        unexplained = unexplained - scaled_response * sum(
-            (mass_mode.sensed_acceleration for mass_mode in mass_modes), np.zeros_like(unexplained)
-        )
-        contact_projection = projection(signal_per_input, error_deviation, len(rig.contacts))
-        projected_residual = contact_projection.applied_to(unexplained * error_deviation)[0][: len(sensor_stations)]
-        free_modes_to_fit = fitted_free_modes(
-            free_modes_to_fit, contact_projection, scaled_response, projected_residual
-        )
-    return (*mass_modes, *free_modes_to_fit)
+    sensors = {sensor.name: sensor for sensor in rig.sensors}
+    stations = [sensors[sensor.name].station for sensor in record.sensors]
+    modes = free_modes(responses, _free_mode_indices(record, responses), stations, sampling)
+    fitted, mass_modes = _split_by_state(record, rig, modes, responses)
+    if fitted:
+        mass_accelerations = sum((mode.sensed_acceleration for mode in mass_modes), np.zeros_like(unexplained))
+        unexplained = unexplained - scaled_response * mass_accelerations
+        without_contacts = projection(signal_per_input, error_deviation, len(rig.contacts))
+        residual = without_contacts.applied_to(unexplained * error_deviation)[0][: len(stations)]
+        fitted = fitted_free_modes(fitted, without_contacts, scaled_response, residual)
+    return (*mass_modes, *fitted)
 
 
 def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
@@ -61,37 +58,28 @@ def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[
     Without contacts they reach beyond the band until the omitted ones no longer matter in it, but not beyond the
     sensors' passband.
     """
-    highest_mode_hz = record.highest_hz
+    highest_hz = record.highest_hz
     if not record.rig.contacts:
-        highest_mode_hz = min(FREE_MODE_REACH * highest_mode_hz, PASSBAND * record.sample_rate_hz)
-    nominal_hz = [
-        modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.mode_count)
-        for response in responses
-    ]
-    return [np.flatnonzero(natural_hz < highest_mode_hz) for natural_hz in nominal_hz]
+        highest_hz = min(FREE_MODE_REACH * highest_hz, PASSBAND * record.sample_rate_hz)
+    bodies = [(record.rig.body(response.body.name), response.mode_count) for response in responses]
+    return [np.flatnonzero(modes_of(record.rig, body).frequencies_hz(count) < highest_hz) for body, count in bodies]
 
 
 def _split_by_state(
-    record: Record, rig: Rig, all_free_modes: tuple[FreeMode, ...], responses: tuple[Response, ...]
+    record: Record, rig: Rig, modes: tuple[FreeMode, ...], responses: tuple[Response, ...]
 ) -> tuple[tuple[FreeMode, ...], tuple[FreeMode, ...]]:
     """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one."""
     if not rig.contacts:
-        return all_free_modes, ()
-    free_modes_to_fit, mass_modes = [], []
-    for free_mode in all_free_modes:
-        body = responses[free_mode.body_index].body
-        body_sensor_indices = (
-            [sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
-            if body.is_mass
-            else []
-        )
-        if body_sensor_indices:
-            first_sensor, gain_by_sensor = body_sensor_indices[0], {sensor.name: sensor.gain for sensor in rig.sensors}
-            modal_per_signal = record.sample_rate_hz / (
-                gain_by_sensor[record.sensors[first_sensor].name] * free_mode.shape[first_sensor]
-            )
-            initial_state = record.first_states[first_sensor] * modal_per_signal
-            mass_modes.append(replace(free_mode, initial_state=initial_state))
+        return modes, ()
+    gains = {sensor.name: sensor.gain for sensor in rig.sensors}
+    fitted, mass_modes = [], []
+    for mode in modes:
+        body = responses[mode.body_index].body
+        sensors = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        if body.is_mass and sensors:
+            gain = gains[record.sensors[sensors[0]].name]
+            modal_per_signal = record.sample_rate_hz / (gain * mode.shape[sensors[0]])
+            mass_modes.append(replace(mode, initial_state=record.first_states[sensors[0]] * modal_per_signal))
         else:
-            free_modes_to_fit.append(free_mode)
-    return tuple(free_modes_to_fit), tuple(mass_modes)
+            fitted.append(mode)
+    return tuple(fitted), tuple(mass_modes)

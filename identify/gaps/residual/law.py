@@ -45,15 +45,14 @@ def initial_unknowns(
 
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
-    unknowns = np.zeros(observation.drift_spline.knots + len(observation.law_prior_deviations) * len(law.laws))
-    first_law, (lower_m, upper_m) = law.laws[0], law.clearances_m
+    spline, first_law, (lower_m, upper_m) = observation.drift_spline, law.laws[0], law.clearances_m
+    unknowns = np.zeros(spline.knots + len(observation.law_prior_deviations) * len(law.laws))
     eta_m, velocity_m_per_s, time_s = (
         signal[:: contact_signals.decimation]
         for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)
     )
-    elastic_n = contact_signals.force_n - law.force_n(
-        np.zeros_like(eta_m), velocity_m_per_s
-    )  # less what acts in the open contact too
+    # less what acts in the open contact too
+    elastic_n = contact_signals.force_n - law.force_n(np.zeros_like(eta_m), velocity_m_per_s)
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
     middle_m = off_centre_m + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
     depth_m = _depth_m(law, elastic_n)
@@ -69,7 +68,7 @@ def initial_unknowns(
         noise_n=0.0,
         unmodelled_share=0.0,
         drift=None,
-        drift_spline=observation.drift_spline,
+        drift_spline=spline,
         nuisance_n=np.zeros((0, elastic_n.size)),
         force_noise_multiple=np.zeros(0),
         shifts_eta=np.zeros(0, dtype=bool),
@@ -77,9 +76,9 @@ def initial_unknowns(
         nuisance_m=np.zeros((0, elastic_n.size)),
         is_initial_state=np.zeros(0, dtype=bool),
     )
-    if observation.drift_spline.knots:
+    if spline.knots:
         with suppress(RigError):
-            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record)[1]
+            unknowns[: spline.knots] = regressed_guess(contact_record)[1]
     return unknowns
 
 
@@ -122,20 +121,18 @@ class ContactResidual:
     @cached_property
     def _finer_slopes(self) -> Float[np.ndarray, "4 laws finer"]:
         """Derivatives of each law at the rate of `tangent`; see `slopes`."""
-        undamped_laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
-        signs = self.adjusted_law.signs
+        laws, signs = self.adjusted_law.laws, self.adjusted_law.signs
 
         def slope_rows(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Results:
-            tangents = self._tangents(eta, *time_s)
-            per_stiffness = [
-                sign * force_increase_n(law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
-                for law, sign in zip(undamped_laws, signs, strict=True)
-            ]
-            per_damping = [
-                sign * force_increase_n(law, sign * eta, sign * eta_rate, *time_s, damping_n_s_per_m=1.0)
-                for law, sign in zip(self.adjusted_law.laws, signs, strict=True)
-            ]
-            return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
+            tangents, per_stiffness, per_damping = [], [], []
+            for law, sign in zip(laws, signs, strict=True):
+                undamped, signed_rate = changed(law, damping_n_s_per_m=0.0), sign * eta_rate
+                tangents.append(law.by_eta_n_per_m(sign * eta, *time_s))
+                stiffness_slope = force_increase_n(undamped, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
+                per_stiffness.append(sign * stiffness_slope)
+                damping_slope = force_increase_n(law, sign * eta, signed_rate, *time_s, damping_n_s_per_m=1.0)
+                per_damping.append(sign * damping_slope)
+            return np.stack([tangents, np.stack(tangents) * np.sign(eta), per_stiffness, per_damping])
 
         depends_on_time = _depends_on_time(self.adjusted_law)
         return self.signals.low_passed(slope_rows, self.motion, depends_on_time, self.signals.slope_rate_multiple)
@@ -150,15 +147,6 @@ class ContactResidual:
     def tangent(self) -> LawTangent:
         """Tangent stiffness of all laws together."""
         return LawTangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
-
-    def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
-        """Tangent stiffness of each law at a relative displacement, N/m."""
-        return np.stack(
-            [
-                law.by_eta_n_per_m(sign * eta, *time_s)
-                for law, sign in zip(self.adjusted_law.laws, self.adjusted_law.signs, strict=True)
-            ]
-        )
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
@@ -176,14 +164,11 @@ class ContactResidual:
     def fitted_laws(self) -> tuple[ContactLaw, ...]:
         """Laws with clearance, stiffness and damping as fitted within their tolerances."""
         *_, damping_deviation_s = self.observation.law_prior_deviations
-        increases_s = self.pulls[2::3] * damping_deviation_s
-        return tuple(
-            changed(
-                adjusted_law,
-                damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m)),
-            )
-            for adjusted_law, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, increases_s, strict=True)
-        )
+        fitted_laws = []
+        for law, adjusted, pull in zip(self.law.laws, self.adjusted_law.laws, self.pulls[2::3], strict=True):
+            damping = float(law.damping_n_s_per_m + pull * damping_deviation_s * law.stiffness_n_per_m)
+            fitted_laws.append(changed(adjusted, damping_n_s_per_m=max(0.0, damping)))
+        return tuple(fitted_laws)
 
     @property
     def drift_m(self) -> Float[np.ndarray, " times"]:
@@ -203,9 +188,8 @@ class ContactResidual:
         """Columns where the pulls' excess is straight, as on given sides."""
         prior_diagonal = np.diag(self.observation.prior_weight * np.ones(sides.size))
         prior_rows = np.concatenate([prior_diagonal, EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
-        return vstack(
-            [self._force_columns, block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")], "csr"
-        )
+        priors = block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")
+        return vstack([self._force_columns, priors], "csr")
 
     def residual_beyond(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
         """Residual with the same straight excess."""
@@ -217,20 +201,17 @@ class ContactResidual:
     @cached_property
     def _force_columns(self) -> csr_matrix:
         """Rows of `columns` of the force, without those of the priors."""
-        weights, drift_spline = self.observation.weights, self.observation.drift_spline
+        drift_values = self.observation.drift_spline.value
         clearance_deviation, stiffness_deviation, damping_deviation_s = self.observation.law_prior_deviations
         pull_columns = []
         for law, signed_slope, per_stiffness, per_damping in zip(self.law.laws, *self.slopes[1:], strict=True):
-            stiffness_n_per_m = law.stiffness_n_per_m
             pull_columns += [
                 -clearance_deviation * law.clearance_m * signed_slope,
-                stiffness_deviation * stiffness_n_per_m * per_stiffness,
-                damping_deviation_s * stiffness_n_per_m * per_damping,
+                stiffness_deviation * law.stiffness_n_per_m * per_stiffness,
+                damping_deviation_s * law.stiffness_n_per_m * per_damping,
             ]
-        drift_columns = (
-            self.tangent.spline_columns(drift_spline.value) + self.signals.slow_stiffness_n_per_m * drift_spline.value
-        )
-        return diags(weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
+        drift_columns = self.tangent.spline_columns(drift_values) + self.signals.slow_stiffness_n_per_m * drift_values
+        return diags(self.observation.weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
     def drift_columns(self) -> csr_matrix:
@@ -269,46 +250,36 @@ def contact_residual(
 ) -> ContactResidual:
     """Residual at given unknowns and at the motion that they cause."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
-    pulls = unknowns[observation.tolerance_slice]
-    *_, damping_deviation_s = observation.law_prior_deviations
+    pulls, deviations = unknowns[observation.tolerance_slice], observation.law_prior_deviations
     adjusted_laws, damping_increases = [], []
-    for single_law, law_pulls in zip(law.laws, pulls.reshape(-1, len(observation.law_prior_deviations)), strict=True):
-        clearance_change, stiffness_change, _ = (law_pulls * observation.law_prior_deviations).tolist()
-        damping_increases.append(float(law_pulls[2] * damping_deviation_s * single_law.stiffness_n_per_m))
+    for nominal, law_pulls in zip(law.laws, pulls.reshape(-1, len(deviations)), strict=True):
+        clearance_change, stiffness_change, _ = (law_pulls * deviations).tolist()
+        clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change)
+        damping_increases.append(float(law_pulls[2] * deviations[2] * nominal.stiffness_n_per_m))
         adjusted_laws.append(
             changed(
-                single_law,
-                lower_clearance_m=single_law.lower_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change),
-                upper_clearance_m=single_law.upper_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change),
-                stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
+                nominal,
+                lower_clearance_m=nominal.lower_clearance_m * clearance_factor,
+                upper_clearance_m=nominal.upper_clearance_m * clearance_factor,
+                stiffness_n_per_m=nominal.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
             )
         )
     adjusted_law = GroupLaw(tuple(adjusted_laws), law.signs)
 
     def force_n(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Signal:
-        signed_laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
-        return np.asarray(
-            sum(
-                signal_sign
-                * force_with_damping_n(single_law, damping_increase, signal_sign * eta, signal_sign * eta_rate, *time_s)
-                for signal_sign, single_law, damping_increase in signed_laws
-            )
+        laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
+        forces_n = (
+            sign * force_with_damping_n(adjusted, increase, sign * eta, sign * eta_rate, *time_s)
+            for sign, adjusted, increase in laws
         )
+        return np.asarray(sum(forces_n))
 
     law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
     residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
+    drift_rows = drift_spline.target - drift_spline.curvature @ knots_m
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
-    return ContactResidual(
-        observation=observation,
-        signals=signals,
-        law=law,
-        adjusted_law=adjusted_law,
-        unknowns=unknowns,
-        motion=motion,
-        residual=np.concatenate(
-            [observation.weights * residual_n, drift_spline.target - drift_spline.curvature @ knots_m, prior_rows]
-        ),
-    )
+    residual = np.concatenate([observation.weights * residual_n, drift_rows, prior_rows])
+    return ContactResidual(observation, signals, law, adjusted_law, unknowns, motion, residual)
 
 
 def force_with_damping_n(
@@ -342,5 +313,5 @@ def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pul
 
 def _at_sample_rate(slow_motion: Float[np.ndarray, " times"], decimation: int) -> Float[np.ndarray, " samples"]:
     """Slow motion interpolated linearly to the recording's rate."""
-    between_times = slow_motion[:-1, None] + np.diff(slow_motion)[:, None] * (np.arange(decimation) / decimation)
-    return np.append(between_times, slow_motion[-1])
+    between = slow_motion[:-1, None] + np.diff(slow_motion)[:, None] * (np.arange(decimation) / decimation)
+    return np.append(between, slow_motion[-1])

@@ -56,16 +56,15 @@ class NominalVariances:
 
 def nominal_variances_of(linearization: Linearization) -> NominalVariances:
     """Variances from a linearisation at the scales of the tolerances."""
-    record = linearization.record
+    record, error_variance = linearization.record, linearization.model.error_deviation**2
     sample_count = record.counted_slice.stop - record.counted_slice.start
     band_count = second_levels(record, np.zeros((len(record.sensors), sample_count))).shape[1]
-    expected_variance, noise_variance, acceleration_power = (
-        band_means(record, line_values, band_count)
-        for line_values in (linearization.model.error_deviation**2, record.noise_variance, record.smoothed_power)
-    )
-    line_counts = np.bincount(band_of_lines(record, band_count), minlength=band_count).astype(float)
     return NominalVariances(
-        expected_variance, noise_variance, acceleration_power, line_counts, linearization.observations
+        band_means(record, error_variance, band_count),
+        band_means(record, record.noise_variance, band_count),
+        band_means(record, record.smoothed_power, band_count),
+        np.bincount(band_of_lines(record, band_count), minlength=band_count).astype(float),
+        linearization.observations,
     )
 
 
@@ -125,14 +124,8 @@ class Misfit:
     @property
     def minus_two_log(self) -> float:
         """-2 ln p, up to a constant of the record."""
-        return (
-            self.band_cost
-            + self.contact_cost
-            + float(self.pulls @ self.pulls)
-            + self.drift_cost
-            + self.freedom_cost
-            + self.line_cost
-        )
+        pulls_cost = float(self.pulls @ self.pulls)
+        return self.band_cost + self.contact_cost + pulls_cost + self.drift_cost + self.freedom_cost + self.line_cost
 
     @property
     def excess_cost(self) -> float:
@@ -141,10 +134,8 @@ class Misfit:
         Logarithms demand that a mismatch is removed everywhere; a mean square would weigh its peaks alone.
         """
         band_excess = self.samples_per_cell * np.sum(np.log(np.maximum(self.levels, 1.0)))
-        return (
-            float(band_excess + self.independent_samples * np.sum(np.log(np.maximum(self.contact_levels, 1.0))))
-            + self.line_cost
-        )
+        contact_excess = self.independent_samples * np.sum(np.log(np.maximum(self.contact_levels, 1.0)))
+        return float(band_excess + contact_excess) + self.line_cost
 
     @cached_property
     def measured_variance(self) -> Float[np.ndarray, "bands sensors"]:
@@ -154,18 +145,14 @@ class Misfit:
     @cached_property
     def excess_variance(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
-        nominal_variances = self.nominal_variances
-        return np.asarray((self.measured_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
+        nominal = self.nominal_variances
+        return np.asarray((self.measured_variance - nominal.noise_variance) * nominal.has_signal)
 
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
-        return np.asarray(
-            np.sqrt(
-                np.maximum(self.excess_variance, 0.0).sum(axis=1)
-                / np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
-            )
-        )
+        power = np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
+        return np.asarray(np.sqrt(np.maximum(self.excess_variance, 0.0).sum(axis=1) / power))
 
     @property
     def motion_share(self) -> float:
@@ -175,10 +162,10 @@ class Misfit:
         positive parts add up to per cents where many bands are noisy. Those that exceed it by more count alone, so that
         noise that is estimated too high hides no misfit.
         """
-        line_counts = self.nominal_variances.line_counts[:, None]
-        is_significant = self.excess_variance > SIGNIFICANT_EXCESS * self.measured_variance / np.sqrt(line_counts)
-        significant_power = float(np.sum(line_counts * self.excess_variance * is_significant))
-        insignificant_power = float(np.sum(line_counts * self.excess_variance * ~is_significant))
+        line_counts, excess = self.nominal_variances.line_counts[:, None], self.excess_variance
+        is_significant = excess > SIGNIFICANT_EXCESS * self.measured_variance / np.sqrt(line_counts)
+        significant_power = float(np.sum(line_counts * excess * is_significant))
+        insignificant_power = float(np.sum(line_counts * excess * ~is_significant))
         motion_power = max(self.power_by_band.sum(), 1e-300)
         return float(np.sqrt((significant_power + max(insignificant_power, 0.0)) / motion_power))
 
@@ -190,11 +177,10 @@ class Misfit:
     @property
     def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Square of `motion_share` for each second; negative where a second is quieter than the noise."""
+        nominal = self.nominal_variances
+        excess_power = self.variance_by_second * self.variance_correction - nominal.noise_variance
         motion_power = max(self.power_by_band.sum(), 1e-300)
-        excess_power_by_second = (
-            self.variance_by_second * self.variance_correction - self.nominal_variances.noise_variance
-        ) * self.nominal_variances.has_signal
-        return np.einsum("sbi,b->s", excess_power_by_second, self.nominal_variances.line_counts) / motion_power
+        return np.einsum("sbi,b->s", excess_power * nominal.has_signal, nominal.line_counts) / motion_power
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
@@ -215,42 +201,38 @@ class Misfit:
 
 def misfit(record: Record, nominal_variances: NominalVariances, residual: Residual) -> Misfit:
     """Misfit of a fitted residual, in the nominal variances whatever the scales of the fit."""
-    level_by_second = second_levels(record, residual.linear_residual)
-    second_count, band_count = level_by_second.shape[:2]
-    expected_variance = band_means(record, residual.model.error_deviation**2, band_count)
+    linear_residual, deviation = residual.linear_residual, residual.model.error_deviation
+    levels, sample_ratio = second_levels(record, linear_residual), record.sample_ratio
+    second_count, band_count = levels.shape[:2]
+    expected_variance = band_means(record, deviation**2, band_count)
     contact_misfits = [
         _contact_misfit(observation, contact, second_count)
         for contact, observation in zip(residual.contacts, nominal_variances.observations, strict=True)
     ]
     contact_rows = np.array(contact_misfits).reshape(len(contact_misfits), 3, second_count)
     drift_cost = sum(
-        float(np.sum(contact_fit.residual[contact_fit.observation.weights.size : -contact_fit.pulls.size] ** 2))
-        for contact_fit in residual.contacts
+        float(np.sum(contact.residual[contact.observation.weights.size : -contact.pulls.size] ** 2))
+        for contact in residual.contacts
     )
-    line_count = residual.model.error_deviation.shape[1]
-    input_cost = float(np.sum(residual.linear_residual[len(record.sensors) :] ** 2))
+    sensor_rows, input_rows = linear_residual[: len(record.sensors)], linear_residual[len(record.sensors) :]
+    time_count, line_count = linear_residual.shape[1], deviation.shape[1]
+    freedom_cost = float(np.sum(input_rows**2)) + residual.model.log_determinant * time_count / line_count
     line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.has_force:
         directions_beyond_contacts = len(record.sensors) - len(residual.contacts)
-        line_cost = cost_of_lines(
-            residual.linear_residual[: len(record.sensors)], directions_beyond_contacts, record.repeats_per_sample
-        )
+        line_cost = cost_of_lines(sensor_rows, directions_beyond_contacts, record.repeats_per_sample)
     return Misfit(
         nominal_variances=nominal_variances,
-        variance_by_second=level_by_second * expected_variance,
-        variance_correction=measured_levels(
-            record, residual.linear_residual, residual.model.error_deviation, band_count
-        )
-        / expected_variance,
+        variance_by_second=levels * expected_variance,
+        variance_correction=measured_levels(record, linear_residual, deviation, band_count) / expected_variance,
         contact_level_by_second=contact_rows[:, 0].T,
         contact_excess_n2=contact_rows[:, 1].T,
         force_n2=contact_rows[:, 2].T,
         pulls=residual.pulls,
-        drift_cost=drift_cost / record.sample_ratio,
-        freedom_cost=(input_cost + residual.model.log_determinant * residual.linear_residual.shape[1] / line_count)
-        / record.sample_ratio,
+        drift_cost=drift_cost / sample_ratio,
+        freedom_cost=freedom_cost / sample_ratio,
         line_cost=line_cost,
-        independent_samples=residual.linear_residual.shape[1] / record.sample_ratio,
+        independent_samples=time_count / sample_ratio,
     )
 
 
@@ -258,16 +240,10 @@ def _contact_misfit(
     observation: ContactObservation, contact_fit: ContactResidual, second_count: int
 ) -> list[list[float]]:
     """Level of a contact's residual, its mean square beyond noise (N^2) and that of the force (N^2), by second."""
-    weights = contact_fit.observation.weights
+    weights, nominal_weights = contact_fit.observation.weights, observation.weights
     is_moving = weights > 0
     residual_n = np.divide(contact_fit.residual[: weights.size], weights, out=np.zeros(weights.size), where=is_moving)
-    deviation_n = np.divide(1.0, observation.weights, out=np.zeros(weights.size), where=is_moving)
-    squares_by_time = (
-        (residual_n * observation.weights) ** 2,
-        residual_n**2 - deviation_n**2,
-        contact_fit.signals.force_n**2,
-    )
-    return [
-        [float(np.mean(second_squares)) for second_squares in np.array_split(time_squares, second_count)]
-        for time_squares in squares_by_time
-    ]
+    deviation_n = np.divide(1.0, nominal_weights, out=np.zeros(weights.size), where=is_moving)
+    force_n = contact_fit.signals.force_n
+    squares = ((residual_n * nominal_weights) ** 2, residual_n**2 - deviation_n**2, force_n**2)
+    return [[float(np.mean(second)) for second in np.array_split(square, second_count)] for square in squares]

@@ -145,15 +145,13 @@ class LinearModel:
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
+        stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
         eta_m = self.unobserved_eta_m(self.known_forces, self.contact_n)
         for response in self.responses:
-            eta_m += real_product(_across_weights(self.rig, response, sensor_stations), displacements)
-        for free_mode in self.free_modes:
-            unobserved_shapes = self._unobserved_shapes(self.responses[free_mode.body_index], sensor_stations)[
-                :, free_mode.mode_index
-            ]
-            eta_m += np.outer(unobserved_shapes, free_mode.acceleration * self.record.twice_integrated)
+            eta_m += real_product(_across_weights(self.rig, response, stations), displacements)
+        for mode in self.free_modes:
+            shape = self._unobserved_shapes(self.responses[mode.body_index], stations)[:, mode.mode_index]
+            eta_m += np.outer(shape, mode.acceleration * self.record.twice_integrated)
         return eta_m
 
     def unobserved_eta_m(
@@ -162,22 +160,21 @@ class LinearModel:
         contact_n: Complex[np.ndarray, "contacts lines"],
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
-        sensor_stations = sensor_stations_of(self.record, self.rig)
+        stations = sensor_stations_of(self.record, self.rig)
         forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
         accelerations = np.zeros((len(self.rig.contacts), forces_n.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
-            unobserved_shapes = self._unobserved_shapes(response, sensor_stations)
-            accelerations += np.einsum("icl,il->cl", response.transfer(unobserved_shapes, force_shapes), forces_n)
+            transfer = response.transfer(self._unobserved_shapes(response, stations), force_shapes)
+            accelerations += np.einsum("icl,il->cl", transfer, forces_n)
         return accelerations * self.record.twice_integrated
 
     def _unobserved_shapes(
-        self, response: Response, sensor_stations: list[Station | None]
+        self, response: Response, stations: list[Station | None]
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        return relative_shapes(self.rig, response) - _across_weights(
-            self.rig, response, sensor_stations
-        ) @ response.shapes(sensor_stations)
+        weights = _across_weights(self.rig, response, stations)
+        return relative_shapes(self.rig, response) - weights @ response.shapes(stations)
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -244,58 +241,50 @@ def _linear_model(
     motion: SensedMotion,
 ) -> LinearModel:
     """Linear model whose forces on the ground follow this motion at the sensors."""
-    sensor_response = sensor_response_of(record, rig)
-    sensor_stations = sensor_stations_of(record, rig)
-    known_forces = known_forces_of(record, rig, responses, sensor_stations, motion)
-    contact_count = len(rig.contacts)
-    accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_stations)
-    acceleration_by_contact = accelerance_by_input[len(known_forces) :]
-    acceleration_per_newton = accelerance_by_input[: len(rig.forces)]
-    acceleration_by_known_force = [
-        response_to_force(record, rig, response_per_newton, force_n)
-        for response_per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
+    sensor_response, stations = sensor_response_of(record, rig), sensor_stations_of(record, rig)
+    known_forces = known_forces_of(record, rig, responses, stations, motion)
+    contact_count, force_count = len(rig.contacts), len(rig.forces)
+    by_input = accelerances(rig, responses, [station for station, _ in known_forces], stations)
+    by_known_force = [
+        response_to_force(record, rig, per_newton, force_n)
+        for per_newton, (_, force_n) in zip(by_input, known_forces, strict=False)
     ]
     if base := record.base and record.base.in_rig(rig, record.omega):
-        acceleration_by_known_force[0] = acceleration_by_known_force[0] + base.at_sensors
-    acceleration_by_force = np.stack(acceleration_by_known_force[: len(rig.forces)])
-    known_accelerations = sum(acceleration_by_known_force[1:], acceleration_by_known_force[0])
+        by_known_force[0] = by_known_force[0] + base.at_sensors
+    known_accelerations = sum(by_known_force[1:], by_known_force[0])
     if rig.loads:
         known_accelerations = known_accelerations + sum(
-            real_product(r.shapes(sensor_stations), static_response(record, rig, r)) for r in responses
+            real_product(r.shapes(stations), static_response(record, rig, r)) for r in responses
         )
-    error_deviation = np.sqrt(record.noise_variance + model_error**2 * record.smoothed_power)
-    error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
-    scaled_response = sensor_response / error_deviation
-    acceleration_by_unknown = [acceleration_by_contact]
+    deviation = np.sqrt(record.noise_variance + model_error**2 * record.smoothed_power)
+    deviation = np.maximum(deviation, 1e-9 * deviation.max())
+    scaled_response = sensor_response / deviation
+    by_unknown = [by_input[len(known_forces) :]]
     if base and np.any(base.noise_variance):
-        acceleration_by_unknown.append(np.sqrt(base.noise_variance) * (acceleration_per_newton - 1))
+        by_unknown.append(np.sqrt(base.noise_variance) * (by_input[:force_count] - 1))
     elif rig.base_motion and not base:
-        acceleration_by_unknown.append(
-            unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_stations, record.sample_count)[None]
-        )
-    has_force_noise = record.force_noise_variance > 0
-    force_noise_n = np.sqrt(record.force_noise_variance[has_force_noise, None, None])
-    acceleration_by_unknown.append(force_noise_n / rig.force_sensor.gain * acceleration_per_newton[has_force_noise])
-    signal_per_input = np.concatenate(acceleration_by_unknown) * scaled_response
-    scaled_signals = record.acceleration_signals / error_deviation - known_accelerations * scaled_response
-    free_modes = free_motion_of(
-        record, rig, responses, signal_per_input, error_deviation, scaled_response, scaled_signals
-    )
-    scaled_signals = scaled_signals - scaled_response * sum(
-        (mode.sensed_acceleration for mode in free_modes), np.zeros_like(scaled_signals)
-    )
-    input_estimates, log_determinant = estimated_inputs(signal_per_input, scaled_signals, contact_count)
-    residual = input_residual(signal_per_input, input_estimates, scaled_signals)
+        by_base = unmeasured_base_accelerations(rig, rig.base_motion, responses, stations, record.sample_count)
+        by_unknown.append(by_base[None])
+    has_noise = record.force_noise_variance > 0
+    force_noise_n = np.sqrt(record.force_noise_variance[has_noise, None, None])
+    by_unknown.append(force_noise_n / rig.force_sensor.gain * by_input[:force_count][has_noise])
+    signal_per_input = np.concatenate(by_unknown) * scaled_response
+    signals = record.acceleration_signals / deviation - known_accelerations * scaled_response
+    free_modes = free_motion_of(record, rig, responses, signal_per_input, deviation, scaled_response, signals)
+    free_accelerations = sum((mode.sensed_acceleration for mode in free_modes), np.zeros_like(signals))
+    signals = signals - scaled_response * free_accelerations
+    inputs, log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
+    residual = input_residual(signal_per_input, inputs, signals)
     return LinearModel(
         record=record,
         rig=rig,
         responses=responses,
         sensor_response=sensor_response,
-        error_deviation=error_deviation,
+        error_deviation=deviation,
         signal_per_input=signal_per_input,
-        residual=np.concatenate([residual, input_estimates[contact_count:]]),
-        contact_n=input_estimates[:contact_count],
-        acceleration_by_force=acceleration_by_force,
+        residual=np.concatenate([residual, inputs[contact_count:]]),
+        contact_n=inputs[:contact_count],
+        acceleration_by_force=np.stack(by_known_force[:force_count]),
         known_forces=known_forces,
         free_modes=free_modes,
         log_determinant=log_determinant,
@@ -304,46 +293,40 @@ def _linear_model(
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors_by_name, omega = {sensor.name: sensor for sensor in rig.sensors}, record.omega
-    sensor_response = np.empty((len(record.sensors), omega.size), dtype=complex)
-    for response_row, sensor in zip(sensor_response, record.sensors, strict=True):
-        response_row[:] = sensors_by_name[sensor.name].response(omega)
-    return sensor_response
+    sensors = {sensor.name: sensor for sensor in rig.sensors}
+    return np.stack([sensors[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
 
 
 def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
-    sensors_by_name = {sensor.name: sensor for sensor in rig.sensors}
-    return [sensors_by_name[sensor.name].station for sensor in record.sensors]
+    sensors = {sensor.name: sensor for sensor in rig.sensors}
+    return [sensors[sensor.name].station for sensor in record.sensors]
 
 
 def _across_weights(
-    rig: Rig, response: Response, sensor_stations: list[Station | None]
+    rig: Rig, response: Response, stations: list[Station | None]
 ) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    end_weights = response.weights(sensor_stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
-    return end_weights[: len(rig.contacts)] - end_weights[len(rig.contacts) :]
+    weights = response.weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    return weights[: len(rig.contacts)] - weights[len(rig.contacts) :]
 
 
 def ground_spring_correction(
     record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    sensor_stations: list[Station | None] = [sensor.station for sensor in record.sensors]
-    return -delivered_by(model, sensor_stations, model.ground_force_changes(displacement_changes))
+    stations: list[Station | None] = [sensor.station for sensor in record.sensors]
+    return -delivered_by(model, stations, model.ground_force_changes(displacement_changes))
 
 
 def delivered_by(
-    model: LinearModel,
-    sensor_stations: list[Station | None],
-    forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
+    model: LinearModel, stations: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Signals of sensors at some stations by forces at others."""
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
             if response.body.name == station.body:
-                signals += model.sensor_response * (
-                    response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0] * force_n
-                )
+                accelerance = response.transfer(response.shapes(stations), response.shapes([station]))[0]
+                signals += model.sensor_response * (accelerance * force_n)
     return signals

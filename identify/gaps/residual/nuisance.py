@@ -2,6 +2,7 @@
 laboratory never knows exactly, per standard deviation of their priors; and rigs with fitted values applied."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,29 +74,23 @@ class NuisanceColumns:
 def columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     """Columns of all parameters whose tolerance is above zero."""
     body_names = [response.body.name for response in model.responses]
-    initial_state_changes = state_changes(
-        model.free_modes, body_names, model.sensor_response, float(np.linalg.norm(record.acceleration_signals))
-    )
-    observed_motion = _observed_motion(record, model)
-    tolerance_changes = (*changes_of(observed_motion), *crosstalk_of(observed_motion))
-    changes = [*(_free_motion_change(record, model, change) for change in tolerance_changes), *initial_state_changes]
-    nuisance_count = len(changes)
-    contact_count = len(model.rig.contacts)
-    sample_count = record.counted_slice.stop - record.counted_slice.start
-    residual_columns = np.empty(
-        (nuisance_count, len(model.residual), sample_count), np.float64 if record.measured_modes else np.float32
-    )
-    contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
+    motion, signal_norm = _observed_motion(record, model), float(np.linalg.norm(record.acceleration_signals))
+    changes = [_free_motion_change(record, model, change) for change in (*changes_of(motion), *crosstalk_of(motion))]
+    changes += state_changes(model.free_modes, body_names, model.sensor_response, signal_norm)
+    contact_count, sample_count = len(model.rig.contacts), record.counted_slice.stop - record.counted_slice.start
+    precision = np.float64 if record.measured_modes else np.float32
+    residual_columns = np.empty((len(changes), len(model.residual), sample_count), precision)
+    contact_columns_n = np.zeros((len(changes), contact_count, sample_count), np.float32)
     moving_indices, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
     projection = model.projection if record.measured_modes else model.projection.in_single_precision()
-    for change_index, change in enumerate(changes):
-        projected_signals, contact_force_change = _projected_change(record, model, projection, change)
-        residual_columns[change_index] = residual_in_time(record, projected_signals)
-        contact_columns_n[change_index] = record.in_time(contact_force_change)
+    for index, change in enumerate(changes):
+        signals, contact_n = _projected_change(record, model, projection, change)
+        residual_columns[index] = residual_in_time(record, signals)
+        contact_columns_n[index] = record.in_time(contact_n)
         if change.displacements is not None:
             eta_change_m = relative_displacements(record, model, change.displacements, change.sensors)
             if np.any(eta_change_m):
-                moving_indices.append(change_index)
+                moving_indices.append(index)
                 eta_columns_m.append(eta_change_m.astype(np.complex64))
     eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving_indices), contact_count, record.omega.size)
     return NuisanceColumns(
@@ -115,21 +110,14 @@ def _free_motion_change(record: Record, model: LinearModel, change: Change) -> C
     if not record.measured_modes or parameter.kind not in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         return change
     acceleration_change = np.zeros_like(model.sensor_response)
-    for free_mode in model.free_modes:
-        response = model.responses[free_mode.body_index]
-        if response.body.name == parameter.owner and parameter.mode_number in (None, free_mode.mode_index + 1):
-            acceleration_change += tuning_derivative(free_mode, response, record.sampling, parameter.kind)
-    mode_tolerances = (
-        tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.owner, parameter.mode_number)
-    )
-    relative_tolerance = (
-        mode_tolerances.frequency if parameter.kind is NuisanceKind.FREQUENCY else mode_tolerances.damping
-    )
-    return Change(
-        parameter,
-        list(range(len(acceleration_change))),
-        relative_tolerance * model.sensor_response * acceleration_change,
-    )
+    for mode in model.free_modes:
+        response = model.responses[mode.body_index]
+        if response.body.name == parameter.owner and parameter.mode_number in (None, mode.mode_index + 1):
+            acceleration_change += tuning_derivative(mode, response, record.sampling, parameter.kind)
+    stated = tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.owner, parameter.mode_number)
+    relative_tolerance = stated.frequency if parameter.kind is NuisanceKind.FREQUENCY else stated.damping
+    signals = relative_tolerance * model.sensor_response * acceleration_change
+    return Change(parameter, list(range(len(signals))), signals)
 
 
 def _projected_change(
@@ -149,19 +137,23 @@ def _with_damper_feedback(record: Record, model: LinearModel, change: Change) ->
     response = next((response for response in model.responses if response.body.name == change.parameter.owner), None)
     if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
         return change
-    shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in change.sensors])
-    observed_count = min(shapes.shape)
-    modal_accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    modal_accelerations[:observed_count] = np.linalg.pinv(shapes[:, :observed_count]) @ (
-        change.signals / model.sensor_response[change.sensors]
-    )
-    feedback = shapes @ (response.with_damper_feedback(modal_accelerations) - modal_accelerations)
-    return dataclasses.replace(change, signals=change.signals + model.sensor_response[change.sensors] * feedback)
+    shapes, sensor_response = _shapes_at(record, response, change.sensors), model.sensor_response[change.sensors]
+    count = min(shapes.shape)
+    accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
+    accelerations[:count] = np.linalg.pinv(shapes[:, :count]) @ (change.signals / sensor_response)
+    feedback = shapes @ (response.with_damper_feedback(accelerations) - accelerations)
+    return dataclasses.replace(change, signals=change.signals + sensor_response * feedback)
+
+
+def _shapes_at(record: Record, response: Response, sensors: Sequence[int]) -> Float[np.ndarray, "sensors modes"]:
+    """Mode shapes of a body at some of the record's sensors, given by their indices."""
+    return response.shapes([record.sensors[index].station for index in sensors])
 
 
 def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
     signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
+    modal_accelerations = zip(model.responses, _modal_accelerations(record, model), strict=True)
     return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
@@ -171,10 +163,7 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
         signals=signals - model.sensor_response * model.base_at_sensors,
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=model.displacements,
-        bodies=tuple(
-            BodyMotion(response, modal_acceleration, _parameter_modes(record, response))
-            for response, modal_acceleration in zip(model.responses, _modal_accelerations(record, model), strict=True)
-        ),
+        bodies=tuple(BodyMotion(r, modal, _parameter_modes(record, r)) for r, modal in modal_accelerations),
         base=model.observed_base,
         transverse=_observed_transverse(record, model),
     )
@@ -198,31 +187,21 @@ def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " so
     return elastic_indices[natural_hz[elastic_indices] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
 
 
-def _modal_accelerations(record: Record, model: LinearModel) -> list[Complex[np.ndarray, "modes lines"]]:
+def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
     """Modal accelerations of each body: the modelled ones, corrected by the unexplained part of its sensors."""
-    unexplained_accelerations = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
-    modal_accelerations = []
-    for response, modal_acceleration in zip(model.responses, model.modal_accelerations, strict=True):
-        body_sensors = [
-            sensor_index
-            for sensor_index, sensor in enumerate(record.sensors)
-            if sensor.station.body == response.body.name
-        ]
-        if body_sensors:
-            determined_count = min(len(body_sensors), response.mode_count)
-            shapes = response.shapes([record.sensors[body_sensor_index].station for body_sensor_index in body_sensors])[
-                :, :determined_count
-            ]
-            modal_acceleration[:determined_count] += np.linalg.pinv(shapes) @ unexplained_accelerations[body_sensors]
-        modal_accelerations.append(modal_acceleration)
-    return modal_accelerations
+    unexplained = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
+    accelerations = model.modal_accelerations
+    for response, modal in zip(model.responses, accelerations, strict=True):
+        sensors = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+        if sensors:
+            count = min(len(sensors), response.mode_count)
+            shapes = _shapes_at(record, response, sensors)[:, :count]
+            modal[:count] += np.linalg.pinv(shapes) @ unexplained[sensors]
+    return accelerations
 
 
 def apply_nuisance(
-    rig: Rig,
-    nuisance_parameters: tuple[Nuisance, ...],
-    pulls: Float[np.ndarray, " nuisances"],
-    tolerances: Tolerances,
+    rig: Rig, parameters: tuple[Nuisance, ...], pulls: Float[np.ndarray, " nuisances"], tolerances: Tolerances
 ) -> tuple[Rig, Float[np.ndarray, " nuisances"]]:
     """Rig with the nuisance parameters applied in which the residual is nonlinear, and their values, others zero.
 
@@ -232,55 +211,44 @@ def apply_nuisance(
     """
     mass_names = {body.name for body in rig.bodies if body.is_mass}
     tuned_names = {body.name for body in rig.bodies if body.is_mass or not rig.contacts}
-    applied_kinds = {
-        Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
-    }
-    applied_kinds |= {
-        Nuisance(NuisanceKind.GAIN, sensor.name) for sensor in rig.sensors if sensor.station.body in mass_names
-    }
-    applied_pulls = np.where([parameter in applied_kinds for parameter in nuisance_parameters], pulls, 0.0)
-    return with_nuisance(rig, nuisance_parameters, applied_pulls, tolerances), applied_pulls
+    applied = {Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)}
+    applied |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in mass_names}
+    applied_pulls = np.where([parameter in applied for parameter in parameters], pulls, 0.0)
+    return with_nuisance(rig, parameters, applied_pulls, tolerances), applied_pulls
 
 
 def with_nuisance(
-    rig: Rig,
-    nuisance_parameters: tuple[Nuisance, ...],
-    pulls: Float[np.ndarray, " nuisances"],
-    tolerances: Tolerances,
+    rig: Rig, parameters: tuple[Nuisance, ...], pulls: Float[np.ndarray, " nuisances"], tolerances: Tolerances
 ) -> Rig:
     """Rig with fitted mass, frequencies and damping of its bodies, gains and delays of its channels.
 
     Stations are kept, as they link a contact to its sensors; so are single modes, high-passes and single gains of
     several forces.
     """
-    pull_by_parameter = dict(zip(nuisance_parameters, pulls.tolist(), strict=True))
+    pull_by_parameter = dict(zip(parameters, pulls.tolist(), strict=True))
+
+    def change(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+        return tolerance * float(pull_by_parameter.get(Nuisance(kind, owner), 0.0))
 
     def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
-        return float(max(0.1, 1 + tolerance * pull_by_parameter.get(Nuisance(kind, owner), 0.0)))
+        return max(0.1, 1 + change(kind, owner, tolerance))
 
-    def body_with_pulls(nominal_body: Body) -> Body:
-        scaled_body = nominal_body.scale_mass(factor(NuisanceKind.MASS, nominal_body.name, tolerances.mass))
-        tuned_body = scaled_body.scale_frequencies(
-            factor(NuisanceKind.FREQUENCY, nominal_body.name, tolerances.frequency)
-        )
-        return tuned_body.scale_damping(factor(NuisanceKind.DAMPING, nominal_body.name, tolerances.damping))
+    def with_pulls(body: Body) -> Body:
+        name = body.name
+        body = body.scale_mass(factor(NuisanceKind.MASS, name, tolerances.mass))
+        body = body.scale_frequencies(factor(NuisanceKind.FREQUENCY, name, tolerances.frequency))
+        return body.scale_damping(factor(NuisanceKind.DAMPING, name, tolerances.damping))
 
-    def sensor_with_pulls(nominal_sensor: Sensor) -> Sensor:
-        sensor_tolerances = tolerances.of_sensor(nominal_sensor.name)
-        delay_change_s = sensor_tolerances.delay_s * pull_by_parameter.get(
-            Nuisance(NuisanceKind.DELAY, nominal_sensor.name), 0.0
-        )
-        return replace(
-            nominal_sensor,
-            gain=nominal_sensor.gain * factor(NuisanceKind.GAIN, nominal_sensor.name, sensor_tolerances.gain),
-            delay_s=nominal_sensor.delay_s + delay_change_s,
-        )
+    def sensor_with_pulls(sensor: Sensor) -> Sensor:
+        name, stated = sensor.name, tolerances.of_sensor(sensor.name)
+        gain = sensor.gain * factor(NuisanceKind.GAIN, name, stated.gain)
+        return replace(sensor, gain=gain, delay_s=sensor.delay_s + change(NuisanceKind.DELAY, name, stated.delay_s))
 
     force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
-        bodies=tuple(body_with_pulls(body) for body in rig.bodies),
-        sensors=tuple(sensor_with_pulls(sensor) for sensor in rig.sensors),
+        bodies=tuple(map(with_pulls, rig.bodies)),
+        sensors=tuple(map(sensor_with_pulls, rig.sensors)),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
 
@@ -292,9 +260,9 @@ def residual_in_time(
 
     Zero in a quiet start, where motion from before the record decays.
     """
-    scaled_residual = residual_scale(record) * record.in_time(residual_spectra)
-    scaled_residual[:, record.residual_times_s < record.excitation_start_s] = 0.0
-    return scaled_residual
+    residual = residual_scale(record) * record.in_time(residual_spectra)
+    residual[:, record.residual_times_s < record.excitation_start_s] = 0.0
+    return residual
 
 
 def residual_scale(record: Record) -> float:
@@ -309,14 +277,6 @@ def relative_displacements(
     sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements at the contacts from displacements of some of the sensors there."""
-    sensor_stations = [sensor.station for sensor in record.sensors]
-    contact_signs = np.array(
-        [
-            [
-                (sensor_station == contact.at) * 1.0 - (sensor_station == contact.against) * 1.0
-                for sensor_station in sensor_stations
-            ]
-            for contact in model.rig.contacts
-        ]
-    )
-    return real_product(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)
+    stations = [sensor.station for sensor in record.sensors]
+    signs = np.array([[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in stations] for c in model.rig.contacts])
+    return real_product(signs.reshape(-1, len(stations))[:, sensor_indices], displacements)

@@ -74,15 +74,11 @@ class ContactSignals:
             signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if depends_on_time else [])]
             return list(finer_batches(np.stack(signals), self.sample_rate_hz))
 
-        low_passed_results = evaluated_on(
-            law_function,
-            self.finer_motions.get((motion, depends_on_time), finer_signals),
-            motion.eta_m.size,
-            self.sample_rate_hz,
-            self.decimation,
-            rate_multiple,
+        batches = self.finer_motions.get((motion, depends_on_time), finer_signals)
+        results = evaluated_on(
+            law_function, batches, motion.eta_m.size, self.sample_rate_hz, self.decimation, rate_multiple
         )
-        return low_passed_results[..., : (self.force_n.size - 1) * rate_multiple + 1]
+        return results[..., : (self.force_n.size - 1) * rate_multiple + 1]
 
 
 def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerMotions) -> tuple[ContactSignals, ...]:
@@ -90,21 +86,21 @@ def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerM
     eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
     forces_n = record.in_time(model.contact_n) + model.static_contact_n[:, None]
-    slope_rate_multiple = record.product_multiple
+    slow_stiffnesses = np.diag(model.slow_n_per_m)
     return tuple(
         ContactSignals(
             force_n,
             contact_eta_m,
-            contact_eta_rate,
+            contact_rate,
             time_s,
             record.sample_rate_hz,
             record.decimation,
-            slope_rate_multiple,
-            slow_stiffness,
+            record.product_multiple,
+            stiffness,
             finer_motions,
         )
-        for force_n, contact_eta_m, contact_eta_rate, slow_stiffness in zip(
-            forces_n, eta_m, eta_rate_m_per_s, np.diag(model.slow_n_per_m), strict=True
+        for force_n, contact_eta_m, contact_rate, stiffness in zip(
+            forces_n, eta_m, eta_rate_m_per_s, slow_stiffnesses, strict=True
         )
     )
 
@@ -142,27 +138,26 @@ def contact_observations(
 
     residual_levels are the variances of the contact residuals relative to those by noise and the unmodelled share.
     """
-    forces_n, force_errors_n = record.in_time(model.contact_n), model.contact_force_error_n(record)
+    forces_n, errors_n, tolerances = (
+        record.in_time(model.contact_n),
+        model.contact_force_error_n(record),
+        record.tolerances,
+    )
     observations = []
-    tolerances = record.tolerances
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
-    for force_n, force_error_n, law, drift, residual_level in zip(
-        forces_n, force_errors_n, laws, record.drifts, residual_levels, strict=True
+    for force_n, error_n, law, drift, level in zip(
+        forces_n, errors_n, laws, record.drifts, residual_levels, strict=True
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES + 1)
-        is_clear = envelope_n > CLOSED_DEVIATIONS * force_error_n
+        is_clear = envelope_n > CLOSED_DEVIATIONS * error_n
         unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
-        weights = (
-            is_moving
-            / np.sqrt(residual_level)
-            / np.sqrt(
-                force_error_n**2
-                + (stiffness_n_per_m * unfollowed_drift_m * is_clear) ** 2
-                + (tolerances.unmodelled_contact * envelope_n) ** 2
-                + _cutoff_ringing_n(record, force_n) ** 2
-            )
+        deviation_n = np.sqrt(
+            error_n**2
+            + (stiffness_n_per_m * unfollowed_drift_m * is_clear) ** 2
+            + (tolerances.unmodelled_contact * envelope_n) ** 2
+            + _cutoff_ringing_n(record, force_n) ** 2
         )
         counted_drift = drift
         if drift is not None:
@@ -170,8 +165,8 @@ def contact_observations(
             counted_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[counted_samples])
         observations.append(
             ContactObservation(
-                weights,
-                is_closed(force_n, force_error_n).astype(float),
+                is_moving / np.sqrt(level) / deviation_n,
+                is_closed(force_n, error_n).astype(float),
                 spline(force_n.size, record.rate_hz, counted_drift),
                 record.sample_ratio,
                 law_prior_deviations,
@@ -189,8 +184,8 @@ def is_closed(
 
 def _cutoff_ringing_n(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Ringing F / (pi n) of an ideal low-pass n samples from where a force is cut off, N."""
-    samples_to_cutoff = np.arange(force_n.size) + 1.0
-    ringing_n = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples_to_cutoff[::-1])
+    samples = np.arange(force_n.size) + 1.0
+    ringing_n = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples[::-1])
     if record.counted_slice.start > 0:
-        ringing_n = np.hypot(ringing_n, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples_to_cutoff))
+        ringing_n = np.hypot(ringing_n, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples))
     return np.asarray(ringing_n)

@@ -138,17 +138,15 @@ class Record:
 
         `upper_band` adds the measured lines above the band; changes of a model have none.
         """
-        full_spectra = np.concatenate(
-            [eta_spectra[:, :-1], self.eta_above_band if upper_band else np.zeros_like(self.eta_above_band)], axis=1
-        )
+        above_band = self.eta_above_band if upper_band else np.zeros_like(self.eta_above_band)
+        spectra = np.concatenate([eta_spectra[:, :-1], above_band], axis=1)
         if derivative_order:
-            full_spectra *= 2j * np.pi * self.sample_rate_hz / self.transform_length * np.arange(full_spectra.shape[1])
-        signals = irfft(full_spectra, self.transform_length)
+            spectra *= 2j * np.pi * self.sample_rate_hz / self.transform_length * np.arange(spectra.shape[1])
+        signals = irfft(spectra, self.transform_length)
         if self.counts_from_blow and not derivative_order:
             signals[:, 0] *= 2  # the window halves the first sample
-        return signals[
-            :, self.counted_slice.start * self.decimation : (self.counted_slice.stop - 1) * self.decimation + 1
-        ].copy()
+        first, last = self.counted_slice.start * self.decimation, (self.counted_slice.stop - 1) * self.decimation
+        return signals[:, first : last + 1].copy()
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
@@ -172,10 +170,7 @@ class Record:
 
     def in_finer_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
         """Signals from the first to the last time that counts, at `product_multiple` times `rate_hz`."""
-        rate_multiple, counted_slice = self.product_multiple, self.counted_slice
-        signals = irfft(spectra[..., :-1], self.transform_length // self.decimation * rate_multiple) * (
-            rate_multiple / self.decimation
-        )
-        return np.asarray(
-            signals[..., counted_slice.start * rate_multiple : (counted_slice.stop - 1) * rate_multiple + 1]
-        )
+        multiple, counted = self.product_multiple, self.counted_slice
+        signals = irfft(spectra[..., :-1], self.transform_length // self.decimation * multiple)
+        signals = signals * (multiple / self.decimation)
+        return np.asarray(signals[..., counted.start * multiple : (counted.stop - 1) * multiple + 1])

@@ -143,20 +143,20 @@ class Residual:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for joined_contact, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
-            for contact_index, law in zip(joined_contact.contact_indices, contact_fit.fitted_laws, strict=True):
-                contacts[contact_index] = replace(contacts[contact_index], law=law)
+        for group, fitted in zip(contact_groups(rig), self.contacts, strict=True):
+            for index, law in zip(group.contact_indices, fitted.fitted_laws, strict=True):
+                contacts[index] = replace(contacts[index], law=law)
         return replace(rig, contacts=tuple(contacts))
 
     @property
     def contact_levels(self) -> tuple[float, ...]:
         """Mean square of each contact's weighted residual while the rig moves."""
-        contact_levels = []
+        levels = []
         for contact in self.contacts:
             is_moving = contact.observation.weights > 0
-            moving_residual = contact.residual[: is_moving.size][is_moving]
-            contact_levels.append(float(np.mean(moving_residual**2)) if moving_residual.size else 0.0)
-        return tuple(contact_levels)
+            residual = contact.residual[: is_moving.size][is_moving]
+            levels.append(float(np.mean(residual**2)) if residual.size else 0.0)
+        return tuple(levels)
 
     @property
     def cost(self) -> float:
@@ -180,17 +180,15 @@ def linearized(
     `scales` and `observations` of another linearisation of the record keep their costs comparable.
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
-    expansion_rig, applied_pulls = (
-        apply_nuisance(rig, residual.parameters, residual.nuisance_pulls, record.tolerances)
-        if residual
-        else (rig, None)
-    )
-    mode_tuning = tuned_modes(
-        record, expansion_rig, residual.parameters if residual else None, residual.nuisance_pulls if residual else None
-    )
-    model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
+    if residual:
+        parameters, pulls = residual.parameters, residual.nuisance_pulls
+        expansion_rig, applied_pulls = apply_nuisance(rig, parameters, pulls, record.tolerances)
+        tuning = tuned_modes(record, expansion_rig, parameters, pulls)
+    else:
+        expansion_rig, applied_pulls, tuning = rig, None, tuned_modes(record, rig)
+    model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, tuning.factors)
     observations = observations or contact_observations(record, model, group_laws(expansion_rig), scales.variances)
-    return Linearization(record, rig, scales, model, observations, applied_pulls, mode_tuning, cache)
+    return Linearization(record, rig, scales, model, observations, applied_pulls, tuning, cache)
 
 
 def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
@@ -200,9 +198,8 @@ def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
 
 def scales_at(linearization: Linearization, residual: Residual) -> Scales:
     """Scales of the unmodelled, estimated from a residual."""
-    return estimated_scales(
-        linearization.record, linearization.scales, residual.linear_without_lines, residual.contact_levels
-    )
+    record, scales = linearization.record, linearization.scales
+    return estimated_scales(record, scales, residual.linear_without_lines, residual.contact_levels)
 
 
 def linear_of(linearization: Linearization, rig: Rig) -> LinearModel:
@@ -228,7 +225,7 @@ def residual_of(
     record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
     if reusable is not None and same_but_laws(reusable.rig, rig):
-        model, signals, linear_at_expansion = (reusable.model, reusable.signals, reusable.linear_before_nuisance)
+        model, signals, linear_at_expansion = reusable.model, reusable.signals, reusable.linear_before_nuisance
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         signals = contact_signals_of(record, model, linearization.cache.finer_motions)
@@ -238,15 +235,16 @@ def residual_of(
         contacts_and_laws = zip(signals, observations, laws, strict=True)
         unknowns = tuple(initial_unknowns(*inputs, record.rate_hz) for inputs in contacts_and_laws)
     nuisance_change = nuisance_pulls - linearization.expansion_point
-    is_reused = reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls
-    reused = reusable if is_reused else None
-    linear_residual = reused.linear_residual if reused else linear_at_expansion
-    if nuisance_change.any() and not reused:
-        linear_residual = linear_at_expansion - columns.residual_decrease(nuisance_change)
-    linear_without_lines = reused.linear_without_lines if reused else linear_residual
-    if not reused and not rig.tones:
-        linear_without_lines = without_lines(linear_residual, linearization.line_frequencies)
-    previous = reused.contacts if reused else ()
+    if reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls:
+        linear_residual, linear_without_lines = reusable.linear_residual, reusable.linear_without_lines
+        previous = reusable.contacts
+    else:
+        linear_residual, previous = linear_at_expansion, ()
+        if nuisance_change.any():
+            linear_residual = linear_at_expansion - columns.residual_decrease(nuisance_change)
+        linear_without_lines = linear_residual
+        if not rig.tones:
+            linear_without_lines = without_lines(linear_residual, linearization.line_frequencies)
     same_motion = bool(previous) and all(c.unknowns is unknown for c, unknown in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any() and not same_motion:

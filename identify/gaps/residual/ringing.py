@@ -41,66 +41,53 @@ class MeasuredMode:
 
 
 def highest_ringing_hz(
-    sensor_signals: Float[np.ndarray, "sensors samples"],
+    signals: Float[np.ndarray, "sensors samples"],
     rate_hz: float,
     derivative_order: int,
     noise_densities: Float[np.ndarray, " sensors"],
 ) -> float:
     """Highest frequency (Hz) with power beyond noise, by velocities; `derivative_order` is that of the signals."""
-    window = tukey(sensor_signals.shape[1], TAPER_SHARE)
-    power = np.abs(np.fft.rfft((sensor_signals - sensor_signals.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
+    window = tukey(signals.shape[1], TAPER_SHARE)
+    power = np.abs(np.fft.rfft((signals - signals.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
     noise_power = (noise_densities**2 * rate_hz / 2 * np.sum(window**2))[:, None]
-    lines_hz = np.fft.rfftfreq(sensor_signals.shape[1], 1 / rate_hz)
+    lines_hz = np.fft.rfftfreq(signals.shape[1], 1 / rate_hz)
     is_signal = uniform_filter1d(power, SMOOTHED_LINES, axis=1) > SIGNAL_RATIO * noise_power
     velocity_power = ((power - noise_power) * is_signal)[:, 1:] * lines_hz[1:] ** (2.0 * (1 - derivative_order))
-    cumulative_power = np.cumsum(np.maximum(velocity_power, 0.0).sum(axis=0))
-    return (
-        float(lines_hz[1 + np.searchsorted(cumulative_power, BAND_POWER * cumulative_power[-1])])
-        if cumulative_power[-1] > 0
-        else 0.0
-    )
+    cumulative = np.cumsum(np.maximum(velocity_power, 0.0).sum(axis=0))
+    return float(lines_hz[1 + np.searchsorted(cumulative, BAND_POWER * cumulative[-1])]) if cumulative[-1] > 0 else 0.0
 
 
 def highest_vibrating_hz(
-    sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, noise_densities: Float[np.ndarray, " sensors"]
+    signals: Float[np.ndarray, "sensors samples"], rate_hz: float, noise_densities: Float[np.ndarray, " sensors"]
 ) -> float:
     """Highest frequency (Hz) that some part of a record of length `PART_S` shows beyond noise: hits are soon over."""
-    part_samples = min(sensor_signals.shape[1], round(PART_S * rate_hz))
+    part_samples = min(signals.shape[1], round(PART_S * rate_hz))
     lines_hz, _, power_density = spectrogram(
-        sensor_signals, rate_hz, "hann", part_samples, part_samples * 3 // 4, detrend="constant"
+        signals, rate_hz, "hann", part_samples, part_samples * 3 // 4, detrend="constant"
     )
     is_signal = np.any(power_density > PART_SIGNAL_RATIO * noise_densities[:, None, None] ** 2, axis=(0, 2))
     return float(lines_hz[is_signal].max(initial=0.0))
 
 
 def measured_modes(
-    sensor_signals: Float[np.ndarray, "sensors samples"],
+    signals: Float[np.ndarray, "sensors samples"],
     rate_hz: float,
     highest_hz: float,
     noise_densities: Float[np.ndarray, " sensors"],
 ) -> tuple[MeasuredMode, ...]:
     """Modes that exceed the noise, with their errors."""
     modes = []
-    duration_s = sensor_signals.shape[1] / rate_hz
-    signal_mean_square = float(np.sum(sensor_signals**2)) / len(sensor_signals)
-    for mode in modes_of_decay(sensor_signals, rate_hz, highest_hz, MODE_COUNT):
+    duration_s, noise_density = signals.shape[1] / rate_hz, float(np.sqrt(np.mean(noise_densities**2)))
+    mean_square = float(np.sum(signals**2)) / len(signals)
+    for mode in modes_of_decay(signals, rate_hz, highest_hz, MODE_COUNT):
         natural_omega = 2 * np.pi * mode.frequency_hz
-        decay_rate_per_s = mode.damping_ratio * natural_omega
-        bounded_decay_rate = max(decay_rate_per_s, 1 / duration_s)
-        amplitude = np.sqrt(
-            4 * bounded_decay_rate * mode.energy_share * signal_mean_square / rate_hz
-        )  # the integral of its square is A^2 / 4 alpha
-        rate_error = (
-            INEFFICIENCY * np.sqrt(4 * bounded_decay_rate**3) * float(np.sqrt(np.mean(noise_densities**2))) / amplitude
-        )
-        relative_errors = (
-            np.hypot(LEAST_FREQUENCY_ERROR, rate_error / natural_omega),
-            np.hypot(LEAST_DAMPING_ERROR, rate_error / decay_rate_per_s),
-        )
-        if relative_errors[1] < 1:
-            modes.append(
-                MeasuredMode(
-                    mode.frequency_hz, mode.damping_ratio, float(relative_errors[0]), float(relative_errors[1])
-                )
-            )
+        decay_per_s = mode.damping_ratio * natural_omega
+        shown_decay_per_s = max(decay_per_s, 1 / duration_s)
+        # the integral of its square is A^2 / 4 alpha
+        amplitude = np.sqrt(4 * shown_decay_per_s * mode.energy_share * mean_square / rate_hz)
+        rate_error = INEFFICIENCY * np.sqrt(4 * shown_decay_per_s**3) * noise_density / amplitude
+        frequency_error = float(np.hypot(LEAST_FREQUENCY_ERROR, rate_error / natural_omega))
+        damping_error = float(np.hypot(LEAST_DAMPING_ERROR, rate_error / decay_per_s))
+        if damping_error < 1:
+            modes.append(MeasuredMode(mode.frequency_hz, mode.damping_ratio, frequency_error, damping_error))
     return tuple(modes)

@@ -43,26 +43,24 @@ def prior_scales(record: Record) -> Scales:
     return Scales(np.full(record.noise_variance.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
+def segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
+    """Samples per segment, number of segments, lines per band and number of bands."""
+    samples = min(round(SEGMENT_S * rate_hz), sample_count)
+    lines_per_band = max(1, round(BAND_WIDTH_HZ * samples / rate_hz))
+    return samples, sample_count // samples, lines_per_band, (samples // 2 + 1) // lines_per_band
+
+
 def second_levels(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
-    sensor_residuals = residual[: len(record.sensors)]
-    segment_samples = min(round(SEGMENT_S * record.rate_hz), sensor_residuals.shape[1])
-    segment_count = sensor_residuals.shape[1] // segment_samples
-    segments = sensor_residuals[:, : segment_count * segment_samples].reshape(
-        sensor_residuals.shape[0], segment_count, segment_samples
-    )
-    window = hann(segment_samples, sym=False)
+    residuals = residual[: len(record.sensors)]
+    samples, count, lines, band_count = segment_counts(record.rate_hz, residuals.shape[1])
+    segments = residuals[:, : count * samples].reshape(len(residuals), count, samples)
+    window = hann(samples, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    lines_per_band = max(1, round(BAND_WIDTH_HZ * segment_samples / record.rate_hz))
-    band_count = power.shape[2] // lines_per_band
-    level_by_cell = (
-        power[:, :, : band_count * lines_per_band]
-        .reshape(sensor_residuals.shape[0], segment_count, band_count, lines_per_band)
-        .mean(axis=3)
-    )
-    return np.asarray(level_by_cell.transpose(1, 2, 0))
+    by_line = power[:, :, : band_count * lines].reshape(len(residuals), count, band_count, lines)
+    return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
 
 
 def measured_levels(
@@ -76,25 +74,19 @@ def measured_levels(
     Times the residual's level, that is its power in the sensors' unit. Where the deviation falls steeply, as below the
     first mode of a held body, an unweighted mean would exaggerate a residual on the lowest lines.
     """
-    sensor_residuals = residual[: len(record.sensors)]
-    residual_power = np.abs(np.fft.rfft(sensor_residuals * hann(sensor_residuals.shape[1], sym=False))) ** 2
-    residual_lines_hz = np.arange(residual_power.shape[1]) * record.rate_hz / sensor_residuals.shape[1]
-    record_lines_hz = record.omega / (2 * np.pi)
-    band_of_line = np.minimum(residual_lines_hz / BAND_WIDTH_HZ, band_count - 1).astype(int)
-    weighted_variances = np.empty((band_count, len(sensor_residuals)))
-    for sensor_index, (sensor_power, sensor_deviation) in enumerate(zip(residual_power, error_deviation, strict=True)):
-        line_variance = np.interp(residual_lines_hz, record_lines_hz, sensor_deviation**2)
-        band_power = np.bincount(band_of_line, sensor_power, band_count)
-        unweighted_variance = np.bincount(band_of_line, line_variance, band_count) / np.maximum(
-            np.bincount(band_of_line, minlength=band_count), 1
-        )
-        weighted_variances[:, sensor_index] = np.divide(
-            np.bincount(band_of_line, sensor_power * line_variance, band_count),
-            band_power,
-            out=unweighted_variance,
-            where=band_power > 0,
-        )
-    return weighted_variances
+    residuals = residual[: len(record.sensors)]
+    power = np.abs(np.fft.rfft(residuals * hann(residuals.shape[1], sym=False))) ** 2
+    lines_hz = np.arange(power.shape[1]) * record.rate_hz / residuals.shape[1]
+    bands = np.minimum(lines_hz / BAND_WIDTH_HZ, band_count - 1).astype(int)
+    line_counts = np.maximum(np.bincount(bands, minlength=band_count), 1)
+    levels = np.empty((band_count, len(residuals)))
+    for k, (sensor_power, deviation) in enumerate(zip(power, error_deviation, strict=True)):
+        variance = np.interp(lines_hz, record.omega / (2 * np.pi), deviation**2)
+        band_power = np.bincount(bands, sensor_power, band_count)
+        weighted_sum = np.bincount(bands, sensor_power * variance, band_count)
+        unweighted = np.bincount(bands, variance, band_count) / line_counts
+        levels[:, k] = np.divide(weighted_sum, band_power, out=unweighted, where=band_power > 0)
+    return levels
 
 
 def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
@@ -111,11 +103,9 @@ def band_means(
     record: Record, line_values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band."""
-    band_of_line = band_of_lines(record, band_count)
-    band_line_counts = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
-    return np.array(
-        [np.bincount(band_of_line, sensor_values, band_count) / band_line_counts for sensor_values in line_values]
-    ).T
+    bands = band_of_lines(record, band_count)
+    line_counts = np.maximum(np.bincount(bands, minlength=band_count), 1)
+    return np.array([np.bincount(bands, values, band_count) / line_counts for values in line_values]).T
 
 
 def posterior_level(mean_square: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
@@ -140,8 +130,8 @@ def estimated_scales(
     would make d as large as the motion.
     """
     contact_variances = tuple(
-        float(contact_variance * posterior_level(np.array(contact_level)))
-        for contact_variance, contact_level in zip(fit_scales.variances, contact_levels, strict=True)
+        float(variance * posterior_level(np.array(level)))
+        for variance, level in zip(fit_scales.variances, contact_levels, strict=True)
     )
     if not record.has_force:
         return Scales(fit_scales.unmodelled_shares, contact_variances)

@@ -96,12 +96,8 @@ def body_sensors(rig: Rig) -> tuple[Sensor, ...]:
 
 def read_quantity(rig: Rig) -> str | None:
     """Quantity by which base and bodies are read; None if they have none in common."""
-    quantities_on_ground, quantities_on_bodies = (
-        {sensor.quantity for sensor in sensors} for sensors in (rig.base_sensors, body_sensors(rig))
-    )
-    return next(
-        (quantity for quantity in READ_QUANTITIES if quantity in quantities_on_ground & quantities_on_bodies), None
-    )
+    on_ground, on_bodies = ({sensor.quantity for sensor in group} for group in (rig.base_sensors, body_sensors(rig)))
+    return next((quantity for quantity in READ_QUANTITIES if quantity in on_ground & on_bodies), None)
 
 
 def base_sensor(rig: Rig) -> Sensor:
@@ -121,9 +117,9 @@ def with_inertial_force(recording: Recording) -> Recording:
     sensor, force = base_sensor(recording.rig), recording.signals["force"]
     signal = recording.values_of(sensor) / sensor.gain
     if sensor.measures.order == 0:
-        sample_numbers = np.arange(signal.size)
-        spline = make_interp_spline(sample_numbers, signal, SPLINE_DEGREE)
-        signal = spline.derivative(2)(sample_numbers) * recording.rig.sample_rate_hz**2
+        samples = np.arange(signal.size)
+        spline = make_interp_spline(samples, signal, SPLINE_DEGREE)
+        signal = spline.derivative(2)(samples) * recording.rig.sample_rate_hz**2
     inertial_force = with_fields(force, values=-signal[None])
     return with_fields(recording, signals={**recording.signals, "force": inertial_force})
 
@@ -144,6 +140,5 @@ def unmeasured_base_accelerations(
     lines_hz = omega / (2 * np.pi)
     power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)
     line_deviation = np.sqrt(power_density * sample_count * rig.sample_rate_hz / 2)
-    return np.asarray(
-        accelerations * line_deviation * ((lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz))
-    )
+    is_in_band = (lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz)
+    return np.asarray(accelerations * line_deviation * is_in_band)

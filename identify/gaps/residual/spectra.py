@@ -55,9 +55,7 @@ by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and fram
 
 
 def record_of(
-    recording: Recording,
-    tolerances: Tolerances | None = None,
-    counted_part: CountedPart | None = None,
+    recording: Recording, tolerances: Tolerances | None = None, counted_part: CountedPart | None = None
 ) -> Record:
     """Record of a recording, by the sensors of `extent.read_sensors`.
 
@@ -71,60 +69,49 @@ def record_of(
     check_length(recording, beginning)
     noise_densities = sensor_densities(recording, sensors, beginning.quiet_samples)
     high_hz = high_hz_of(recording, sensors, noise_densities, tolerances)
-    decay_modes: tuple[MeasuredMode, ...] = ()
-    if beginning.counts_from_blow and not (
-        rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
-    ):
-        decay_modes = measured_modes(
-            np.stack([recording.values_of(sensor) for sensor in sensors]), rate_hz, high_hz, noise_densities
-        )
-        high_hz = min(
-            high_hz, BAND_REACH * max((decay_mode.frequency_hz for decay_mode in decay_modes), default=np.inf)
-        )
+    modes: tuple[MeasuredMode, ...] = ()
+    is_floating = rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
+    if beginning.counts_from_blow and not is_floating:
+        signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+        modes = measured_modes(signals, rate_hz, high_hz, noise_densities)
+        high_hz = min(high_hz, BAND_REACH * max((mode.frequency_hz for mode in modes), default=np.inf))
     decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
-    record_transform = transform_of(recording, beginning, decimation)
-    omega = record_transform.omega
-    sensor_spectra, eta_above_band = _spectra(recording, record_transform, joined_rig, sensors)
-    noise_per_line = sample_count * noise_densities**2 * rate_hz / 2
-    is_integrated_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
-    corner_hz = (
-        noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line) if is_integrated_alone else CORNER_HZ
+    transform = transform_of(recording, beginning, decimation)
+    omega = transform.omega
+    sensor_spectra, eta_above_band = _spectra(recording, transform, joined_rig, sensors)
+    noise_per_line, corner_hz = sample_count * noise_densities**2 * rate_hz / 2, CORNER_HZ
+    if not (rig.contacts or beginning.zero_known):  # contacts have drifts for the slow motion
+        corner_hz = noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line)
+    to_acceleration, to_displacement = (
+        np.stack([integrated(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
+        for order in (2, 0)
     )
-    factor_to_acceleration, factor_to_displacement = (
-        np.stack([integrated(omega, target_derivative_order - sensor.measures.order, corner_hz) for sensor in sensors])
-        for target_derivative_order in (2, 0)
-    )
-    velocity_correction, acceleration_signals = _window_corrections(
-        recording, record_transform, sensors, omega, beginning.zero_known
-    )
-    acceleration_signals += sensor_spectra * factor_to_acceleration
-    base, base_correction = _base_spectra(recording, record_transform, beginning, corner_hz)
+    velocity_correction, accelerations = _window_corrections(recording, transform, sensors, omega, beginning.zero_known)
+    accelerations += sensor_spectra * to_acceleration
+    base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
     period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
     acceleration_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
+    unsettled_factor = _unsettled_noise_factors(rig, sensors, omega) if beginning.counts_from_blow else 1.0
+    static_ratio = np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors])
+    end_s = counted_part.end_s if counted_part else None
     return Record(
         rig=rig,
         sensors=sensors,
         zero_known=beginning.zero_known,
         sample_rate_hz=rate_hz,
-        transform_length=record_transform.padded_length,
+        transform_length=transform.padded_length,
         sample_count=sample_count,
-        decimation=record_transform.decimation,
-        window=record_transform.window,
+        decimation=transform.decimation,
+        window=transform.window,
         omega=omega,
-        force_spectra=record_transform.spectrum(recording.forces_n)[:, : omega.size],
-        acceleration_signals=acceleration_signals,
-        displacement_signals=sensor_spectra * factor_to_displacement,
+        force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
+        acceleration_signals=accelerations,
+        displacement_signals=sensor_spectra * to_displacement,
         base=base,
         velocity_correction=velocity_correction - base_correction,
         force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
-        noise_variance=noise_per_line[:, None]
-        * acceleration_factor**2
-        * (_unsettled_noise_factors(rig, sensors, omega) if beginning.counts_from_blow else 1.0),
-        smoothed_power=_smoothed_power(
-            acceleration_signals,
-            np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors]),
-            record_transform,
-        ),
+        noise_variance=noise_per_line[:, None] * acceleration_factor**2 * unsettled_factor,
+        smoothed_power=_smoothed_power(accelerations, static_ratio, transform),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
         drifts=_drifts(recording, joined_rig, sensors, tolerances, beginning),
@@ -133,24 +120,16 @@ def record_of(
         tolerances=tolerances,
         counts_from_blow=beginning.counts_from_blow,
         first_states=np.array([_first_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
-        measured_modes=decay_modes,
-        counted_slice=_counted_samples(
-            sample_count,
-            record_transform,
-            beginning,
-            acceleration_signals,
-            counted_part.end_s if counted_part else None,
-        ),
+        measured_modes=modes,
+        counted_slice=_counted_samples(sample_count, transform, beginning, accelerations, end_s),
         responses_windowed=not rig.contacts,
     )
 
 
 def _first_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
     """Value and slope of a signal at its first sample, by a cubic through its first samples."""
-    first_value, first_slope = np.polynomial.polynomial.polyfit(
-        np.arange(FIRST_SAMPLES) / rate_hz, signal[:FIRST_SAMPLES], 3
-    )[:2]
-    return np.array([first_value, first_slope])
+    time_s = np.arange(FIRST_SAMPLES) / rate_hz
+    return np.polynomial.polynomial.polyfit(time_s, signal[:FIRST_SAMPLES], 3)[:2]
 
 
 def _drifts(
@@ -205,13 +184,13 @@ def _unsettled_noise_factors(
 ) -> Float[np.ndarray, "sensors lines"]:
     """Factor of the noise's variance for AC-coupled sensors whose high-passes have not settled where a record begins in
     motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `SETTLED_SHARE`."""
-    noise_factors = np.ones((len(sensors), omega.size))
-    for sensor_index, sensor in enumerate(sensors):
+    factors = np.ones((len(sensors), omega.size))
+    for k, sensor in enumerate(sensors):
         body = rig.body(sensor.station.body)
         natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
         if sensor.measures.ac_coupled and np.any(natural_hz > 0):
-            noise_factors[sensor_index] += (2 * np.pi * SETTLED_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
-    return noise_factors
+            factors[k] += (2 * np.pi * SETTLED_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
+    return factors
 
 
 def _smoothed_power(
@@ -221,10 +200,8 @@ def _smoothed_power(
 ) -> Float[np.ndarray, "sensors lines"]:
     """Mean square of the accelerations per line, smoothed after division by their fall per force."""
     smoothing_lines = max(1, round(SMOOTHED_HZ * transform.padded_length / transform.sample_rate_hz))
-    return np.asarray(
-        uniform_filter1d(np.abs(acceleration_signals / acceleration_ratio) ** 2, smoothing_lines, axis=1)
-        * acceleration_ratio**2
-    )
+    power = np.abs(acceleration_signals / acceleration_ratio) ** 2
+    return np.asarray(uniform_filter1d(power, smoothing_lines, axis=1) * acceleration_ratio**2)
 
 
 def _window_corrections(
@@ -237,13 +214,11 @@ def _window_corrections(
     """Windowed velocity and acceleration less the derivatives of the windowed displacement x of free masses:
     w x' = (w x)' - w' x and w x'' = (w x)'' - 2 (w' x)' + w'' x. Zero for held bodies, whose response to a faded force
     is not the faded motion."""
-    velocity_correction, acceleration_correction = np.zeros((2, len(sensors), omega.size), dtype=complex)
-    for sensor_index, sensor in enumerate(sensors):
+    corrections = np.zeros((2, len(sensors), omega.size), dtype=complex)
+    for k, sensor in enumerate(sensors):
         if zero_known and is_free(recording.rig, sensor.station.body):
-            velocity_correction[sensor_index], acceleration_correction[sensor_index] = transform.window_correction(
-                recording.values_of(sensor)
-            )
-    return velocity_correction, acceleration_correction
+            corrections[:, k] = transform.window_correction(recording.values_of(sensor))
+    return corrections[0], corrections[1]
 
 
 def _base_spectra(
@@ -283,10 +258,8 @@ def _counted_samples(
     duration_s = sample_count / transform.sample_rate_hz
     start_s, omitted_end_s = beginning.omitted_s
     if counted_until_s is None:
-        accelerations = irfft(acceleration_signals, transform.padded_length // transform.decimation)[
-            :, : int(duration_s * rate_hz)
-        ]
-        counted_until_s = end_of_motion_s(accelerations, rate_hz)
+        accelerations = irfft(acceleration_signals, transform.padded_length // transform.decimation)
+        counted_until_s = end_of_motion_s(accelerations[:, : int(duration_s * rate_hz)], rate_hz)
     end_s = min(duration_s - omitted_end_s, max(counted_until_s, start_s + LEAST_COUNTED_S))
     return slice(round(start_s * rate_hz), int(end_s * rate_hz))
 
@@ -305,13 +278,9 @@ def _add_eta_above_band(
     omega_above_band: Float[np.ndarray, " lines"],
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
-    for contact_index, contact in enumerate(rig.contacts):
+    is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+    to_displacement = integrated(omega_above_band, -sensor.measures.order, CORNER_HZ)
+    for k, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):
-                is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-                eta_above[contact_index] += (
-                    sign
-                    * is_in_passband
-                    * sensor_spectrum
-                    * integrated(omega_above_band, -sensor.measures.order, CORNER_HZ)
-                )
+                eta_above[k] += sign * is_in_passband * sensor_spectrum * to_displacement

@@ -38,34 +38,26 @@ class LawTangent:
         if not spline_values.shape[1]:
             return csc_matrix(spline_values.shape)
         first_samples, splines = _windows(spline_values)
-        window_samples = splines.shape[1]
-        next_sample_values = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1)
-        step_shares = np.arange(self.rate_multiple) / self.rate_multiple
-        finer_splines = (splines[..., None] + (next_sample_values - splines)[..., None] * step_shares).reshape(
-            len(splines), -1
-        )
-        finer_samples = window_samples * self.rate_multiple
+        samples, multiple = splines.shape[1], self.rate_multiple
+        increments = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1) - splines
+        finer_splines = splines[..., None] + increments[..., None] * (np.arange(multiple) / multiple)
+        finer_samples = samples * multiple
         padded_stiffness = np.pad(self.stiffness_n_per_m, finer_samples)
-        stiffness_windows = padded_stiffness[
-            finer_samples + self.rate_multiple * first_samples[:, None] + np.arange(finer_samples)
-        ]
-        product_spectra = rfft(stiffness_windows * finer_splines)[:, : window_samples // 2 + 1] / self.rate_multiple
-        force_columns = irfft(product_spectra, window_samples)
-        sample_indices = first_samples[:, None] + np.arange(window_samples)
+        first_finer = finer_samples + multiple * first_samples[:, None]
+        products = padded_stiffness[first_finer + np.arange(finer_samples)] * finer_splines.reshape(len(splines), -1)
+        forces = irfft(rfft(products)[:, : samples // 2 + 1] / multiple, samples)
+        sample_indices = first_samples[:, None] + np.arange(samples)
         is_inside = (sample_indices >= 0) & (sample_indices < spline_values.shape[0])
         column_starts = np.append(0, np.cumsum(np.count_nonzero(is_inside, axis=1)))
-        return csc_matrix(
-            (force_columns[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape
-        )
+        return csc_matrix((forces[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape)
 
 
 def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
     """First sample of each spline's window, which reaches MARGIN_SAMPLES beyond its support, and its values there."""
-    spline_columns = spline_values.tocsc()
-    support_samples = np.diff(spline_columns.indptr)
-    first_samples = spline_columns.indices[spline_columns.indptr[:-1]] - MARGIN_SAMPLES
-    window_samples = next_fast_len(int(support_samples.max()) + 2 * MARGIN_SAMPLES, real=True)
-    windowed_splines = np.zeros((len(support_samples), window_samples))
-    spline_of_entry = np.repeat(np.arange(len(support_samples)), support_samples)
-    windowed_splines[spline_of_entry, spline_columns.indices - first_samples[spline_of_entry]] = spline_columns.data
-    return first_samples, windowed_splines
+    columns = spline_values.tocsc()
+    support = np.diff(columns.indptr)
+    first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLES
+    splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLES, real=True)))
+    spline_of_entry = np.repeat(np.arange(len(support)), support)
+    splines[spline_of_entry, columns.indices - first_samples[spline_of_entry]] = columns.data
+    return first_samples, splines

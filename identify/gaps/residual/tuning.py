@@ -47,31 +47,22 @@ class MatchedMode:
 
 def matched_modes(modes_of_record: tuple[MeasuredMode, ...], rig: Rig) -> list[MatchedMode]:
     """Assignment of measured modes to those of the rig with the least sum of |ln frequency ratio|."""
-    body_names, mode_numbers, nominal_modes = [], [], []
+    names, numbers, nominal_modes = [], [], []
     for body in rig.bodies:
-        modes, mode_count = modes_of(rig, body), body.max_modes
-        for mode_index, natural_hz, damping_ratio in zip(
-            range(mode_count), modes.frequencies_hz(mode_count), modes.damping_ratios(mode_count), strict=True
+        modes, count = modes_of(rig, body), body.max_modes
+        for number, natural_hz, damping_ratio in zip(
+            range(1, count + 1), modes.frequencies_hz(count), modes.damping_ratios(count), strict=True
         ):
             if natural_hz > 0:
-                body_names.append(body.name)
-                mode_numbers.append(mode_index + 1)
+                names.append(body.name)
+                numbers.append(number)
                 nominal_modes.append((natural_hz, max(damping_ratio, 1e-12)))
     if not (modes_of_record and nominal_modes):
         return []
-    log_ratios = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of_record])[:, None] - np.log(
-        nominal_modes
-    )
-    measured_indices, nominal_indices = linear_sum_assignment(np.abs(log_ratios[..., 0]))
-    return [
-        MatchedMode(
-            body_names[nominal_index],
-            mode_numbers[nominal_index],
-            modes_of_record[measured_index],
-            log_ratios[measured_index, nominal_index],
-        )
-        for measured_index, nominal_index in zip(measured_indices, nominal_indices, strict=True)
-    ]
+    measured = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of_record])
+    log_ratios = measured[:, None] - np.log(nominal_modes)
+    pairs = zip(*linear_sum_assignment(np.abs(log_ratios[..., 0])), strict=True)
+    return [MatchedMode(names[j], numbers[j], modes_of_record[i], log_ratios[i, j]) for i, j in pairs]
 
 
 def tuned_modes(
@@ -84,43 +75,35 @@ def tuned_modes(
     measured modes."""
     if rig.contacts and not record.measured_modes:
         return TunedModes()
+    pulls: dict[Nuisance, float] = {}
     if parameters is not None and nuisance_pulls is not None:
-        pulls = {
-            parameter: float(pull)
-            for parameter, pull in zip(parameters, nuisance_pulls, strict=True)
-            if parameter.kind in TUNED_KINDS and parameter.mode_number
-        }
+        for parameter, pull in zip(parameters, nuisance_pulls, strict=True):
+            if parameter.kind in TUNED_KINDS and parameter.mode_number:
+                pulls[parameter] = float(pull)
     else:
-        pulls = {}
-        ringing_modes = () if has_ground_forces(rig) else record.measured_modes
-        for matched_mode in matched_modes(ringing_modes, rig):
-            for kind, relative_increase in zip(TUNED_KINDS, np.expm1(matched_mode.log_ratios), strict=True):
-                relative_tolerance = _mode_tolerance(record, matched_mode.body_name, matched_mode.mode_number, kind)
-                if relative_tolerance and not rig.body(matched_mode.body_name).is_mass:
-                    pulls[Nuisance(kind, matched_mode.body_name, matched_mode.mode_number)] = float(
-                        np.clip(relative_increase / relative_tolerance, -PULL_LIMIT, PULL_LIMIT)
-                    )
-    mode_factors = {}
-    for body_name in {parameter.owner for parameter in pulls}:
-        mode_numbers = range(1, rig.body(body_name).max_modes + 1)
+        for mode in matched_modes(() if has_ground_forces(rig) else record.measured_modes, rig):
+            name, number = mode.body_name, mode.mode_number
+            for kind, increase in zip(TUNED_KINDS, np.expm1(mode.log_ratios), strict=True):
+                tolerance = _mode_tolerance(record, name, number, kind)
+                if tolerance and not rig.body(name).is_mass:
+                    pull = float(np.clip(increase / tolerance, -PULL_LIMIT, PULL_LIMIT))
+                    pulls[Nuisance(kind, name, number)] = pull
+    factors = {}
+    for name in {parameter.owner for parameter in pulls}:
+        numbers = range(1, rig.body(name).max_modes + 1)
         frequency_factors, damping_factors = (
-            np.array([_mode_factor(record, body_name, number, kind, pulls) for number in mode_numbers])
-            for kind in TUNED_KINDS
+            np.array([_mode_factor(record, name, number, kind, pulls) for number in numbers]) for kind in TUNED_KINDS
         )
-        mode_factors[body_name] = frequency_factors, damping_factors
-    return TunedModes(pulls, mode_factors)
+        factors[name] = frequency_factors, damping_factors
+    return TunedModes(pulls, factors)
 
 
 def _mode_factor(
     record: Record, body_name: str, mode_number: int, kind: NuisanceKind, pulls: dict[Nuisance, float]
 ) -> float:
     """Factor 1 + tolerance * pull on the frequency or on the damping ratio of a mode."""
-    return max(
-        LEAST_FACTOR,
-        1
-        + _mode_tolerance(record, body_name, mode_number, kind)
-        * pulls.get(Nuisance(kind, body_name, mode_number), 0.0),
-    )
+    pull = pulls.get(Nuisance(kind, body_name, mode_number), 0.0)
+    return max(LEAST_FACTOR, 1 + _mode_tolerance(record, body_name, mode_number, kind) * pull)
 
 
 def _mode_tolerance(record: Record, body_name: str, mode_number: int, kind: NuisanceKind) -> float:

@@ -66,12 +66,7 @@ class Unfolding:
         """Unfolded rig: a plane one, without weight, which changes no linear residual."""
         y_rig, z_rig = in_plane(self.space_rig, "y"), in_plane(self.space_rig, "z")
         twin_contacts = tuple(
-            replace(
-                c,
-                name=c.name + IN_Z,
-                at=_twin(c.at),
-                against=None if c.against is None else _twin(c.against),
-            )
+            replace(c, name=c.name + IN_Z, at=_twin(c.at), against=None if c.against is None else _twin(c.against))
             for c in z_rig.contacts
         )
         sensors = {s.name: replace(s, station=_twin(s.station)) for s in z_rig.sensors}
@@ -88,10 +83,7 @@ class Unfolding:
             clamps=(*y_rig.clamps, *(replace(c, body=c.body + IN_Z) for c in y_rig.clamps)),
             gravity_m_per_s2=0.0,
             **{
-                field: (
-                    *getattr(y_rig, field),
-                    *(replace(x, station=_twin(x.station)) for x in getattr(z_rig, field)),
-                )
+                field: (*getattr(y_rig, field), *(replace(x, station=_twin(x.station)) for x in getattr(z_rig, field)))
                 for field in PLACES
             },
         )

@@ -42,29 +42,21 @@ GroundForceChanges = Callable[[Motions], list[tuple[Station, Spectrum]]]
 
 
 def known_forces_of(
-    record: Record,
-    rig: Rig,
-    responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
-    motion: SensedMotion,
+    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
 ) -> tuple[tuple[Station, Spectrum], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion
     (against a shaken base, whose inertial force on each kilogram is the measured one)."""
-    measured_forces_n = (
-        record.force_spectra * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
-        if record.base is None
-        else -record.base.in_rig(rig, record.omega).acceleration[None]
-    )
+    if record.base is None:
+        lag = np.exp(-1j * record.omega * rig.force_sensor.lag_s)
+        measured_forces_n = record.force_spectra * lag / rig.force_sensor.gain
+    else:
+        measured_forces_n = -record.base.in_rig(rig, record.omega).acceleration[None]
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following_rig = [], following_motion(record, rig)
+    reactions, following_rig = [], following_motion(record, rig)
     if has_ground_forces(following_rig):
-        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
-    return (
-        *zip(rig.forces, measured_forces_n, strict=True),
-        *tone_forces,
-        *_loads_from_rest(record, rig),
-        *ground_reactions,
-    )
+        reactions = ground_forces(record, following_rig, responses, stations, motion)
+    measured = zip(rig.forces, measured_forces_n, strict=True)
+    return (*measured, *tone_forces, *_loads_from_rest(record, rig), *reactions)
 
 
 def response_to_force(
@@ -74,31 +66,25 @@ def response_to_force(
     force_spectrum: Complex[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
-    ringing_within_window = acceleration_per_newton * force_spectrum
+    accelerations = acceleration_per_newton * force_spectrum
     is_ringing_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
     if not is_ringing_on.any():
-        return ringing_within_window
-    derivative_orders = [sensor.measures.order for sensor in record.sensors]
-    return np.where(
-        is_ringing_on[:, None],
-        _windowed_accelerations(
-            record, acceleration_per_newton * _unwindowed_force(record, force_spectrum), derivative_orders
-        ),
-        ringing_within_window,
-    )
+        return accelerations
+    unwindowed = acceleration_per_newton * _unwindowed_force(record, force_spectrum)
+    windowed = _windowed_accelerations(record, unwindowed, [sensor.measures.order for sensor in record.sensors])
+    return np.where(is_ringing_on[:, None], windowed, accelerations)
 
 
 def modal_response(
     record: Record, rig: Rig, response: Response, modal_force_spectra: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
-    if not _rings_on(record, rig, response.body.name):
+    body_name = response.body.name
+    if not _rings_on(record, rig, body_name):
         return response.modal_accelerations(modal_force_spectra)
-    derivative_order = next(
-        (sensor.measures.order for sensor in record.sensors if sensor.station.body == response.body.name), 2
-    )
-    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
-    return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
+    order = next((sensor.measures.order for sensor in record.sensors if sensor.station.body == body_name), 2)
+    unwindowed = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
+    return _windowed_accelerations(record, unwindowed, [order] * len(unwindowed))
 
 
 def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
@@ -114,12 +100,9 @@ def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]
 def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a held body that rests under static loads: second derivatives of its windowed static
     displacements phi F / omega^2 in each mode."""
-    loads = [
-        static_load
-        for static_load in _loads_without_contacts(record, rig)
-        if static_load.station.body == response.body.name
-    ]
-    if not loads or is_free(rig, response.body.name):
+    body_name = response.body.name
+    loads = [load for load in _loads_without_contacts(record, rig) if load.station.body == body_name]
+    if not loads or is_free(rig, body_name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
     displacements = modal_load_n / (2 * np.pi * response.dynamics.natural_hz) ** 2
@@ -141,100 +124,83 @@ def _unwindowed_force(
     record: Record, force_spectrum: Complex[np.ndarray, "*rows lines"]
 ) -> Complex[np.ndarray, "*rows lines"]:
     """Force up to the record's end from the windowed one, F(t) = (w F)(t) / w(t) where w > LEAST_WINDOW."""
-    window_fall = _window_fall(record)
-    windowed_force = irfft(force_spectrum, window_fall.size)
-    return np.asarray(
-        rfft(
-            np.divide(windowed_force, window_fall, out=np.zeros_like(windowed_force), where=window_fall > LEAST_WINDOW)
-        )
-    )
+    window = _window_fall(record)
+    windowed = irfft(force_spectrum, window.size)
+    return np.asarray(rfft(np.divide(windowed, window, out=np.zeros_like(windowed), where=window > LEAST_WINDOW)))
 
 
 def _windowed_accelerations(
     record: Record, accelerations: Complex[np.ndarray, "rows lines"], derivative_orders: Sequence[int]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
-    window_fall = _window_fall(record)
-    per_acceleration = np.stack(
-        [integrated(record.omega, 2 - derivative_order, 0.0) for derivative_order in derivative_orders]
-    )
-    return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
+    window = _window_fall(record)
+    per_acceleration = np.stack([integrated(record.omega, 2 - order, 0.0) for order in derivative_orders])
+    return np.asarray(rfft(irfft(accelerations / per_acceleration, window.size) * window) * per_acceleration)
 
 
-def _window_fall(record: Record) -> Float[np.ndarray, " real_product"]:
+def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
     """Falling half of the window over the padded record at `rate_hz`, one before it."""
-    decimated_window = record.window[:: record.decimation]
+    window = record.window[:: record.decimation]
     window_fall = np.zeros(record.transform_length // record.decimation)
-    window_fall[: decimated_window.size] = np.where(
-        np.arange(decimated_window.size) < decimated_window.size // 2, 1.0, decimated_window
-    )
+    window_fall[: window.size] = np.where(np.arange(window.size) < window.size // 2, 1.0, window)
     return window_fall
 
 
 def ground_forces(
-    record: Record,
-    rig: Rig,
-    responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
-    motion: SensedMotion,
+    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displaced_at(responses, sensor_stations, springs, motion.displacements)
-    damper_velocities = displaced_at(responses, sensor_stations, dampers, motion.velocities)
-    ground_reactions = []
-    for spring, displacement in zip(springs, spring_displacements, strict=True):
-        fine_motion, window = _oversampled(record, 3, displacement)
-        ground_reactions.append(
-            (spring.station, -_spectrum_on_lines(record, window * spring.law.force_n(fine_motion / window)))
-        )
-    for damper, velocity in zip(dampers, damper_velocities, strict=True):
+    displacements = displaced_at(responses, stations, springs, motion.displacements)
+    velocities = displaced_at(responses, stations, dampers, motion.velocities)
+    reactions = []
+    for spring, displacement in zip(springs, displacements, strict=True):
+        fine_m, window = _oversampled(record, 3, displacement)
+        force_n = window * spring.law.force_n(fine_m / window)
+        reactions.append((spring.station, -_spectrum_on_lines(record, force_n)))
+    for damper, velocity in zip(dampers, velocities, strict=True):
         if damper.friction_n:
-            fine_motion, window = _oversampled(record, _oversampling_factor(record), velocity)
-            force_n = window * damper.law.force_n(np.zeros_like(fine_motion), fine_motion / window)
-            ground_reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
+            fine_m_per_s, window = _oversampled(record, _oversampling_factor(record), velocity)
+            force_n = window * damper.law.force_n(np.zeros_like(fine_m_per_s), fine_m_per_s / window)
+            reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
         else:
-            ground_reactions.append((damper.station, -damper.damping_n_s_per_m * velocity))
-    return ground_reactions
+            reactions.append((damper.station, -damper.damping_n_s_per_m * velocity))
+    return reactions
 
 
 def ground_force_derivative(
-    record: Record,
-    rig: Rig,
-    responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
-    motion: SensedMotion,
+    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
 ) -> GroundForceChanges:
     """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displaced_at(responses, sensor_stations, springs, motion.displacements)
-    damper_velocities = displaced_at(responses, sensor_stations, dampers, motion.velocities)
+    displacements = displaced_at(responses, stations, springs, motion.displacements)
+    velocities = displaced_at(responses, stations, dampers, motion.velocities)
     slopes: list[Float[np.ndarray, " fine"]] = []
-    for spring, displacement in zip(springs, spring_displacements, strict=True):
-        fine_motion, window = _oversampled(record, 3, displacement)
-        slopes.append(spring.law.by_eta_n_per_m(fine_motion / window))
-    for damper, velocity in zip(dampers, damper_velocities, strict=True):
+    for spring, displacement in zip(springs, displacements, strict=True):
+        fine_m, window = _oversampled(record, 3, displacement)
+        slopes.append(spring.law.by_eta_n_per_m(fine_m / window))
+    for damper, velocity in zip(dampers, velocities, strict=True):
         if damper.friction_n:
-            fine_motion, window = _oversampled(record, _oversampling_factor(record), velocity)
-            slopes.append(damper.law.by_rate_n_s_per_m(np.zeros_like(fine_motion), fine_motion / window))
+            fine_m_per_s, window = _oversampled(record, _oversampling_factor(record), velocity)
+            slopes.append(damper.law.by_rate_n_s_per_m(np.zeros_like(fine_m_per_s), fine_m_per_s / window))
         else:
             slopes.append(np.array([damper.damping_n_s_per_m]))
 
     def force_changes(displacement_changes: Motions) -> list[tuple[Station, Spectrum]]:
         motion_changes = (
-            *displaced_at(responses, sensor_stations, springs, displacement_changes),
-            *displaced_at(responses, sensor_stations, dampers, 1j * record.omega * displacement_changes),
+            *displaced_at(responses, stations, springs, displacement_changes),
+            *displaced_at(responses, stations, dampers, 1j * record.omega * displacement_changes),
         )
         padded_samples = record.transform_length // record.decimation
-        stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
-        station_forces = []
-        for station, slope, motion_change in zip(stations, slopes, motion_changes, strict=True):
+        stations_of_forces = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
+        changes = []
+        for station, slope, motion_change in zip(stations_of_forces, slopes, motion_changes, strict=True):
             if slope.size > 1:
                 fine_change = _finer(record, slope.size // padded_samples, motion_change)
-                station_forces.append((station, -_spectrum_on_lines(record, slope * fine_change)))
+                changes.append((station, -_spectrum_on_lines(record, slope * fine_change)))
             else:
-                station_forces.append((station, -slope * motion_change))
-        return station_forces
+                changes.append((station, -slope * motion_change))
+        return changes
 
     return force_changes
 
@@ -271,16 +237,14 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
 
 def displaced_at(
     responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
+    stations: list[Station | None],
     attached_elements: Sequence[PointSpring | PointDamper | PointMass],
     displacements: Motions,
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    return real_product(
-        np.sum([response.weights(sensor_stations, element_stations) for response in responses], axis=0),
-        displacements,
-    )
+    weights = np.sum([response.weights(stations, element_stations) for response in responses], axis=0)
+    return real_product(weights, displacements)
 
 
 def _oversampling_factor(record: Record) -> int:
@@ -289,24 +253,23 @@ def _oversampling_factor(record: Record) -> int:
 
 
 def _oversampled(
-    record: Record, oversampling_factor: int, spectrum: Spectrum
+    record: Record, factor: int, spectrum: Spectrum
 ) -> tuple[Float[np.ndarray, " fine"], Float[np.ndarray, " fine"]]:
     """Signal over the padded record at a multiple of its rate, and its window, bounded below by LEAST_WINDOW."""
-    fine_samples = oversampling_factor * (record.transform_length // record.decimation)
-    sample_positions = np.arange(fine_samples) * (record.decimation / oversampling_factor)
+    fine_samples = factor * (record.transform_length // record.decimation)
+    sample_positions = np.arange(fine_samples) * (record.decimation / factor)
     window = np.interp(sample_positions, np.arange(record.sample_count), record.window, right=0.0)
-    return _finer(record, oversampling_factor, spectrum), np.maximum(window, LEAST_WINDOW)
+    return _finer(record, factor, spectrum), np.maximum(window, LEAST_WINDOW)
 
 
-def _finer(record: Record, oversampling_factor: int, spectrum: Spectrum) -> Float[np.ndarray, " fine"]:
+def _finer(record: Record, factor: int, spectrum: Spectrum) -> Float[np.ndarray, " fine"]:
     """Signal over the padded record at a multiple of its rate."""
-    fine_samples = oversampling_factor * (record.transform_length // record.decimation)
-    return oversampling_factor * np.fft.irfft(spectrum / record.decimation, fine_samples)
+    fine_samples = factor * (record.transform_length // record.decimation)
+    return factor * np.fft.irfft(spectrum / record.decimation, fine_samples)
 
 
 def _spectrum_on_lines(record: Record, fine_signal: Float[np.ndarray, " fine"]) -> Spectrum:
     """Spectrum of an oversampled signal on the record's lines, without aliasing."""
     padded_samples = record.transform_length // record.decimation
-    return np.asarray(
-        np.fft.rfft(fine_signal)[: padded_samples // 2 + 1] * record.decimation * padded_samples / fine_signal.size
-    )
+    lines = np.fft.rfft(fine_signal)[: padded_samples // 2 + 1]
+    return np.asarray(lines * record.decimation * padded_samples / fine_signal.size)

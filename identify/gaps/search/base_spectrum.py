@@ -36,11 +36,11 @@ def fit_base_spectrum(
     """Most likely base motion (rms acceleration in m/s^2, lower and upper end of its band in Hz) and standard errors.
 
     None where the residual holds no base motion, -2 ln p falls by no more than `min_gain`, or other patterns have more
-    of the band's power. With y the residual and p
-    the pattern of a base motion of unit density, both of unit noise, a density S lowers the cost of a line by
-    2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is the interval of lines of largest sum.
-    Each sensor is scaled by the level of its residual around each line, so that a model error at some sensors does not
-    hide the pattern at the others; the noise is then the power of the other patterns.
+    of the band's power. With y the residual and p the pattern of a base motion of unit density, both of unit noise, a
+    density S lowers the cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is
+    the interval of lines of largest sum. Each sensor is scaled by the level of its residual around each line, so that a
+    model error at some sensors does not hide the pattern at the others; the noise is then the power of the other
+    patterns.
     """
     record = linearization.record
     if len(record.sensors) < len(linearization.observations) + 2:
@@ -48,27 +48,22 @@ def fit_base_spectrum(
     lines_hz = record.omega / (2 * np.pi)
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
-    shaken_rig = changed(linearization.rig, base_motion=unit_motion)
-    shaken_model = linear_model(
-        record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses
-    )
+    shaken_rig, shares = changed(linearization.rig, base_motion=unit_motion), linearization.scales.unmodelled_shares
+    per_input = linear_model(record, shaken_rig, shares, linearization.cache.responses).signal_per_input
     contact_count = len(linearization.observations)
-    signal_pattern = shaken_model.signal_per_input[contact_count]
-    contact_forces = linearization.model.projection.applied_to(signal_pattern * linearization.model.error_deviation)[1]
-    signal_pattern = signal_pattern - np.einsum(
-        "isl,il->sl", shaken_model.signal_per_input[:contact_count], contact_forces
-    )
+    pattern = per_input[contact_count]
+    contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
+    pattern = pattern - np.einsum("isl,il->sl", per_input[:contact_count], contact_forces)
     spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
     sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, signal_pattern / sensor_level)
-    remaining_power = (np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power) / max(
-        1, len(spectra) - contact_count - 1
-    )
+    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, pattern / sensor_level)
+    remaining_power = np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power
+    remaining_power = remaining_power / max(1, len(spectra) - contact_count - 1)
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
     pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
-    parameter_ranges = candidate.parameters
-    is_in_range = (lines_hz >= parameter_ranges["low_hz"].low) & (lines_hz <= parameter_ranges["high_hz"].high)
+    ranges = candidate.parameters
+    is_in_range = (lines_hz >= ranges["low_hz"].low) & (lines_hz <= ranges["high_hz"].high)
     largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
         gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
@@ -79,27 +74,23 @@ def fit_base_spectrum(
     if not 2 * largest_gain * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES > min_gain:
         return None
     counted_share = counted_count / record.transform_length
-    best_density, relative_error = _fitted_density(
-        best_density, pattern_power[best_lines], pattern_size[best_lines], counted_share
-    )
+    in_band = pattern_power[best_lines], pattern_size[best_lines]
+    best_density, relative_error = _fitted_density(best_density, *in_band, counted_share)
     gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
-    cumulative_gains = np.concatenate(
-        [[0.0], np.cumsum(gain_by_line * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES)]
-    )
+    gain_by_line = gain_by_line * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES
+    cumulative = np.concatenate([[0.0], np.cumsum(gain_by_line)])
     resolution_hz = record.sample_rate_hz / counted_count
     middle_line = (best_lines.start + best_lines.stop) // 2
-    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative_gains[:middle_line], resolution_hz)
-    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative_gains[middle_line:-1], resolution_hz)
+    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative[:middle_line], resolution_hz)
+    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative[middle_line:-1], resolution_hz)
     is_in_band = (lines_hz >= low_hz) & (lines_hz <= high_hz)
     noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
     excess_power = np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern
-    excess_of_pattern = _power_and_size(spectra, signal_pattern)[0] - noise_by_pattern
+    excess_of_pattern = _power_and_size(spectra, pattern)[0] - noise_by_pattern
     if np.sum(excess_of_pattern[is_in_band]) < LEAST_PATTERN_SHARE * np.sum(excess_power[is_in_band]):
         return None
     rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
-    base_motion_values = np.array(
-        [np.clip(rms_m_per_s2, 0, parameter_ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz]
-    )
+    base_motion_values = np.array([np.clip(rms_m_per_s2, 0, ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
     return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])
 

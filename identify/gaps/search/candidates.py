@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
@@ -67,20 +66,18 @@ class Candidate:
         For a sharp frequency it is a share of the lowest one, which has two periods in the record; for a parameter of a
         logarithmic range, of its typical value.
         """
-        typical_additions = [
-            typical_value - parameter.neutral
+        additions = [
+            value - parameter.neutral
             if parameter.neutral is not None
             else parameter.low
             if parameter.name == self.kind.grid_screened
-            else typical_value
+            else value
             if _has_logarithmic_range(parameter)
             else parameter.high - parameter.low
-            for typical_value, parameter in zip(self.typical_values, self.parameters, strict=True)
+            for value, parameter in zip(self.typical_values, self.parameters, strict=True)
         ]
-        typical_additions = [
-            addition or self.typical_values[0] - self.neutral_strength for addition in typical_additions
-        ]
-        return STEP_SHARE * np.array(typical_additions)
+        strength_addition = self.typical_values[0] - self.neutral_strength
+        return STEP_SHARE * np.array([addition or strength_addition for addition in additions])
 
     def start_values(self, screened_values: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
         """Parameters of neutral strength at every trial place; `screened_values` are values of the grid-screened one.
@@ -88,40 +85,33 @@ class Candidate:
         An effect that contains another has one trial value, as the other one stands for further ones at small
         strengths.
         """
-        trial_values = []
+        trial_values: list[Sequence[float] | Float[np.ndarray, " trials"]] = []
         for parameter, typical_value in zip(self.parameters, self.typical_values, strict=True):
-            parameter_range = (parameter.low, parameter.high)
             if parameter.name == self.kind.grid_screened:
-                trial_values.append(
-                    np.array([value for value in screened_values if parameter_range[0] <= value <= parameter_range[1]])
-                )
-                continue
-            if parameter.neutral is not None:
-                trial_values.append(np.array([parameter.neutral]))
+                trial_values.append([value for value in screened_values if parameter.low <= value <= parameter.high])
+            elif parameter.neutral is not None:
+                trial_values.append([parameter.neutral])
             elif self.kind.contains:
-                trial_values.append(np.array([typical_value]))
+                trial_values.append([typical_value])
             elif _has_logarithmic_range(parameter):
-                trial_values.append(np.geomspace(*parameter_range, PLACE_GRID_COUNT + 2)[1:-1])
+                trial_values.append(np.geomspace(parameter.low, parameter.high, PLACE_GRID_COUNT + 2)[1:-1])
             else:
-                trial_values.append(np.linspace(*parameter_range, PLACE_GRID_COUNT))
+                trial_values.append(np.linspace(parameter.low, parameter.high, PLACE_GRID_COUNT))
         return [np.array(values) for values in product(*trial_values)]
 
-    def trial_strengths(self, addition_multiples: Sequence[float]) -> list[float]:
+    def trial_strengths(self, multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
-        lowest_strength, highest_strength = (float(bounds[0]) for bounds in self.parameters.bounds)
-        typical_addition = float(self.typical_values[0]) - self.neutral_strength
-        strengths = [
-            self.neutral_strength + sign * multiple * typical_addition
-            for sign in (1, -1)
-            for multiple in addition_multiples
-        ]
-        if self.neutral_strength == 1 and lowest_strength > 0 and highest_strength > 4 * lowest_strength:
-            strengths += list(np.geomspace(lowest_strength, highest_strength, RATIO_GRID_COUNT))
-        return [float(strength) for strength in strengths if lowest_strength <= strength <= highest_strength]
+        lowest, highest = (float(bounds[0]) for bounds in self.parameters.bounds)
+        neutral = self.neutral_strength
+        typical_addition = float(self.typical_values[0]) - neutral
+        strengths = [neutral + sign * multiple * typical_addition for sign in (1, -1) for multiple in multiples]
+        if neutral == 1 and lowest > 0 and highest > 4 * lowest:
+            strengths += list(np.geomspace(lowest, highest, RATIO_GRID_COUNT))
+        return [float(strength) for strength in strengths if lowest <= strength <= highest]
 
     def effect(self, parameter_values: Float[np.ndarray, " parameters"]) -> Effect:
         """Typical effect with other values of its parameters."""
-        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(parameter_values))
+        return replace(self.typical_effect, **self.parameters.named(parameter_values))
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
@@ -129,17 +119,12 @@ class Candidate:
             return rig
         effect = self.effect(values)
         changed_rig = effect.applied_to(rig)
-        if self.twin_place is None:
-            return changed_rig
-        return msgspec.structs.replace(effect, **self.twin_place).applied_to(changed_rig)
+        return changed_rig if self.twin_place is None else replace(effect, **self.twin_place).applied_to(changed_rig)
 
 
-def contains(containing_candidate: Candidate, contained_candidate: Candidate) -> bool:
+def contains(container: Candidate, member: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return (
-        contained_candidate.kind.name in containing_candidate.kind.contains
-        and contained_candidate.place == containing_candidate.place
-    )
+    return member.kind.name in container.kind.contains and member.place == container.place
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:
@@ -155,16 +140,12 @@ def scale_of(record: Record, rig: Rig) -> Scale:
     if record.has_force and record.base is None:
         forces_n = record.in_time(record.force_spectra)
     else:
-        sensor_masses_kg = np.array([rig.body(sensor.station.body).mass_kg for sensor in record.sensors])
-        forces_n = record.in_time(sensor_masses_kg[:, None] * record.acceleration_signals) / np.sqrt(
-            sensor_masses_kg.size
-        )
+        masses_kg = np.array([rig.body(sensor.station.body).mass_kg for sensor in record.sensors])
+        forces_n = record.in_time(masses_kg[:, None] * record.acceleration_signals) / np.sqrt(masses_kg.size)
     return Scale(rig, float(np.sqrt(np.mean(np.sum(forces_n**2, axis=0)))), record.sample_count / record.sample_rate_hz)
 
 
-def candidates(
-    effect_scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_force: bool = True
-) -> list[Candidate]:
+def candidates(scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_force: bool = True) -> list[Candidate]:
     """Every effect that the rig can have, at every place and sensor that a record observes.
 
     Left out are effects that only the zero of a relative displacement shows, where that is not known; those on the
@@ -172,29 +153,24 @@ def candidates(
     force where several act or the base alone shakes, and on a base's motion where it is measured; those that change
     nothing, or that separate contacts between the same places.
     """
-    possible_candidates = []
-    for effect_kind in effects().values():
-        if (effect_kind.needs_zero and not zero_known) or (effect_kind.stochastic and effect_scale.rig.base_sensors):
+    possible, rig = [], scale.rig
+    for kind in effects().values():
+        if (kind.needs_zero and not zero_known) or (kind.stochastic and rig.base_sensors):
             continue
-        for place in effect_kind.placements(effect_scale.rig, sensor_names):
-            place_scale = effect_scale.with_place(place)
-            candidate = Candidate(
-                effect_kind, place, effect_kind.parameters(place_scale), effect_kind.typical(place_scale)
-            )
+        for place in kind.placements(rig, sensor_names):
+            place_scale = scale.with_place(place)
+            candidate = Candidate(kind, place, kind.parameters(place_scale), kind.typical(place_scale))
             try:
-                changed_rig = candidate.applied(effect_scale.rig, candidate.typical_values)
+                changed_rig = candidate.applied(rig, candidate.typical_values)
             except RigError:
                 continue  # the effect cannot act here
-            nominal_rig = effect_scale.rig
-            if not has_force or len(nominal_rig.forces) > 1 or nominal_rig.base_sensors:
-                changed_rig = replace(changed_rig, force_sensor=nominal_rig.force_sensor)
+            if not has_force or len(rig.forces) > 1 or rig.base_sensors:
+                changed_rig = replace(changed_rig, force_sensor=rig.force_sensor)
             if not has_force:
-                changed_rig = replace(changed_rig, sensors=nominal_rig.sensors, force_at=nominal_rig.force_at)
-            if changed_rig != effect_scale.rig and len(contact_groups(changed_rig)) == len(
-                contact_groups(effect_scale.rig)
-            ):
-                possible_candidates.append(candidate)
-    return possible_candidates
+                changed_rig = replace(changed_rig, sensors=rig.sensors, force_at=rig.force_at)
+            if changed_rig != rig and len(contact_groups(changed_rig)) == len(contact_groups(rig)):
+                possible.append(candidate)
+    return possible
 
 
 def is_possible(candidate: Candidate, rig: Rig) -> bool:
@@ -216,30 +192,19 @@ def strength_columns(
 
     Raises RigError where no rig has the effect with these parameters.
     """
-    strength_decreases = []
-    for strength_index in candidate.parameters.strengths:
-        stepped_values = start_values.copy()
-        stepped_values[strength_index] = start_values[strength_index] + candidate.step_sizes[strength_index]
-        stepped_rig = candidate.applied(linearization.rig, stepped_values)
-        strength_decreases.append(
-            attached_column(linearization, stepped_rig, residual) or derivative(linearization, stepped_rig, residual)
-        )
-    return strength_decreases
+    decreases = []
+    for index in candidate.parameters.strengths:
+        values = start_values.copy()
+        values[index] = start_values[index] + candidate.step_sizes[index]
+        rig = candidate.applied(linearization.rig, values)
+        decreases.append(attached_column(linearization, rig, residual) or derivative(linearization, rig, residual))
+    return decreases
 
 
 def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
     """Rig with only the attachments that `changed_rig` adds to `rig`; None if it adds none, or differs otherwise."""
-    attachments = {
-        attachment_field: getattr(changed_rig, attachment_field)[len(getattr(rig, attachment_field)) :]
-        for attachment_field in ATTACHED_FIELDS
-    }
-    expected_rig = replace(
-        rig,
-        **{
-            attachment_field: getattr(rig, attachment_field) + attached
-            for attachment_field, attached in attachments.items()
-        },
-    )
+    attachments = {name: getattr(changed_rig, name)[len(getattr(rig, name)) :] for name in ATTACHED_FIELDS}
+    expected_rig = replace(rig, **{name: getattr(rig, name) + attached for name, attached in attachments.items()})
     return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
 
 
@@ -248,16 +213,15 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
 
     They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
     """
-    record, present_model, rig = linearization.record, residual.model, residual.rig
+    record, model, rig = linearization.record, residual.model, residual.rig
     attachments = attachments_of(rig, changed_rig)
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
-    attached_forces = _attached_forces(record, present_model, attachments)
-    linear_decrease, contact_force_decrease_n = present_model.projection.applied_to(
-        delivered_by(present_model, sensor_stations_of(record, present_model.rig), attached_forces)
-    )
-    eta_decrease_m = -present_model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
-    contact_decreases = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
+    forces = _attached_forces(record, model, attachments)
+    delivered = delivered_by(model, sensor_stations_of(record, model.rig), forces)
+    linear_decrease, contact_decrease_n = model.projection.applied_to(delivered)
+    eta_decrease_m = -model.unobserved_eta_m(forces, -contact_decrease_n)
+    contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 
 
@@ -265,19 +229,15 @@ def _attached_forces(
     record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
-    sensor_stations = sensor_stations_of(record, model.rig)
-    displacements, accelerations = model.displacements, model.accelerations
-    attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, model.motion)
-    linear_springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
-    for spring, displacement in zip(
-        linear_springs, displaced_at(model.responses, sensor_stations, linear_springs, displacements), strict=True
-    ):
-        attached_forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
-    masses = attachments.masses
+    stations, responses = sensor_stations_of(record, model.rig), model.responses
+    forces = ground_forces(record, attachments, responses, stations, model.motion)
+    springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
+    displacements = displaced_at(responses, stations, springs, model.displacements)
+    for spring, displacement in zip(springs, displacements, strict=True):
+        forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     base_acceleration = model.base.acceleration if model.base else 0.0
-    for mass, acceleration in zip(
-        masses, displaced_at(model.responses, sensor_stations, masses, accelerations), strict=True
-    ):
-        attached_forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
+    accelerations = displaced_at(responses, stations, attachments.masses, model.accelerations)
+    for mass, acceleration in zip(attachments.masses, accelerations, strict=True):
+        forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
-    return attached_forces + tone_forces
+    return forces + tone_forces

@@ -67,33 +67,26 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
 
     Unmeasured excitation (a base motion, a tone) stays in the scatter.
     """
+    names = [contact.name for contact in rig.contacts]
     if unmodelled_part := _unmodelled_part(rig):
         refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
-        return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
-    force_channels = recording.signals["force"]
-    corrected_signals = {
-        **recording.signals,
-        "force": replace(force_channels, values=force_channels.values / rig.force_sensor.gain),
-    }
-    motion_sensors = tuple(
-        sensor for sensor in rig.sensors if sensor.measures.translates
-    )  # the diagnosis uses no strain gauges
+        return LawOutcomes((), dict.fromkeys(names, refusal))
+    force = recording.signals["force"]
+    signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
+    # the diagnosis uses no strain gauges
+    motion_sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates)
     separated_rig = msgspec.structs.replace(
         rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=motion_sensors
     )
     try:
-        separation = separate(replace(recording, rig=separated_rig, signals=corrected_signals), "auto", tolerances)
+        separation = separate(replace(recording, rig=separated_rig, signals=signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes
     except ContactRefusedError as error:
-        return LawOutcomes((), {contact.name: error.refusal for contact in rig.contacts})
+        return LawOutcomes((), dict.fromkeys(names, error.refusal))
     except RigError:
         return LawOutcomes()
-    return LawOutcomes(
-        tuple(
-            _law_estimate(contact_name, joint_estimate) for contact_name, joint_estimate in outcomes.estimates.items()
-        ),
-        outcomes.refusals,
-    )
+    estimates = tuple(_law_estimate(name, estimate) for name, estimate in outcomes.estimates.items())
+    return LawOutcomes(estimates, outcomes.refusals)
 
 
 def _unmodelled_part(rig: Rig) -> str:
@@ -109,46 +102,29 @@ def _unmodelled_part(rig: Rig) -> str:
 
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
-    largest_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
-    comparable_estimates = [
-        estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count
-    ]
-    comparable_estimates = [
-        estimate
-        for estimate in comparable_estimates
-        if np.array_equal(estimate.quantity_weights, comparable_estimates[0].quantity_weights)
-    ]
-    pooled_values, pooled_covariance = _pooled_values(
-        [
-            (
-                estimate.quantity_values,
-                estimate.covariance,
-                estimate.tolerance_covariance,
-            )
-            for estimate in comparable_estimates
-        ]
+    most_quantities = max(len(estimate.quantity_values) for estimate in estimates)
+    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == most_quantities]
+    weights = comparable[0].quantity_weights
+    comparable = [estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, weights)]
+    values, covariance = _pooled_values(
+        [(estimate.quantity_values, estimate.covariance, estimate.tolerance_covariance) for estimate in comparable]
     )
-    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable_estimates], axis=0)
-    return replace(
-        comparable_estimates[0],
-        quantity_values=pooled_values,
-        covariance=pooled_covariance,
-        tolerance_covariance=shared_covariance,
-    )
+    shared = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
+    return replace(comparable[0], quantity_values=values, covariance=covariance, tolerance_covariance=shared)
 
 
-def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstimate:
-    quantity_rows = [] if joint_estimate.is_spring else [joint_estimate.clearance_gradient]
-    quantity_rows += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
-    if joint_estimate.sides_known and all(joint_estimate.touched):
-        quantity_rows.append(OFFSET_GRADIENT)
-    quantity_weights = np.array(quantity_rows)
+def _law_estimate(contact_name: str, estimate: JointEstimate) -> LawEstimate:
+    rows = [] if estimate.is_spring else [estimate.clearance_gradient]
+    rows += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
+    if estimate.sides_known and all(estimate.touched):
+        rows.append(OFFSET_GRADIENT)
+    weights = np.array(rows)
     return LawEstimate(
         contact_name,
-        quantity_weights,
-        quantity_weights @ joint_estimate.values,
-        quantity_weights @ joint_estimate.covariance @ quantity_weights.T,
-        quantity_weights @ joint_estimate.covariances["tolerances"] @ quantity_weights.T,
+        weights,
+        weights @ estimate.values,
+        weights @ estimate.covariance @ weights.T,
+        weights @ estimate.covariances["tolerances"] @ weights.T,
     )
 
 
@@ -162,31 +138,24 @@ def with_contact_fit(
 
     Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
     """
-    nominal_rig, hypothesis_values = recordings[0].rig, hypothesis.values
+    nominal_rig, values = recordings[0].rig, hypothesis.values.copy()
     law_change = _law_change(hypothesis, nominal_rig)
     if law_change is None:
         return hypothesis
-    hypothesis_rig, free_parameters = hypothesis.applied_to(nominal_rig), law_change.free_parameters
-    record_solutions = (
-        _solution_of_record(
-            nominal_rig,
-            outcomes_of(recording, hypothesis_rig, tolerances).estimates,
-            law_change,
-            hypothesis_values[free_parameters],
-        )
+    rig, free = hypothesis.applied_to(nominal_rig), law_change.free_parameters
+    solutions = (
+        _solution_of_record(nominal_rig, outcomes_of(recording, rig, tolerances).estimates, law_change, values[free])
         for recording in recordings
     )
-    determined_solutions = [solution for solution in record_solutions if solution is not None]
-    if not determined_solutions:
+    determined = [solution for solution in solutions if solution is not None]
+    if not determined:
         return hypothesis
-    fitted_values, covariance = hypothesis_values.copy(), hypothesis.covariance.copy()
-    covariance[free_parameters] = covariance[:, free_parameters] = 0.0
-    pooled_values, covariance[np.ix_(free_parameters, free_parameters)] = _pooled_values(determined_solutions)
+    covariance = hypothesis.covariance.copy()
+    covariance[free] = covariance[:, free] = 0.0
+    pooled_values, covariance[np.ix_(free, free)] = _pooled_values(determined)
     lower_bounds, upper_bounds = hypothesis.parameters.bounds
-    fitted_values[free_parameters] = np.clip(
-        pooled_values, lower_bounds[free_parameters], upper_bounds[free_parameters]
-    )
-    return replace(hypothesis, values=fitted_values, covariance=covariance)
+    values[free] = np.clip(pooled_values, lower_bounds[free], upper_bounds[free])
+    return replace(hypothesis, values=values, covariance=covariance)
 
 
 @dataclass(frozen=True)
@@ -200,27 +169,22 @@ class LawChange:
 
 def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
-    step_sizes, hypothesis_values = steps_of(hypothesis.candidates), hypothesis.values
-    step_sizes = DERIVATIVE_STEP * np.where(
-        hypothesis_values + step_sizes > hypothesis.parameters.bounds[1], -step_sizes, step_sizes
-    )
-    law_numbers_by_step = [
-        _law_numbers(hypothesis, nominal_rig, hypothesis_values + value_change)
-        for value_change in (0 * hypothesis_values, *np.diag(step_sizes))
-    ]
-    dead_zone_numbers = [numbers for numbers in law_numbers_by_step if numbers is not None]
-    if len(dead_zone_numbers) < len(law_numbers_by_step) or not step_sizes.size:
+    values, steps = hypothesis.values, steps_of(hypothesis.candidates)
+    steps = DERIVATIVE_STEP * np.where(values + steps > hypothesis.parameters.bounds[1], -steps, steps)
+    if not steps.size:
         return None
+    law_numbers = []
+    for value_change in (0 * values, *np.diag(steps)):
+        numbers = _law_numbers(hypothesis, nominal_rig, values + value_change)
+        if numbers is None:
+            return None
+        law_numbers.append(numbers)
+    nominal_numbers, *stepped_numbers = law_numbers
     derivatives = np.array(
-        [
-            (numbers - dead_zone_numbers[0]) / step
-            for numbers, step in zip(dead_zone_numbers[1:], step_sizes, strict=True)
-        ]
+        [(numbers - nominal_numbers) / step for numbers, step in zip(stepped_numbers, steps, strict=True)]
     )
-    free_parameters = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
-    return (
-        LawChange(dead_zone_numbers[0], derivatives[free_parameters], free_parameters) if free_parameters.size else None
-    )
+    free = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
+    return LawChange(nominal_numbers, derivatives[free], free) if free.size else None
 
 
 def _law_numbers(
@@ -228,72 +192,57 @@ def _law_numbers(
 ) -> Float[np.ndarray, "contacts 4"] | None:
     """Four numbers of every contact's law; None where any other number differs from the nominal law."""
     try:
-        changed_contacts = replace(hypothesis, values=hypothesis_values).applied_to(nominal_rig).contacts
+        contacts = replace(hypothesis, values=hypothesis_values).applied_to(nominal_rig).contacts
     except RigError:
         return None
-    contact_pairs = zip(changed_contacts, nominal_rig.contacts, strict=True)
-    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in contact_pairs):
+    pairs = zip(contacts, nominal_rig.contacts, strict=True)
+    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in pairs):
         return None
-    return np.array([parameters_of_law(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
+    return np.array([parameters_of_law(contact.law) for contact in contacts]).reshape(-1, len(LAW))
 
 
 def numbers_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) -> bool:
     """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
     if type(changed_law) is not type(nominal_law) or not changed_law.piecewise_linear:
         return False
-    return (
-        msgspec.structs.replace(
-            changed_law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names}
-        )
-        == nominal_law
-    )
+    nominal_numbers = {name: getattr(nominal_law, name) for name in LAW.names}
+    return msgspec.structs.replace(changed_law, **nominal_numbers) == nominal_law
 
 
 def _solution_of_record(
     nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawChange, free_values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
     """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
-    index_by_contact = {contact.name: contact_index for contact_index, contact in enumerate(nominal_rig.contacts)}
-    derivatives, quantity_differences, covariances, tolerance_covariances = [], [], [], []
+    contact_names = [contact.name for contact in nominal_rig.contacts]
+    derivatives, differences, covariances, tolerance_covariances = [], [], [], []
     for estimate in estimates:
-        contact_index = index_by_contact[estimate.contact_name]
-        quantity_derivative = estimate.quantity_weights @ law_change.number_derivatives[:, contact_index].T
-        is_involved = np.any(quantity_derivative, axis=1)
-        derivatives.append(quantity_derivative[is_involved])
-        quantity_differences.append(
-            (estimate.quantity_values - estimate.quantity_weights @ law_change.law_numbers[contact_index])[is_involved]
-        )
+        index, weights = contact_names.index(estimate.contact_name), estimate.quantity_weights
+        derivative = weights @ law_change.number_derivatives[:, index].T
+        is_involved = np.any(derivative, axis=1)
+        derivatives.append(derivative[is_involved])
+        differences.append((estimate.quantity_values - weights @ law_change.law_numbers[index])[is_involved])
         covariances.append(estimate.covariance[np.ix_(is_involved, is_involved)])
         tolerance_covariances.append(estimate.tolerance_covariance[np.ix_(is_involved, is_involved)])
-    stacked_derivatives = np.concatenate(derivatives) if derivatives else np.zeros((0, free_values.size))
+    stacked = np.concatenate(derivatives) if derivatives else np.zeros((0, free_values.size))
     if (
-        len(stacked_derivatives) < free_values.size
-        or np.linalg.matrix_rank(stacked_derivatives / np.abs(stacked_derivatives).max(axis=0)) < free_values.size
+        len(stacked) < free_values.size
+        or np.linalg.matrix_rank(stacked / np.abs(stacked).max(axis=0)) < free_values.size
     ):
         return None
-    full_covariance, tolerance_covariance = block_diag(*covariances), block_diag(*tolerance_covariances)
-    weighted_derivatives = np.linalg.solve(full_covariance, stacked_derivatives)
-    covariance = np.linalg.inv(stacked_derivatives.T @ weighted_derivatives)
-    kalman_gain = covariance @ weighted_derivatives.T
-    return (
-        free_values + kalman_gain @ np.concatenate(quantity_differences),
-        covariance,
-        kalman_gain @ tolerance_covariance @ kalman_gain.T,
-    )
+    weighted = np.linalg.solve(block_diag(*covariances), stacked)
+    covariance = np.linalg.inv(stacked.T @ weighted)
+    gain = covariance @ weighted.T
+    values = free_values + gain @ np.concatenate(differences)
+    return values, covariance, gain @ block_diag(*tolerance_covariances) @ gain.T
 
 
 def _pooled_values(
-    record_solutions: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
+    solutions: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
 ) -> tuple[Values, Float[np.ndarray, "free free"]]:
     """Pooled v of records and its covariance, from v, its covariance and the shared part of it of each."""
-    information_by_record = [
-        np.linalg.inv(covariance - shared_covariance) for _, covariance, shared_covariance in record_solutions
-    ]
-    pooled_covariance = np.linalg.inv(sum(information_by_record))
-    pooled_values = pooled_covariance @ sum(
-        record_information @ values
-        for record_information, (values, _, _) in zip(information_by_record, record_solutions, strict=True)
+    precisions = [np.linalg.inv(covariance - shared) for _, covariance, shared in solutions]
+    covariance = np.linalg.inv(sum(precisions))
+    values = covariance @ sum(
+        precision @ values for precision, (values, _, _) in zip(precisions, solutions, strict=True)
     )
-    return pooled_values, pooled_covariance + np.mean(
-        [shared_covariance for _, _, shared_covariance in record_solutions], axis=0
-    )
+    return values, covariance + np.mean([shared for _, _, shared in solutions], axis=0)

@@ -14,6 +14,7 @@ Notes for maintainers
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import attrgetter, itemgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -25,14 +26,7 @@ from identify.gaps.residual.residual import same_but_laws
 from identify.gaps.residual.scales import prior_scales
 from identify.gaps.residual.windowed import needs_every_line
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import (
-    FittedHypothesis,
-    Search,
-    fit_briefly,
-    parameters_of,
-    refined,
-    with_effects,
-)
+from identify.gaps.search.hypothesis import FittedHypothesis, Search, fit_briefly, parameters_of, refined, with_effects
 from identify.gaps.search.nominal import stated_scale_refits
 from identify.gaps.search.screening import LINE_STRIDE, grid_values_of, thinned_record
 from identify.linear.model import ResponseCache
@@ -72,28 +66,25 @@ class _Landscape:
         if np.any(effect_values < lower_bounds) or np.any(effect_values > upper_bounds):
             return np.inf
         try:
-            model = linear_model(
-                self.record, with_effects(self.rig, candidates, effect_values), self.unmodelled_shares, self.cache
-            )
+            rig = with_effects(self.rig, candidates, effect_values)
+            model = linear_model(self.record, rig, self.unmodelled_shares, self.cache)
         except RigError:
             return np.inf
         return float(np.sum(np.log1p(np.abs(model.residual) ** 2)))
 
     def minimum(self, start_set: FarSet) -> FarSet:
         """Set at the minimum that a simplex reaches."""
-        lower_bounds, upper_bounds = parameters_of(start_set.candidates).bounds
-        simplex_result = minimize(
-            lambda shares: self.cost(start_set.candidates, lower_bounds + shares * (upper_bounds - lower_bounds)),
-            (start_set.values - lower_bounds) / (upper_bounds - lower_bounds),
+        candidates, values = start_set.candidates, start_set.values
+        lower_bounds, upper_bounds = parameters_of(candidates).bounds
+        ranges = upper_bounds - lower_bounds
+        result = minimize(
+            lambda shares: self.cost(candidates, lower_bounds + shares * ranges),
+            (values - lower_bounds) / ranges,
             method="Nelder-Mead",
-            options={"maxfev": EVALUATIONS_PER_PARAMETER * start_set.values.size, "xatol": 1e-4, "fatol": 1.0},
+            options={"maxfev": EVALUATIONS_PER_PARAMETER * values.size, "xatol": 1e-4, "fatol": 1.0},
         )
-        reached_set = FarSet(
-            start_set.candidates,
-            lower_bounds + simplex_result.x * (upper_bounds - lower_bounds),
-            float(simplex_result.fun),
-        )
-        return min(start_set, reached_set, key=_cost_of)
+        reached_set = FarSet(candidates, lower_bounds + result.x * ranges, float(result.fun))
+        return min(start_set, reached_set, key=attrgetter("cost"))
 
 
 def far_fits(search: Search) -> list[FittedHypothesis]:
@@ -102,28 +93,21 @@ def far_fits(search: Search) -> list[FittedHypothesis]:
     if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
         return []
     thin_record = thinned_record(record)
-    unmodelled_shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
-    landscape = _Landscape(thin_record, rig, unmodelled_shares, ResponseCache(thin_record.omega))
-    linear_effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
-    single_sets = sorted(
-        (landscape.minimum(grid_set) for effect in linear_effects for grid_set in _best_on_grid(landscape, (), effect)),
-        key=_cost_of,
-    )
-    pair_sets = [
-        pair_set
-        for single_set in single_sets[:FOLLOWED_SINGLES]
-        for candidate in linear_effects
-        for pair_set in _best_on_grid(landscape, (single_set,), candidate)
+    shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
+    landscape = _Landscape(thin_record, rig, shares, ResponseCache(thin_record.omega))
+    effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
+    by_cost = attrgetter("cost")
+    single_starts = [start for effect in effects for start in _best_on_grid(landscape, (), effect)]
+    singles = sorted((landscape.minimum(start) for start in single_starts), key=by_cost)
+    pair_starts = [
+        start
+        for single in singles[:FOLLOWED_SINGLES]
+        for effect in effects
+        for start in _best_on_grid(landscape, (single,), effect)
     ]
-    pair_minima = sorted(
-        (landscape.minimum(pair_set) for pair_set in sorted(pair_sets, key=_cost_of)[:REFINED_PAIRS]), key=_cost_of
-    )
-    fitted_sets = _fits(search, [*pair_minima[:FITTED_PAIRS], *single_sets[:1]])
-    return sorted(fitted_sets, key=lambda fitted: fitted.cost)
-
-
-def _cost_of(far_set: FarSet) -> float:
-    return far_set.cost
+    pair_starts = sorted(pair_starts, key=by_cost)[:REFINED_PAIRS]
+    pairs = sorted((landscape.minimum(start) for start in pair_starts), key=by_cost)
+    return sorted(_fits(search, [*pairs[:FITTED_PAIRS], *singles[:1]]), key=by_cost)
 
 
 def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
@@ -140,16 +124,16 @@ def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
 def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
     """Best set of present effects and a further one on its grid; none where no point of it makes a rig, or where the
     further one stands nowhere and is there already."""
-    candidates = tuple(present_candidate for far_set in present_sets for present_candidate in far_set.candidates)
-    if candidate in candidates and len(candidate.parameters) == len(candidate.parameters.strengths):
+    present = tuple(member for far_set in present_sets for member in far_set.candidates)
+    if candidate in present and len(candidate.parameters) == len(candidate.parameters.strengths):
         return
     present_values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
-    member_candidates = (*candidates, candidate)
-    value_points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
-    costs_and_points = [(landscape.cost(member_candidates, point), point) for point in value_points]
-    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, present_values))
+    members = (*present, candidate)
+    points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
+    trials = [(landscape.cost(members, point), point) for point in points]
+    cost, point = min(trials, key=itemgetter(0), default=(np.inf, present_values))
     if np.isfinite(cost):
-        yield FarSet(member_candidates, point, cost)
+        yield FarSet(members, point, cost)
 
 
 def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:

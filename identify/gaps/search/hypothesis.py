@@ -100,19 +100,16 @@ class FittedHypothesis:
         return self.hypothesis.cost
 
 
-def with_effects(rig: Rig, candidates: Sequence[Candidate], effect_values: Values) -> Rig:
+def with_effects(rig: Rig, candidates: Sequence[Candidate], values: Values) -> Rig:
     """Rig with several effects, whose parameter values follow each other."""
-    for candidate, candidate_values in zip(candidates, _values_by_candidate(candidates, effect_values), strict=True):
+    for candidate, candidate_values in zip(candidates, _values_by_candidate(candidates, values), strict=True):
         rig = candidate.applied(rig, candidate_values)
     return rig
 
 
-def _values_by_candidate(candidates: Sequence[Candidate], joined_values: Values) -> list[Float[np.ndarray, " _"]]:
-    return (
-        np.split(joined_values, np.cumsum([len(candidate.parameters) for candidate in candidates])[:-1])
-        if candidates
-        else []
-    )
+def _values_by_candidate(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
+    ends = np.cumsum([len(candidate.parameters) for candidate in candidates])
+    return np.split(values, ends[:-1]) if candidates else []
 
 
 @dataclass(frozen=True)
@@ -136,9 +133,8 @@ def fit_effects(
     best_cost: float = np.inf,
 ) -> FittedHypothesis:
     """Fit of effects until it settles, from given values and the nuisance parameters and drifts of a residual."""
-    return refined(
-        search, fit_briefly(search, candidates, start_values, reset_saturated_nuisance(start_residual)), best_cost
-    )
+    start_residual = reset_saturated_nuisance(start_residual)
+    return refined(search, fit_briefly(search, candidates, start_values, start_residual), best_cost)
 
 
 def fit_briefly(
@@ -202,33 +198,33 @@ def relinearised(
     Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
     contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
-    candidates, likeliest_fit, record = initial_fit.hypothesis.candidates, initial_fit, search.linearization.record
+    candidates, likeliest, record = initial_fit.hypothesis.candidates, initial_fit, search.linearization.record
     stated_scale_rounds = stated_scale_refits(search.linearization.rig)
 
-    def refit(earlier_fit: FittedHypothesis) -> FittedHypothesis:
-        return refit_at(earlier_fit, scales_at(earlier_fit.linearization, earlier_fit.residual))
+    def refit(earlier: FittedHypothesis) -> FittedHypothesis:
+        return refit_at(earlier, scales_at(earlier.linearization, earlier.residual))
 
-    def refit_at(earlier_fit: FittedHypothesis, scales: Scales) -> FittedHypothesis:
-        nonlocal likeliest_fit
-        earlier_values = earlier_fit.hypothesis.values
-        start_residual = reset_mode_nuisance(earlier_fit.residual) if stated_scale_rounds else earlier_fit.residual
-        linearization = earlier_fit.linearization.relinearized(build_rig(earlier_values), start_residual, scales)
-        later_fit = _gauss_newton(search, build_rig, candidates, earlier_values, linearization, start_residual)
-        likeliest_fit = min(likeliest_fit, later_fit, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
-        return later_fit
+    def refit_at(earlier: FittedHypothesis, scales: Scales) -> FittedHypothesis:
+        nonlocal likeliest
+        earlier_values = earlier.hypothesis.values
+        start_residual = reset_mode_nuisance(earlier.residual) if stated_scale_rounds else earlier.residual
+        linearization = earlier.linearization.relinearized(build_rig(earlier_values), start_residual, scales)
+        later = _gauss_newton(search, build_rig, candidates, earlier_values, linearization, start_residual)
+        likeliest = min(likeliest, later, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
+        return later
 
-    def settled(earlier_fit: FittedHypothesis, later_fit: FittedHypothesis) -> bool:
-        scale_change = earlier_fit.linearization.scales.distance(later_fit.linearization.scales)
-        is_settled = scale_change < SCALE_TOLERANCE and abs(earlier_fit.cost - later_fit.cost) < COST_TOLERANCE
-        return is_settled or later_fit.cost > best_cost + MAX_EXCESS_COST
+    def settled(earlier: FittedHypothesis, later: FittedHypothesis) -> bool:
+        scale_change = earlier.linearization.scales.distance(later.linearization.scales)
+        is_settled = scale_change < SCALE_TOLERANCE and abs(earlier.cost - later.cost) < COST_TOLERANCE
+        return is_settled or later.cost > best_cost + MAX_EXCESS_COST
 
     latest_fit = refit_until_settled(initial_fit, refit, settled, rounds=round_limit)
     if stated_scale_rounds and latest_fit.cost <= best_cost + MAX_EXCESS_COST:
         latest_fit = refit_until_settled(
-            likeliest_fit, lambda earlier_fit: refit_at(earlier_fit, prior_scales(record)), rounds=stated_scale_rounds
+            likeliest, lambda earlier: refit_at(earlier, prior_scales(record)), rounds=stated_scale_rounds
         )
         refit_until_settled(latest_fit, refit, settled, rounds=round_limit)
-    return likeliest_fit
+    return likeliest
 
 
 def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> BuildRig:
@@ -245,13 +241,9 @@ def _gauss_newton(
     max_steps: int = MAX_STEPS,
 ) -> FittedHypothesis:
     """Gauss-Newton fit of effects and nuisance parameters in a linearisation."""
-    parameter_bounds = parameters_of(candidates).bounds
-    effect_fit = fit(
-        linearization, build_rig, start_values, steps_of(candidates), parameter_bounds, start_residual, max_steps
-    )
-    return _fitted_hypothesis(
-        search, candidates, effect_fit.values, effect_fit.covariance, linearization, effect_fit.residual
-    )
+    bounds = parameters_of(candidates).bounds
+    fitted = fit(linearization, build_rig, start_values, steps_of(candidates), bounds, start_residual, max_steps)
+    return _fitted_hypothesis(search, candidates, fitted.values, fitted.covariance, linearization, fitted.residual)
 
 
 def steps_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
@@ -266,35 +258,32 @@ def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
 def _fitted_hypothesis(
     search: Search,
     candidates: tuple[Candidate, ...],
-    effect_values: Float[np.ndarray, " parameters"],
+    values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
     residual: Residual,
 ) -> FittedHypothesis:
-    hypothesis = Hypothesis(
-        candidates, effect_values, covariance, misfit(linearization.record, search.nominal_variances, residual)
-    )
-    return FittedHypothesis(hypothesis, linearization, residual)
+    record_misfit = misfit(linearization.record, search.nominal_variances, residual)
+    return FittedHypothesis(Hypothesis(candidates, values, covariance, record_misfit), linearization, residual)
 
 
 def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candidate) -> FittedHypothesis | None:
     """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
     if not nominal_fit.hypothesis.is_incomplete:
         return None
-    base_estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
-    if base_estimate is None:
+    estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
+    if estimate is None:
         return None
-    base_values, standard_errors = base_estimate
+    values, standard_errors = estimate
     try:
-        shaken_rig = candidate.applied(search.linearization.rig, base_values)
+        rig = candidate.applied(search.linearization.rig, values)
     except RigError:
         return None
-    linearization = search.linearization.relinearized(
-        shaken_rig, nominal_fit.residual, nominal_fit.linearization.scales
-    )
+    scales = nominal_fit.linearization.scales
+    linearization = search.linearization.relinearized(rig, nominal_fit.residual, scales)
     linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
-    return _fitted_hypothesis(search, (candidate,), base_values, np.diag(standard_errors**2), linearization, residual)
+    return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:
@@ -319,11 +308,6 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
 
 def combined(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
     """Union of two hypotheses, of which the second was fitted with the first held."""
-    base_hypothesis, added_hypothesis = base_fit.hypothesis, added_fit.hypothesis
-    joined_values = np.concatenate([base_hypothesis.values, added_hypothesis.values])
-    return Hypothesis(
-        (*base_hypothesis.candidates, *added_hypothesis.candidates),
-        joined_values,
-        block_diag(base_hypothesis.covariance, added_hypothesis.covariance),
-        added_hypothesis.misfit,
-    )
+    base, added = base_fit.hypothesis, added_fit.hypothesis
+    values, covariance = np.concatenate([base.values, added.values]), block_diag(base.covariance, added.covariance)
+    return Hypothesis((*base.candidates, *added.candidates), values, covariance, added.misfit)

@@ -7,7 +7,7 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.fit import contact_columns
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn
-from identify.gaps.residual.scales import BAND_WIDTH_HZ, SEGMENT_S, band_means
+from identify.gaps.residual.scales import band_means, segment_counts
 
 
 class LocalColumns:
@@ -52,28 +52,14 @@ class LocalColumns:
         return columns_of_contact
 
 
-def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
-    """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
-    segment_samples = min(round(SEGMENT_S * rate_hz), sample_count)
-    lines_per_band = max(1, round(BAND_WIDTH_HZ * segment_samples / rate_hz))
-    return (
-        segment_samples,
-        sample_count // segment_samples,
-        lines_per_band,
-        (segment_samples // 2 + 1) // lines_per_band,
-    )
-
-
 def _scales_and_cells(
     linearization: Linearization, nominal_variances: NominalVariances, sample_count: int
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, lines_per_band, band_count = _segment_counts(record.rate_hz, sample_count)
-    variance_ratio = (
-        band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
-    )
-    spectrum_scales = np.sqrt(variance_ratio.T / (segment_count * lines_per_band))
+    _, segment_count, lines_per_band, band_count = segment_counts(record.rate_hz, sample_count)
+    variances = band_means(record, linearization.model.error_deviation**2, band_count)
+    spectrum_scales = np.sqrt((variances / nominal_variances.expected_variance).T / (segment_count * lines_per_band))
     row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)
     sensor_index = np.arange(sensor_count)[:, None, None, None, None]
     cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
@@ -84,13 +70,10 @@ def _spectra(
     rate_hz: float, signal: Float[np.ndarray, "sensors times"], spectrum_scales: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment_samples, segment_count, lines_per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
-    window = hann(segment_samples, sym=False)
-    segments = signal[:, : segment_count * segment_samples].reshape(len(signal), segment_count, segment_samples) * (
-        window / np.sqrt(np.sum(window**2))
-    )
-    segment_spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * lines_per_band].reshape(
-        len(signal), segment_count, band_count, lines_per_band
-    )
-    segment_spectra = segment_spectra * spectrum_scales[:, None, :, None]
-    return np.stack([segment_spectra.real, segment_spectra.imag], axis=-1).astype(np.float32).ravel()
+    samples, segment_count, lines, band_count = segment_counts(rate_hz, signal.shape[1])
+    window = hann(samples, sym=False)
+    window = window / np.sqrt(np.sum(window**2))
+    segments = signal[:, : segment_count * samples].reshape(len(signal), segment_count, samples) * window
+    spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * lines]
+    spectra = spectra.reshape(len(signal), segment_count, band_count, lines) * spectrum_scales[:, None, :, None]
+    return np.stack([spectra.real, spectra.imag], axis=-1).astype(np.float32).ravel()

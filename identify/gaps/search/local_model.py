@@ -120,14 +120,12 @@ class LocalModel:
 
     def _levels_at(self, theta: Theta) -> Levels:
         base_count = self.present_columns.size
-        added_columns = base_count + np.flatnonzero(theta[base_count:])
-        remaining_spectrum = (
-            self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
-        )
-        remaining_spectrum -= theta[added_columns].astype(np.float32) @ self.column_spectra[added_columns]
-        levels_of_contacts = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
-        levels_of_contacts -= 2 * self.contact_gradients @ theta
-        return np.bincount(self.row_cell, remaining_spectrum.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
+        added = base_count + np.flatnonzero(theta[base_count:])
+        spectrum = self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
+        spectrum -= theta[added].astype(np.float32) @ self.column_spectra[added]
+        contact_levels = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
+        contact_levels -= 2 * self.contact_gradients @ theta
+        return np.bincount(self.row_cell, spectrum.astype(float) ** 2), np.maximum(contact_levels, 0.0)
 
     def statistic(self, theta: Theta) -> float:
         """Statistic S, up to a constant of the record."""
@@ -144,41 +142,41 @@ class LocalModel:
         cell_levels, contact_levels = self.levels(theta)
         cell_weights = self.samples_per_cell / (1 + cell_levels)
         row_weights = np.sqrt(cell_weights[self.row_cell]).astype(np.float32)
-        normal_matrix, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
+        matrix, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
         for first_row in range(0, row_weights.size, ROW_BLOCK):
             rows = slice(first_row, first_row + ROW_BLOCK)
             weighted_spectra = self.column_spectra[columns, rows]
             weighted_spectra *= row_weights[rows]
-            normal_matrix += weighted_spectra @ weighted_spectra.T
+            matrix += weighted_spectra @ weighted_spectra.T
             right_side += weighted_spectra @ (self.residual_spectrum[rows] * row_weights[rows])
-        for contact_weight, contact_matrix, contact_gradient in zip(
+        for weight, product, gradient in zip(
             self.samples_per_contact / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
-            normal_matrix += contact_weight * contact_matrix[np.ix_(columns, columns)]
-            right_side += contact_weight * contact_gradient[columns]
+            matrix += weight * product[np.ix_(columns, columns)]
+            right_side += weight * gradient[columns]
         is_tolerance = columns < self.pulls.size
-        normal_matrix[is_tolerance, is_tolerance] += 1.0
+        matrix[is_tolerance, is_tolerance] += 1.0
         right_side[is_tolerance] -= self.pulls[columns[is_tolerance]]
-        return normal_matrix, right_side
+        return matrix, right_side
 
     def minimum(self, terms: Sequence[CandidateTerm], start_theta: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start_theta`."""
-        free_columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
+        columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
         theta = np.zeros(len(self.column_spectra))
         if start_theta is not None:
-            theta[free_columns] = start_theta[free_columns]
+            theta[columns] = start_theta[columns]
         best_solution = Solution(theta, self.statistic(theta))
         for _ in range(MAJORIZATIONS):
-            normal_matrix, right_side = self.normal_equations(best_solution.theta, free_columns)
-            diagonal = np.diag(normal_matrix)
+            matrix, right_side = self.normal_equations(best_solution.theta, columns)
+            diagonal = np.diag(matrix)
             ridge = RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max()
-            normal_matrix += np.diag(ridge)  # what is not shown stays zero
+            matrix += np.diag(ridge)  # what is not shown stays zero
             theta = np.zeros(len(self.column_spectra))
-            current_theta = best_solution.theta[free_columns]
-            least_step = self.theta_min[free_columns] - current_theta
-            greatest_step = self.theta_max[free_columns] - current_theta
-            step = bounded_minimum(normal_matrix, right_side - normal_matrix @ current_theta, least_step, greatest_step)
-            theta[free_columns] = current_theta + step
+            current = best_solution.theta[columns]
+            least_step = self.theta_min[columns] - current
+            greatest_step = self.theta_max[columns] - current
+            step = bounded_minimum(matrix, right_side - matrix @ current, least_step, greatest_step)
+            theta[columns] = current + step
             solution = Solution(theta, self.statistic(theta))
             statistic_decrease = best_solution.statistic - solution.statistic
             if statistic_decrease > 0:
@@ -189,25 +187,18 @@ class LocalModel:
 
     def promised_decreases(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
         """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
-        all_columns = np.arange(len(self.column_spectra))
-        normal_matrix, right_side = self.normal_equations(solution.theta, all_columns)
-        slope = right_side - normal_matrix @ solution.theta
-        joined_columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
-        joined_response = np.linalg.solve(
-            normal_matrix[np.ix_(joined_columns, joined_columns)] + 1e-12 * np.eye(joined_columns.size),
-            normal_matrix[joined_columns],
-        )
+        matrix, right_side = self.normal_equations(solution.theta, np.arange(len(self.column_spectra)))
+        slope = right_side - matrix @ solution.theta
+        joined = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
+        response = np.linalg.solve(matrix[np.ix_(joined, joined)] + 1e-12 * np.eye(joined.size), matrix[joined])
         decreases = np.zeros(len(self.candidate_terms))
         for term_index, term in enumerate(self.candidate_terms):
             columns = term.column_indices
-            curvature = (
-                normal_matrix[np.ix_(columns, columns)]
-                - normal_matrix[np.ix_(columns, joined_columns)] @ joined_response[:, columns]
-            )
-            is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal_matrix)[columns]
-            if np.any(np.isin(columns, joined_columns)) or np.any(is_absorbed):
+            curvature = matrix[np.ix_(columns, columns)] - matrix[np.ix_(columns, joined)] @ response[:, columns]
+            is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(matrix)[columns]
+            if np.any(np.isin(columns, joined)) or np.any(is_absorbed):
                 continue
-            reduced_slope = slope[columns] - joined_response[:, columns].T @ slope[joined_columns]
+            reduced_slope = slope[columns] - response[:, columns].T @ slope[joined]
             theta_step = np.clip(np.linalg.solve(curvature, reduced_slope), term.theta_min, term.theta_max)
             decreases[term_index] = 2 * reduced_slope @ theta_step - theta_step @ curvature @ theta_step
         return decreases
@@ -222,12 +213,9 @@ def local_model(
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    candidate_column_count = sum(
-        len(candidate.start_values()) * len(candidate.parameters.strengths) for candidate in candidates
-    )
-    columns = LocalColumns(
-        linearization, residual, variances, len(parameters_of(present_set.candidates)) + candidate_column_count
-    )
+    added_count = sum(len(candidate.start_values()) * len(candidate.parameters.strengths) for candidate in candidates)
+    added_count += len(parameters_of(present_set.candidates))
+    columns = LocalColumns(linearization, residual, variances, added_count)
     for column in _present_columns(linearization, residual, rig, present_set):
         columns.append(column)
     present_count, terms = columns.count - residual.pulls.size, list[CandidateTerm]()
@@ -246,36 +234,27 @@ def _candidate_term(
     candidate: Candidate, start_values: Float[np.ndarray, " parameters"], first_column: int
 ) -> CandidateTerm:
     """Term of a candidate at `start_values`, whose columns begin with `first_column`."""
-    strength_indices = list(candidate.parameters.strengths)
-    lower_theta, upper_theta = (
-        (bound[strength_indices] - start_values[strength_indices]) / candidate.step_sizes[strength_indices]
+    strengths = list(candidate.parameters.strengths)
+    range_ends = [
+        (bound[strengths] - start_values[strengths]) / candidate.step_sizes[strengths]
         for bound in candidate.parameters.bounds
-    )
-    columns = first_column + np.arange(len(strength_indices))
-    return CandidateTerm(
-        candidate,
-        start_values,
-        tuple(strength_indices),
-        columns,
-        np.minimum(lower_theta, upper_theta),
-        np.maximum(lower_theta, upper_theta),
-    )
+    ]
+    columns = first_column + np.arange(len(strengths))
+    theta_min, theta_max = np.minimum(*range_ends), np.maximum(*range_ends)
+    return CandidateTerm(candidate, start_values, tuple(strengths), columns, theta_min, theta_max)
 
 
 def _present_columns(
     linearization: Linearization, residual: Residual, rig: Rig, present_set: Hypothesis
 ) -> Iterator[ResidualColumn]:
     """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
-    candidates, effect_values = present_set.candidates, present_set.values
+    candidates, values = present_set.candidates, present_set.values
     build_rig = partial(with_effects, rig, candidates)
     steps = steps_of(candidates)
-    signed_shares = np.where(
-        effect_values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP
-    )
+    signed_shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
     for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
-        linear_decrease, contact_decreases = derivative(
-            linearization, build_rig(effect_values + signed_share * step), residual
-        )
+        stepped_rig = build_rig(values + signed_share * step)
+        linear_decrease, contact_decreases = derivative(linearization, stepped_rig, residual)
         yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 
 
@@ -289,33 +268,31 @@ def _set_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], 
 
 def _model_of(
     columns: LocalColumns,
-    nominal_variances: NominalVariances,
+    variances: NominalVariances,
     present_count: int,
     terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
     record, residual = columns.linearization.record, columns.residual
-    column_count, row_cell = columns.count, columns.row_cell
+    column_count, row_cell, pulls, sample_ratio = columns.count, columns.row_cell, residual.pulls, record.sample_ratio
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
-    pulls, input_rows = residual.pulls, columns.inputs[:column_count]
+    input_rows, input_residual = columns.inputs[:column_count], residual.linear_residual[sensor_count:].ravel()
     contact_matrices, contact_gradients, contact_levels = [], [], []
-    for contact_index, contact in enumerate(residual.contacts):
-        contact_rows = columns.contact_rows(contact_index)
-        normal_matrix, gradient = without_drift(residual, contact_index, contact_rows)
-        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
+    for index, contact in enumerate(residual.contacts):
+        contact_rows = columns.contact_rows(index)
+        matrix, gradient = without_drift(residual, index, contact_rows)
+        matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
         sum_of_squares = float(np.sum(contact.residual[: contact.observation.weights.size] ** 2))
-        contact_level = _contact_level(nominal_variances, residual, contact_index)
-        contact_matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
-        contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
-        contact_levels.append(contact_level)
+        level = _contact_level(variances, residual, index)
+        contact_matrices.append(matrix * level / sum_of_squares if sum_of_squares else matrix)
+        contact_gradients.append(gradient * level / sum_of_squares if sum_of_squares else gradient)
+        contact_levels.append(level)
     theta_min, theta_max = np.full(column_count, -np.inf), np.full(column_count, np.inf)
     theta_min[: pulls.size], theta_max[: pulls.size] = -PULL_LIMIT - pulls, PULL_LIMIT - pulls
-    theta_min[pulls.size : pulls.size + present_count], theta_max[pulls.size : pulls.size + present_count] = (
-        present_range
-    )
+    present_effects = slice(pulls.size, pulls.size + present_count)
+    theta_min[present_effects], theta_max[present_effects] = present_range
     for term in terms:
         theta_min[term.column_indices], theta_max[term.column_indices] = term.theta_min, term.theta_max
-    sample_ratio = record.sample_ratio
     band_count = int(row_cell.max()) // sensor_count + 1
     independent_samples = time_count / sample_ratio
     return LocalModel(
@@ -326,8 +303,7 @@ def _model_of(
         contact_gradients=np.array(contact_gradients).reshape(len(contact_gradients), column_count),
         contact_levels=np.array(contact_levels),
         input_matrix=(input_rows @ input_rows.T).astype(float) / sample_ratio,
-        input_slope=(input_rows @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float)
-        / sample_ratio,
+        input_slope=(input_rows @ input_residual.astype(np.float32)).astype(float) / sample_ratio,
         pulls=pulls,
         theta_min=theta_min,
         theta_max=theta_max,

@@ -56,78 +56,59 @@ class LinearizedRecord:
         self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
     ) -> RecordInformation:
         """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
+        information, pulls = self.tolerance_information, self.residual.pulls
         signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
-        decreases_by_step = [
-            derivative(
-                self.linearization, build_rig(parameter_values + signed_shares[parameter_index] * step), self.residual
-            )
-            for parameter_index, step in enumerate(np.diag(steps))
-        ]
-        parameter_columns = [
-            tuple(residual_block / signed_share for residual_block in (linear_decrease, *contact_decreases))
-            for (linear_decrease, contact_decreases), signed_share in zip(decreases_by_step, signed_shares, strict=True)
-        ]
-        tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
-        tolerance_count = len(tolerance_information.tolerance_names)
+        columns = []
+        for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
+            rig = build_rig(parameter_values + signed_share * step)
+            linear_decrease, contact_decreases = derivative(self.linearization, rig, self.residual)
+            columns.append([decrease / signed_share for decrease in (linear_decrease, *contact_decreases)])
+        tolerance_count, sample_ratio = len(information.tolerance_names), self.linearization.record.sample_ratio
         nuisance_count = len(self.linearization.columns.parameters)
-        unknown_count = tolerance_count + len(parameter_columns)
+        unknown_count = tolerance_count + len(columns)
         normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
-        if parameter_columns:
-            linear_columns = np.array([parameter_column[0].ravel() for parameter_column in parameter_columns])
+        if columns:
+            linear_columns = np.array([column[0].ravel() for column in columns])
             normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products(linear_columns)
             normal_matrix[tolerance_count:, tolerance_count:] = linear_columns @ linear_columns.T
             gradient[tolerance_count:] = linear_columns @ self.residual.linear_without_lines.ravel()
-        for contact_index, contact_tolerance_columns in enumerate(self.tolerance_columns):
-            contact_columns = (
-                np.array([parameter_column[1 + contact_index] for parameter_column in parameter_columns])
-                .reshape(len(parameter_columns), len(contact_tolerance_columns))
-                .T
-            )
-            contact_matrix, contact_gradient = without_drift(
-                self.residual, contact_index, np.concatenate([contact_tolerance_columns, contact_columns], axis=1)
-            )
+        for index, tolerance_columns in enumerate(self.tolerance_columns, start=1):
+            effect_columns = np.array([column[index] for column in columns])
+            effect_columns = effect_columns.reshape(len(columns), len(tolerance_columns)).T
+            all_columns = np.concatenate([tolerance_columns, effect_columns], axis=1)
+            contact_matrix, contact_gradient = without_drift(self.residual, index - 1, all_columns)
             normal_matrix[:, tolerance_count:] += contact_matrix[:, tolerance_count:]
             gradient[tolerance_count:] += contact_gradient[tolerance_count:]
         normal_matrix[tolerance_count:, :tolerance_count] = normal_matrix[:tolerance_count, tolerance_count:].T
         normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
-        normal_matrix[:tolerance_count, :tolerance_count] = tolerance_information.normal_matrix
-        gradient[:tolerance_count] = (
-            tolerance_information.right_side - tolerance_information.normal_matrix @ self.residual.pulls
-        )
-        expansion_point = np.append(self.residual.pulls, parameter_values / steps)
-        return _information_at(
-            tolerance_information.tolerance_names, normal_matrix, gradient, expansion_point, self.cost
-        )
+        normal_matrix[:tolerance_count, :tolerance_count] = information.normal_matrix
+        gradient[:tolerance_count] = information.right_side - information.normal_matrix @ pulls
+        expansion_point = np.append(pulls, parameter_values / steps)
+        return _information_at(information.tolerance_names, normal_matrix, gradient, expansion_point, self.cost)
 
 
 def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
     linearization, residual = fit_nuisance(record, rig)
     nuisance_count, sample_ratio = len(linearization.columns.parameters), record.sample_ratio
-    tolerance_names = (
-        *(
-            (id(record), tolerance_index) if parameter.kind == "initial state" else parameter
-            for tolerance_index, parameter in enumerate(linearization.columns.parameters)
-        ),
-        *(
-            (joined_contact.name, tolerance_index)
-            for joined_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
-            for tolerance_index in range(contact.pulls.size)
-        ),
-    )
-    normal_matrix, gradient = np.zeros((len(tolerance_names), len(tolerance_names))), np.zeros(len(tolerance_names))
+    names: list[Hashable] = [
+        (id(record), index) if parameter.kind == "initial state" else parameter
+        for index, parameter in enumerate(linearization.columns.parameters)
+    ]
+    for rig_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True):
+        names += [(rig_contact.name, index) for index in range(contact.pulls.size)]
+    normal_matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
     gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
     columns_by_contact = []
     for contact_index in range(len(residual.contacts)):
-        residual_columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
-        contact_matrix, contact_gradient = without_drift(residual, contact_index, residual_columns)
+        columns = contact_columns(linearization, residual, contact_index, len(names))
+        contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
-        columns_by_contact.append(residual_columns)
+        columns_by_contact.append(columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
-    information = _information_at(
-        tolerance_names, normal_matrix / sample_ratio, gradient / sample_ratio, residual.pulls, cost
-    )
+    normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
+    information = _information_at(tuple(names), normal_matrix, gradient, residual.pulls, cost)
     return LinearizedRecord(linearization, residual, information, tuple(columns_by_contact), cost)
 
 
@@ -140,27 +121,22 @@ def _information_at(
 ) -> RecordInformation:
     """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
     pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
-    return RecordInformation(
-        tolerance_names,
-        normal_matrix,
-        right_side,
-        cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + gradient)),
-    )
+    constant_cost = cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + gradient))
+    return RecordInformation(tolerance_names, normal_matrix, right_side, constant_cost)
 
 
 def without_drift(
     residual: Residual, contact_index: int, unknown_columns: Float[np.ndarray, "_ unknowns"]
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
-    contact_residual = residual.contacts[contact_index]
-    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact_residual.residual
-    if not contact_residual.observation.drift_spline.knots:
+    contact = residual.contacts[contact_index]
+    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact.residual
+    if not contact.observation.drift_spline.knots:
         return normal_matrix, gradient
-    drift_solver, drift_columns = contact_residual.drift_solver, contact_residual.drift_columns
-    drift_coupling = drift_columns.T @ unknown_columns
-    return normal_matrix - drift_coupling.T @ drift_solver.solve(
-        drift_coupling
-    ), gradient - drift_coupling.T @ drift_solver.solve(drift_columns.T @ contact_residual.residual)
+    solver, drift_columns = contact.drift_solver, contact.drift_columns
+    coupling = drift_columns.T @ unknown_columns
+    normal_matrix = normal_matrix - coupling.T @ solver.solve(coupling)
+    return normal_matrix, gradient - coupling.T @ solver.solve(drift_columns.T @ contact.residual)
 
 
 @dataclass(frozen=True)
@@ -173,7 +149,7 @@ class PooledEstimate:
 
 
 def pooled(
-    information_by_record: Sequence[RecordInformation],
+    records: Sequence[RecordInformation],
     steps: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
@@ -183,45 +159,33 @@ def pooled(
 
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
-    tolerance_names = list(
-        dict.fromkeys(name for information in information_by_record for name in information.tolerance_names)
-    )
-    tolerance_count = len(tolerance_names)
-    parameter_count = len(steps)
-    parameter_copies = len(information_by_record) if differs_by_record else 1
+    names = list(dict.fromkeys(name for record in records for name in record.tolerance_names))
+    tolerance_count, parameter_count = len(names), len(steps)
+    copies = len(records) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
-    prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
-    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
+    prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], copies)
+    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, copies)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
-    for record_index, information in enumerate(information_by_record):
-        first_parameter = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
-        unknown_indices = [
-            *(tolerance_names.index(name) for name in information.tolerance_names),
-            *range(first_parameter, first_parameter + parameter_count),
-        ]
-        normal_matrix[np.ix_(unknown_indices, unknown_indices)] += information.normal_matrix
-        right_side[unknown_indices] += information.right_side
+    for record_index, record in enumerate(records):
+        first = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
+        indices = [*(names.index(name) for name in record.tolerance_names), *range(first, first + parameter_count)]
+        normal_matrix[np.ix_(indices, indices)] += record.normal_matrix
+        right_side[indices] += record.right_side
     lower_bounds, upper_bounds = (
-        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, parameter_copies))
+        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, copies)) - prior_means
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
-    pooled_unknowns = prior_means + bounded_minimum(
-        normal_matrix, right_side - normal_matrix @ prior_means, lower_bounds - prior_means, upper_bounds - prior_means
+    slope = right_side - normal_matrix @ prior_means
+    unknowns = prior_means + bounded_minimum(normal_matrix, slope, lower_bounds, upper_bounds)
+    cost = sum(record.constant_cost for record in records) + float(
+        unknowns @ normal_matrix @ unknowns - 2 * right_side @ unknowns + prior_means @ (prior_precisions * prior_means)
     )
-    cost = sum(information.constant_cost for information in information_by_record) + float(
-        pooled_unknowns @ normal_matrix @ pooled_unknowns
-        - 2 * right_side @ pooled_unknowns
-        + prior_means @ (prior_precisions * prior_means)
-    )
-    tiled_steps = np.tile(steps, parameter_copies)
+    tiled_steps = np.tile(steps, copies)
     covariance = np.linalg.inv(normal_matrix)[tolerance_count:, tolerance_count:] * np.outer(tiled_steps, tiled_steps)
-    pooled_values = np.clip(
-        pooled_unknowns[tolerance_count:] * tiled_steps,
-        np.tile(bounds[0], parameter_copies),
-        np.tile(bounds[1], parameter_copies),
-    )  # the bounds of `bounded_minimum` have slack
-    return PooledEstimate(pooled_values, covariance, cost)
+    # the bounds of `bounded_minimum` have slack
+    values = np.clip(unknowns[tolerance_count:] * tiled_steps, *(np.tile(bound, copies) for bound in bounds))
+    return PooledEstimate(values, covariance, cost)
 
 
 def fitted_together(
@@ -235,29 +199,25 @@ def fitted_together(
     candidates = hypothesis.candidates
     if not candidates or any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         return hypothesis
-    rig, parameter_steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
+    rig, steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
     build_rig = partial(with_effects, rig, candidates)
 
-    def pooled_about(expansion_values: Values) -> _PooledFit:
-        summed_cost, information_by_record = 0.0, list[RecordInformation]()
+    def pooled_about(values: Values) -> _PooledFit:
+        cost, information_by_record = 0.0, list[RecordInformation]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
-            record_fit = linearized_record(record, nominal_variances, build_rig(expansion_values))
-            summed_cost += record_fit.cost
-            information_by_record.append(
-                record_fit.with_parameters(build_rig, expansion_values, parameter_steps, bounds[1])
-            )
-        return _PooledFit(
-            expansion_values, pooled(information_by_record, parameter_steps, bounds, expansion_values), summed_cost
-        )
+            record_fit = linearized_record(record, nominal_variances, build_rig(values))
+            cost += record_fit.cost
+            information_by_record.append(record_fit.with_parameters(build_rig, values, steps, bounds[1]))
+        return _PooledFit(values, pooled(information_by_record, steps, bounds, values), cost)
 
-    def refit(earlier_fit: _PooledFit) -> _PooledFit:
-        if earlier_fit.has_settled:
-            return earlier_fit
+    def refit(earlier: _PooledFit) -> _PooledFit:
+        if earlier.has_settled:
+            return earlier
         try:
-            later_fit = pooled_about(earlier_fit.pooled_estimate.values)
+            later = pooled_about(earlier.pooled_estimate.values)
         except RigError:  # no rig has these values together
-            return earlier_fit
-        return earlier_fit if later_fit.cost > earlier_fit.cost else later_fit
+            return earlier
+        return earlier if later.cost > earlier.cost else later
 
     best_fit = refit_until_settled(
         pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=POOLING_ROUNDS
@@ -276,7 +236,5 @@ class _PooledFit:
     @property
     def has_settled(self) -> bool:
         """True if no value changes by more than `STEP_TOLERANCE` standard errors."""
-        standard_errors = np.sqrt(np.diag(self.pooled_estimate.covariance))
-        return bool(
-            np.all(np.abs(self.pooled_estimate.values - self.expansion_values) < STEP_TOLERANCE * standard_errors)
-        )
+        change = np.abs(self.pooled_estimate.values - self.expansion_values)
+        return bool(np.all(change < STEP_TOLERANCE * np.sqrt(np.diag(self.pooled_estimate.covariance))))

@@ -11,6 +11,7 @@ Notes for maintainers
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import attrgetter, itemgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -64,88 +65,61 @@ def score_screening(
     if any(candidate.kind.grid_screened for candidate in candidates):
         peaks_hz = peak_frequencies_hz(linearization, residual, PEAK_COUNT).tolist()
         equations_with_lines = equations.with_lines()
-    screened_candidates = []
+    screened = []
     for candidate in candidates:
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
-        screened_starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
-        screened_candidates.append(max(screened_starts, key=lambda item: item.cost_decrease))
-    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
+        starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
+        screened.append(max(starts, key=attrgetter("cost_decrease")))
+    return _best_first(screened)
+
+
+def _best_first(screened: list[ScreenedCandidate]) -> list[ScreenedCandidate]:
+    return sorted(screened, key=lambda start: -start.cost_decrease)
 
 
 def peak_frequencies_hz(
     linearization: Linearization, residual: Residual, peak_count: int
 ) -> Float[np.ndarray, " lines"]:
     """Frequencies of the lines that stand out most in the linear and the contact residuals."""
-    residual_rows = np.concatenate(
-        [
-            residual.linear_residual,
-            *(contact.residual[None, : residual.linear_residual.shape[1]] for contact in residual.contacts),
-        ]
-    )
-    rate_hz = linearization.record.rate_hz
-    return rate_hz * sharpest_frequencies(
-        residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, linearization.record.repeats_per_sample
-    )
+    linear_residual, record = residual.linear_residual, linearization.record
+    contact_rows = (contact.residual[None, : linear_residual.shape[1]] for contact in residual.contacts)
+    rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.rate_hz
+    return rate_hz * sharpest_frequencies(rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample)
 
 
 def _strength_gains(
     linearization: Linearization, equations: ReducedEquations, candidate: Candidate, peaks_hz: Sequence[float]
 ) -> list[ScreenedCandidate]:
     """Gains of the strengths at every start, within their bounds; none where the record shows no change."""
-    strength_indices, residual = candidate.parameters.strengths, equations.residual
-    screened_starts = [ScreenedCandidate(candidate, 0.0, candidate.typical_values)]
+    strengths, residual = candidate.parameters.strengths, equations.residual
+    screened = [ScreenedCandidate(candidate, 0.0, candidate.typical_values)]
     possible_starts: list[Float[np.ndarray, " parameters"]] = []
-    strength_decreases: list[ResidualColumn] = []
+    decreases: list[ResidualColumn] = []
     for start_values in candidate.start_values(peaks_hz):
         with suppress(RigError):  # no such rig
-            strength_decreases += strength_columns(linearization, residual, candidate, start_values)
+            decreases += strength_columns(linearization, residual, candidate, start_values)
             possible_starts.append(start_values)
-    normal_equations = equations.with_columns(strength_decreases)
-    nuisance_count = len(equations.gradient)
-    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
-    nuisance_response = np.linalg.solve(
-        normal_equations.matrix[np.ix_(free_nuisance, free_nuisance)],
-        normal_equations.matrix[free_nuisance, nuisance_count:],
-    )
-    strength_steps = candidate.step_sizes[strength_indices]
-    lower_bounds, upper_bounds = (bound[strength_indices] for bound in candidate.parameters.bounds)
+    normal_equations = equations.with_columns(decreases)
+    matrix, gradient, nuisance_count = normal_equations.matrix, normal_equations.gradient, len(equations.gradient)
+    free = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
+    nuisance_response = np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, nuisance_count:])
+    steps = candidate.step_sizes[strengths]
+    lower_bounds, upper_bounds = (bound[strengths] for bound in candidate.parameters.bounds)
     for start_index, start_values in enumerate(possible_starts):
-        parameter_slice = slice(
-            nuisance_count + start_index * len(strength_indices),
-            nuisance_count + (start_index + 1) * len(strength_indices),
-        )
-        start_response = nuisance_response[
-            :, parameter_slice.start - nuisance_count : parameter_slice.stop - nuisance_count
-        ]
-        reduced_curvature = (
-            normal_equations.matrix[parameter_slice, parameter_slice]
-            - normal_equations.matrix[parameter_slice][:, free_nuisance] @ start_response
-        )
-        reduced_slope = (
-            normal_equations.gradient[parameter_slice] - start_response.T @ normal_equations.gradient[free_nuisance]
-        )
-        if np.any(
-            np.diag(reduced_curvature) <= 1e-9 * np.maximum(np.diag(normal_equations.matrix)[parameter_slice], 1.0)
-        ):
+        first = start_index * len(strengths)
+        response = nuisance_response[:, first : first + len(strengths)]
+        columns = slice(nuisance_count + first, nuisance_count + first + len(strengths))
+        curvature = matrix[columns, columns] - matrix[columns][:, free] @ response
+        slope = gradient[columns] - response.T @ gradient[free]
+        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(matrix)[columns], 1.0)):
             continue  # without influence, such as a force on a clamp
-        scaled_step = (
-            np.clip(
-                start_values[strength_indices] + np.linalg.solve(reduced_curvature, reduced_slope) * strength_steps,
-                lower_bounds,
-                upper_bounds,
-            )
-            - start_values[strength_indices]
-        ) / strength_steps
+        newton_strengths = start_values[strengths] + np.linalg.solve(curvature, slope) * steps
+        scaled_step = (np.clip(newton_strengths, lower_bounds, upper_bounds) - start_values[strengths]) / steps
+        gain = float(2 * slope @ scaled_step - scaled_step @ curvature @ scaled_step)
         best_values = start_values.copy()
-        best_values[strength_indices] = start_values[strength_indices] + scaled_step * strength_steps
-        screened_starts.append(
-            ScreenedCandidate(
-                candidate,
-                float(2 * reduced_slope @ scaled_step - scaled_step @ reduced_curvature @ scaled_step),
-                best_values,
-            )
-        )
-    return screened_starts
+        best_values[strengths] = start_values[strengths] + scaled_step * steps
+        screened.append(ScreenedCandidate(candidate, gain, best_values))
+    return screened
 
 
 def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[ScreenedCandidate]:
@@ -154,34 +128,32 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     It holds for effects that change the linear model and need a selection of lines only: not with friction to the
     ground.
     """
-    if needs_every_line(linearization.rig):
+    rig = linearization.rig
+    if needs_every_line(rig):
         return []
-    thin_record = thinned_record(linearization.record)
+    record = thinned_record(linearization.record)
     unmodelled_shares = linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE]
-    response_cache = ResponseCache(thin_record.omega)
+    response_cache = ResponseCache(record.omega)
 
     def linear_cost(rig: Rig) -> float:
-        model = linear_model(thin_record, rig, unmodelled_shares, response_cache)
+        model = linear_model(record, rig, unmodelled_shares, response_cache)
         return LINE_STRIDE * float(np.sum(np.abs(model.residual) ** 2))
 
-    nominal_cost = linear_cost(linearization.rig)
-    screened_candidates = []
+    nominal_cost = linear_cost(rig)
+    screened = []
     for candidate in candidates:
-        changed_rig = candidate.applied(linearization.rig, candidate.typical_values)
-        has_linear_change = not same_but_laws(linearization.rig, changed_rig)
-        has_same_loads = changed_rig.loads == linearization.rig.loads
-        if not (has_linear_change and has_same_loads) or candidate.kind.stochastic or needs_every_line(changed_rig):
+        changed_rig = candidate.applied(rig, candidate.typical_values)
+        is_linear_change = changed_rig.loads == rig.loads and not same_but_laws(rig, changed_rig)
+        if not is_linear_change or candidate.kind.stochastic or needs_every_line(changed_rig):
             continue
-        costs_and_values = []
+        trials = []
         for grid_values in grid_values_of(candidate):
-            try:
-                costs_and_values.append((linear_cost(candidate.applied(linearization.rig, grid_values)), grid_values))
-            except RigError:
-                continue
-        if costs_and_values:
-            least_cost, grid_values = min(costs_and_values, key=lambda cost_and_values: cost_and_values[0])
-            screened_candidates.append(ScreenedCandidate(candidate, nominal_cost - least_cost, grid_values))
-    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
+            with suppress(RigError):
+                trials.append((linear_cost(candidate.applied(rig, grid_values)), grid_values))
+        if trials:
+            least_cost, grid_values = min(trials, key=itemgetter(0))
+            screened.append(ScreenedCandidate(candidate, nominal_cost - least_cost, grid_values))
+    return _best_first(screened)
 
 
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -201,25 +173,22 @@ def law_screening(
     slow motion differs between contacts.
     """
     contact_unknowns = tuple(contact.unknowns for contact in law_free_residual.contacts)
-    nominal_scatter = _log_scatter(law_free_residual)
-    screened_candidates = []
+    nuisance_pulls, nominal_scatter = law_free_residual.nuisance_pulls, _log_scatter(law_free_residual)
+    screened = []
     for candidate in candidates:
         start_values = candidate.start_values()[0]
-        best_trial = ScreenedCandidate(candidate, 0.0, start_values)
+        best = ScreenedCandidate(candidate, 0.0, start_values)
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
-            trial_values = np.append(strength, start_values[1:])
+            values = np.append(strength, start_values[1:])
             with suppress(RigError):  # no such law
-                trial_rig = candidate.applied(linearization.rig, trial_values)
-                nuisance_pulls = law_free_residual.nuisance_pulls
+                rig = candidate.applied(linearization.rig, values)
                 trial_residual = residual_of(
-                    linearization, trial_rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
+                    linearization, rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
                 )
-                screened_trial = ScreenedCandidate(
-                    candidate, nominal_scatter - _log_scatter(trial_residual), trial_values
-                )
-                best_trial = max(best_trial, screened_trial, key=lambda item: item.cost_decrease)
-        screened_candidates.append(best_trial)
-    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
+                trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
+                best = max(best, trial, key=attrgetter("cost_decrease"))
+        screened.append(best)
+    return _best_first(screened)
 
 
 def _log_scatter(residual: Residual) -> float:
@@ -230,30 +199,20 @@ def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " paramet
     """Parameter values on the grid of strengths within the bounds, at every place."""
     for place_values in candidate.start_values():
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
-            grid_values = place_values.copy()
-            grid_values[0] = strength
-            yield grid_values
+            yield np.append(strength, place_values[1:])
 
 
 def thinned_record(record: Record) -> Record:
     """Record on every `LINE_STRIDE`-th line."""
-    line_slice = slice(1, None, LINE_STRIDE)
+    lines = slice(1, None, LINE_STRIDE)
+    names = ["force_spectra", "acceleration_signals", "displacement_signals", "velocity_correction"]
+    names += ["noise_variance", "smoothed_power"]
     return replace(
         record,
-        omega=record.omega[line_slice],
+        omega=record.omega[lines],
         responses_windowed=False,
-        base=record.base and record.base.thinned(line_slice),
-        **{
-            field_name: getattr(record, field_name)[..., line_slice]
-            for field_name in (
-                "force_spectra",
-                "acceleration_signals",
-                "displacement_signals",
-                "velocity_correction",
-                "noise_variance",
-                "smoothed_power",
-            )
-        },
+        base=record.base and record.base.thinned(lines),
+        **{name: getattr(record, name)[..., lines] for name in names},
     )
 
 
@@ -262,39 +221,29 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
     if not record.measured_modes:
         return []
     nominal_cost = float(np.sum(mode_mismatch(record, rig) ** 2))
-    screened_candidates = []
-    for candidate in candidates:
-        if candidate.kind.stochastic or candidate.kind.grid_screened:
-            continue
-        screened_candidates += [
+    return _best_first(
+        [
             ScreenedCandidate(candidate, nominal_cost - least_cost, best_values)
+            for candidate in candidates
+            if not (candidate.kind.stochastic or candidate.kind.grid_screened)
             for least_cost, best_values in _cost_minima(record, rig, candidate)
         ]
-    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
+    )
 
 
 def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
     """Deviation z of the measured modes from a rig's, whitened by their errors and the tolerances."""
-    modes_of_rig, tolerances = matched_modes(record.measured_modes, rig), record.tolerances
-    mode_tolerances = [tolerances.of_mode(mode.body_name, mode.mode_number) for mode in modes_of_rig]
-    is_same_body = np.equal.outer([mode.body_name for mode in modes_of_rig], [mode.body_name for mode in modes_of_rig])
-    frequency_variances = np.diag(
-        [
-            matched_mode.measured_mode.frequency_error**2 + mode_tolerance.frequency**2
-            for matched_mode, mode_tolerance in zip(modes_of_rig, mode_tolerances, strict=True)
-        ]
-    )
-    damping_variances = np.diag(
-        [
-            matched_mode.measured_mode.damping_error**2 + mode_tolerance.damping**2
-            for matched_mode, mode_tolerance in zip(modes_of_rig, mode_tolerances, strict=True)
-        ]
-    )
+    modes, tolerances = matched_modes(record.measured_modes, rig), record.tolerances
+    bodies, measured_modes = [mode.body_name for mode in modes], [mode.measured_mode for mode in modes]
+    stated = [tolerances.of_mode(mode.body_name, mode.mode_number) for mode in modes]
+    frequency_variances = [m.frequency_error**2 + s.frequency**2 for m, s in zip(measured_modes, stated, strict=True)]
+    damping_variances = [m.damping_error**2 + s.damping**2 for m, s in zip(measured_modes, stated, strict=True)]
+    is_same_body = np.equal.outer(bodies, bodies)
     covariance = block_diag(
-        frequency_variances + is_same_body * tolerances.frequency**2,
-        damping_variances + is_same_body * tolerances.damping**2,
+        np.diag(frequency_variances) + is_same_body * tolerances.frequency**2,
+        np.diag(damping_variances) + is_same_body * tolerances.damping**2,
     )
-    log_ratios = np.array([mode.log_ratios for mode in modes_of_rig]).reshape(-1, 2)
+    log_ratios = np.array([mode.log_ratios for mode in modes]).reshape(-1, 2)
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), log_ratios.T.ravel()))
 
 
@@ -310,29 +259,23 @@ def _cost_minima(
         return mode_mismatch(record, candidate.applied(rig, effect_values))
 
     lower_bounds, upper_bounds = candidate.parameters.bounds
+    ranges = upper_bounds - lower_bounds
     best_of_places = []
     for place_values in candidate.start_values():
-        costs_and_values = []
+        trials = []
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
-            start_values = np.append(strength, place_values[1:])
+            values = np.append(strength, place_values[1:])
             with suppress(RigError):
-                costs_and_values.append((float(np.sum(mismatch_at(start_values) ** 2)), start_values))
-        best_of_places += [min(costs_and_values, key=_cost_of_minimum)] if costs_and_values else []
-    distinct_minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
-    solver_options = {"diff_step": RELATIVE_STEP, "x_scale": upper_bounds - lower_bounds, "max_nfev": MAX_EVALUATIONS}
-    for place_best in sorted(best_of_places, key=_cost_of_minimum)[:FOLLOWED_PLACES]:
-        cost_and_values = place_best
+                trials.append((float(np.sum(mismatch_at(values) ** 2)), values))
+        best_of_places += [min(trials, key=itemgetter(0))] if trials else []
+    minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
+    options = {"method": "dogbox", "diff_step": RELATIVE_STEP, "x_scale": ranges, "max_nfev": MAX_EVALUATIONS}
+    for cost, values in sorted(best_of_places, key=itemgetter(0))[:FOLLOWED_PLACES]:
+        minimum = cost, values
         with suppress(RigError, ValueError):
-            start_values = np.clip(place_best[1], lower_bounds, upper_bounds)
-            solution = least_squares(
-                mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), method="dogbox", **solver_options
-            )
-            cost_and_values = 2 * float(solution.cost), solution.x
-        distances = [np.abs(cost_and_values[1] - minimum_values) for _, minimum_values in distinct_minima]
-        if all(np.any(distance > DISTINCT_SHARE * (upper_bounds - lower_bounds)) for distance in distances):
-            distinct_minima.append(cost_and_values)
-    return distinct_minima
-
-
-def _cost_of_minimum(cost_and_values: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
-    return cost_and_values[0]
+            start_values = np.clip(values, lower_bounds, upper_bounds)
+            solution = least_squares(mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), **options)
+            minimum = 2 * float(solution.cost), solution.x
+        if all(np.any(np.abs(minimum[1] - known) > DISTINCT_SHARE * ranges) for _, known in minima):
+            minima.append(minimum)
+    return minima

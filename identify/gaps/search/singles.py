@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
+from operator import attrgetter
 
 import numpy as np
 
@@ -35,10 +36,6 @@ MAX_REFINED, RIVAL_GAIN = 3, 0.5
 """Number of these that are refined, and share of the best one's gain that they must reach. Effort."""
 
 
-def _cost_of_fit(fitted_hypothesis: FittedHypothesis) -> float:
-    return fitted_hypothesis.cost
-
-
 class _BestFits:
     """Best few fits of different effects, as each takes much memory."""
 
@@ -46,9 +43,9 @@ class _BestFits:
         self.by_name: dict[str, FittedHypothesis] = {}
 
     def keep_if_better(self, new_fit: FittedHypothesis) -> None:
-        effect_name = new_fit.hypothesis.candidates[0].name
-        if effect_name not in self.by_name or new_fit.cost < self.by_name[effect_name].cost:
-            self.by_name[effect_name] = new_fit
+        name = new_fit.hypothesis.candidates[0].name
+        if name not in self.by_name or new_fit.cost < self.by_name[name].cost:
+            self.by_name[name] = new_fit
         for dropped_name in sorted(self.by_name, key=lambda kept_name: self.by_name[kept_name].cost)[MAX_REFINED:]:
             del self.by_name[dropped_name]
 
@@ -67,12 +64,12 @@ def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[Fitted
     ):
         best_fits.keep_if_better(single_fit)
     refined_fits = _refined_all(search, _rival_fits(best_fits.by_name.values(), nominal_fit))
-    if not min(refined_fits, key=_cost_of_fit, default=nominal_fit).hypothesis.tolerance_at_limit:
+    if not min(refined_fits, key=attrgetter("cost"), default=nominal_fit).hypothesis.tolerance_at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
     for single_fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
         best_fits.keep_if_better(single_fit)
-    return sorted(best_fits.by_name.values(), key=_cost_of_fit)
+    return sorted(best_fits.by_name.values(), key=attrgetter("cost"))
 
 
 def _screened_fits(
@@ -85,29 +82,19 @@ def _screened_fits(
 ) -> Iterator[FittedHypothesis]:
     """Brief fits of the candidates of which the screenings promise most."""
     linearization = search.linearization
-    screened_and_starts: Iterator[tuple[ScreenedCandidate, Residual | None]] = chain(
-        (
-            (screened, residual)
-            for screened in _score_screened(linearization, residual, time_fitted, nominal_fit, FITS_BY_SCORE)
-        ),
-        (
-            (screened, law_free_residual)
-            for screened in _worth_fitting(
-                linearization, score_screening(linearization, law_free_residual, law_effects), FITS_BY_LAW_SCORE
-            )
-        ),
-        (
-            (screened, None)
-            for screened in _worth_fitting(linearization, grid_screening(linearization, time_fitted), FITS_BY_GRID)
-        ),
-        (
-            (screened, None)
-            for screened in mode_screening(linearization.record, linearization.rig, time_fitted)[:FITS_BY_MODES]
-        ),
-    )
-    for screened_candidate, start_residual in screened_and_starts:
+    by_law_score = score_screening(linearization, law_free_residual, law_effects)
+    by_grid = grid_screening(linearization, time_fitted)
+    by_modes = mode_screening(linearization.record, linearization.rig, time_fitted)
+    by_score = _score_screened(linearization, residual, time_fitted, nominal_fit, FITS_BY_SCORE)
+    starts: list[tuple[ScreenedCandidate, Residual | None]] = [
+        *((screened, residual) for screened in by_score),
+        *((screened, law_free_residual) for screened in _worth_fitting(linearization, by_law_score, FITS_BY_LAW_SCORE)),
+        *((screened, None) for screened in _worth_fitting(linearization, by_grid, FITS_BY_GRID)),
+        *((screened, None) for screened in by_modes[:FITS_BY_MODES]),
+    ]
+    for screened, start_residual in starts:
         with suppress(RigError):
-            yield fit_briefly(search, (screened_candidate.candidate,), screened_candidate.start_values, start_residual)
+            yield fit_briefly(search, (screened.candidate,), screened.start_values, start_residual)
 
 
 def _law_fits(
@@ -115,15 +102,12 @@ def _law_fits(
 ) -> Iterator[FittedHypothesis]:
     """Fits of contact laws that the contact residual promises, far from where the scales of the nominal law hold."""
     linearization = search.linearization
-    for screened_candidate in _worth_fitting(
-        linearization, law_screening(linearization, law_free_residual, law_effects), FITS_BY_LAW
-    ):
+    by_law = law_screening(linearization, law_free_residual, law_effects)
+    for screened in _worth_fitting(linearization, by_law, FITS_BY_LAW):
         with suppress(RigError):
-            yield fit_effects(
-                search, (screened_candidate.candidate,), screened_candidate.start_values, law_free_residual
-            )
+            yield fit_effects(search, (screened.candidate,), screened.start_values, law_free_residual)
             if not linearization.record.has_force:
-                yield fit_afresh(search, (screened_candidate.candidate,), screened_candidate.start_values)
+                yield fit_afresh(search, (screened.candidate,), screened.start_values)
 
 
 def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
@@ -137,28 +121,19 @@ def _typical_fits(
     search: Search, law_free_residual: Residual, time_fitted: Sequence[Candidate], law_effects: Sequence[Candidate]
 ) -> Iterator[FittedHypothesis]:
     """Fits of ratios and linear effects from their typical size, those of single sensors left out."""
-    without_sensor_effects = [
-        possible_effect for possible_effect in time_fitted if "sensor" not in possible_effect.place
-    ]
-    for candidate in (
-        possible_effect
-        for possible_effect in without_sensor_effects
-        if possible_effect.neutral_strength == 1
-        or (possible_effect not in law_effects and len(possible_effect.start_values()) == 1)
-    ):
-        with suppress(RigError):
-            yield fit_effects(search, (candidate,), candidate.typical_values, law_free_residual)
+    for candidate in time_fitted:
+        is_linear = candidate not in law_effects and len(candidate.start_values()) == 1
+        if "sensor" not in candidate.place and (candidate.neutral_strength == 1 or is_linear):
+            with suppress(RigError):
+                yield fit_effects(search, (candidate,), candidate.typical_values, law_free_residual)
 
 
 def _worth_fitting(
-    linearization: Linearization, ranked_candidates: Sequence[ScreenedCandidate], fit_count: int
+    linearization: Linearization, ranked: Sequence[ScreenedCandidate], fit_count: int
 ) -> list[ScreenedCandidate]:
     """Best candidates of a screening, as far as they gain enough for a fit."""
-    return [
-        screened_candidate
-        for screened_candidate in ranked_candidates[:fit_count]
-        if screened_candidate.cost_decrease > MIN_GAIN * linearization.record.sample_ratio
-    ]
+    least_gain = MIN_GAIN * linearization.record.sample_ratio
+    return [screened for screened in ranked[:fit_count] if screened.cost_decrease > least_gain]
 
 
 def _score_screened(
@@ -173,21 +148,13 @@ def _score_screened(
     Where the misfit is large the best candidate is fitted whatever it promises: scales that the misfit itself raised
     hide its gain.
     """
-    screened_candidates = score_screening(linearization, residual, candidates)
-    screened_tones = [
-        screened_candidate
-        for screened_candidate in screened_candidates
-        if screened_candidate.candidate.kind.grid_screened
-    ]
-    screened_without_tones = [
-        screened_candidate
-        for screened_candidate in screened_candidates
-        if not screened_candidate.candidate.kind.grid_screened
-    ]
-    promising_candidates = _worth_fitting(linearization, screened_without_tones, fit_count) or (
-        screened_without_tones[:1] if nominal_fit.hypothesis.is_incomplete else []
-    )
-    return promising_candidates + (screened_tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
+    screened = score_screening(linearization, residual, candidates)
+    tones = [start for start in screened if start.candidate.kind.grid_screened]
+    others = [start for start in screened if not start.candidate.kind.grid_screened]
+    promising = _worth_fitting(linearization, others, fit_count)
+    if not promising and nominal_fit.hypothesis.is_incomplete:
+        promising = others[:1]
+    return promising + (tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 
 
 def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
@@ -202,7 +169,7 @@ def _refined_all(
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
-    for rival_fit in sorted(rival_fits, key=_cost_of_fit):
+    for rival_fit in sorted(rival_fits, key=attrgetter("cost")):
         refined_fits.append(refined(search, rival_fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
-    return sorted(refined_fits, key=_cost_of_fit)
+    return sorted(refined_fits, key=attrgetter("cost"))

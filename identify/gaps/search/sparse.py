@@ -21,6 +21,7 @@ Notes for maintainers
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -88,17 +89,15 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
     nominal_fit = search.nominal_fit()
-    likeliest_fit = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
+    likeliest = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
     progress(0.4)
-    likeliest_fit, rival_hypotheses = _with_single_effects(search, nominal_fit, likeliest_fit)
+    likeliest, rivals = _with_single_effects(search, nominal_fit, likeliest)
     progress(0.6)
-    likeliest_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest_fit)))
+    likeliest, variants = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest)))
     progress(1.0)
-    hypotheses = (nominal_fit.hypothesis, likeliest_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
-    return sorted(
-        {ranked.effect_names: ranked for ranked in reversed(hypotheses)}.values(),
-        key=lambda hypothesis: hypothesis.cost,
-    )
+    hypotheses = (nominal_fit.hypothesis, likeliest.hypothesis, *variants, *rivals)
+    by_effects = {hypothesis.effect_names: hypothesis for hypothesis in reversed(hypotheses)}
+    return sorted(by_effects.values(), key=attrgetter("cost"))
 
 
 def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
@@ -129,18 +128,17 @@ def _with_single_effects(
     start_fits = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []
     if not start_fits:
         return best_set, []
-    likeliest = min(start_fits, key=lambda fitted: fitted.cost)
+    likeliest = min(start_fits, key=attrgetter("cost"))
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
-    is_base_motion = is_stochastic(likeliest.hypothesis)
-    return _base_motion_with_set(search, likeliest) if is_base_motion else _refined_from(search, likeliest), []
+    continued = _base_motion_with_set if is_stochastic(likeliest.hypothesis) else _refined_from
+    return continued(search, likeliest), []
 
 
 def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
-    shaken_search = search_about(
-        search, base_motion, [candidate for candidate in search.candidates if not candidate.kind.stochastic]
-    )
+    further_candidates = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
+    shaken_search = search_about(search, base_motion, further_candidates)
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
@@ -157,7 +155,7 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     hint_additions = [((candidate,), (values,)) for candidate, values in selection.hint_candidates]
     additions = [(selection.candidates, selection.values_by_candidate)] if selection.candidates else hint_additions
     fits = (_brief_fit_with(search, best_set.hypothesis, *addition, residual, linearization) for addition in additions)
-    brief_fit = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
+    brief_fit = min((fit for fit in fits if fit is not None), key=attrgetter("cost"), default=None)
     min_gain = MIN_REFINED_GAIN if selection.candidates else MIN_GAIN
     if brief_fit is None or (not selection.candidates and best_set.cost - brief_fit.cost <= min_gain):
         return best_set
@@ -167,45 +165,40 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
 
 def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
-    rig = set_fit.hypothesis.applied_to(search.linearization.rig)
+    nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
+    rig = present_set.applied_to(nominal_rig)
     linearization, residual = linearized_about(set_fit, rig)
-    further_candidates = [
+    further = [
         candidate
         for candidate in search.candidates
         if not (candidate.kind.stochastic or candidate.kind.grid_screened) and is_possible(candidate, rig)
     ]
-    nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
-    return (
-        linearization,
-        residual,
-        local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further_candidates),
-    )
+    model = local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further)
+    return linearization, residual, model
 
 
 def _brief_fit_with(
     search: Search,
-    present_set: Hypothesis,
-    added_candidates: tuple[Candidate, ...],
-    added_values: tuple[Values, ...],
+    present: Hypothesis,
+    candidates: tuple[Candidate, ...],
+    values: tuple[Values, ...],
     residual: Residual,
     linearization: Linearization,
 ) -> FittedHypothesis | None:
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
-    member_candidates = (*present_set.candidates, *added_candidates)
-    start_values = (*present_set.values_by_candidate(), *added_values)
-    kept_member_indices = [
-        member_index
-        for member_index, member in enumerate(member_candidates)
-        if not any(contains(other_member, member) for other_member in member_candidates)
+    values_by_member = list(
+        zip((*present.candidates, *candidates), (*present.values_by_candidate(), *values), strict=True)
+    )
+    kept = [
+        (member, member_values)
+        for member, member_values in values_by_member
+        if not any(contains(other, member) for other, _ in values_by_member)
     ]
+    members, start_values = zip(*kept, strict=True)
     try:
         return fit_briefly(
-            search,
-            tuple(member_candidates[member_index] for member_index in kept_member_indices),
-            np.concatenate([start_values[member_index] for member_index in kept_member_indices]),
-            reset_saturated_nuisance(residual),
-            linearization,
+            search, members, np.concatenate(start_values), reset_saturated_nuisance(residual), linearization
         )
     except RigError:
         return None
@@ -218,12 +211,12 @@ def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
     hint_candidates: tuple[tuple[Candidate, Values], ...] = ()
     while len(present_set.candidates) + len(chosen_terms) < LARGEST_SET:
         promising_terms = _promising_terms(model, chosen_terms, present_set, solution)
-        solutions_and_terms = [(model.minimum([*chosen_terms, term], solution.theta), term) for term in promising_terms]
-        if not solutions_and_terms:
+        trials = [(model.minimum([*chosen_terms, term], solution.theta), term) for term in promising_terms]
+        if not trials:
             break
-        best_solution, term = min(solutions_and_terms, key=lambda pair: pair[0].statistic)
+        best_solution, term = min(trials, key=lambda pair: pair[0].statistic)
         if solution.statistic - best_solution.statistic < MIN_GAIN:
-            hint_candidates = _hint_values(solutions_and_terms, solution)
+            hint_candidates = _hint_values(trials, solution)
             break
         is_dominant = solution.statistic - best_solution.statistic > MAX_EXCESS_COST
         chosen_terms, solution = _without_superfluous(model, [*chosen_terms, term], best_solution)
@@ -237,13 +230,13 @@ def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
 
 
 def _hint_values(
-    solutions_and_terms: Sequence[tuple[Solution, CandidateTerm]], current_solution: Solution
+    trials: Sequence[tuple[Solution, CandidateTerm]], current_solution: Solution
 ) -> tuple[tuple[Candidate, Values], ...]:
     """Best candidates that gain `HINT_GAIN`, each at one place."""
-    ranked_solutions = sorted(solutions_and_terms, key=lambda pair: pair[0].statistic)
+    ranked = sorted(trials, key=lambda pair: pair[0].statistic)
     values_by_hint = {
         term.candidate.name: (term.candidate, term.values(solution.theta))
-        for solution, term in reversed(ranked_solutions)
+        for solution, term in reversed(ranked)
         if current_solution.statistic - solution.statistic > HINT_GAIN
     }
     return tuple(reversed(values_by_hint.values()))[:MAX_HINTS]
@@ -255,18 +248,19 @@ def _promising_terms(
     """Terms that promise most: of each candidate at most `PLACES_PER_CANDIDATE`, and none too often in the set."""
     selected_candidates = [*present_set.candidates, *(term.candidate for term in chosen_terms)]
     promised_decreases = model.promised_decreases(chosen_terms, solution)
-    promising_terms: list[CandidateTerm] = []
+    promising: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
-        term = model.candidate_terms[term_index]
-        same_effects = [candidate for candidate in selected_candidates if candidate.name == term.candidate.name]
-        largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strength_indices) else 1
-        if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
+        if len(promising) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
-        place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)
-        is_contained = any(contains(candidate, term.candidate) for candidate in selected_candidates)
-        if not is_contained and len(same_effects) < largest_equal_count and place_count < PLACES_PER_CANDIDATE:
-            promising_terms.append(term)
-    return promising_terms
+        term = model.candidate_terms[term_index]
+        candidate = term.candidate
+        equal_count = sum(member.name == candidate.name for member in selected_candidates)
+        max_equal_count = MAX_EQUAL_EFFECTS if len(candidate.parameters) > len(term.strength_indices) else 1
+        place_count = sum(other.candidate is candidate for other in promising)
+        is_contained = any(contains(member, candidate) for member in selected_candidates)
+        if not is_contained and equal_count < max_equal_count and place_count < PLACES_PER_CANDIDATE:
+            promising.append(term)
+    return promising
 
 
 def _without_superfluous(
@@ -290,22 +284,22 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     candidates = best_set.hypothesis.candidates
     if not candidates or is_stochastic(best_set.hypothesis):
         return best_set, []
-    member_indices = range(len(candidates))
+    members = range(len(candidates))
     costs_without_member: list[float] = []
-    variant_hypotheses: list[Hypothesis] = []
-    for member_index in member_indices:
-        reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
+    variants: list[Hypothesis] = []
+    for member in members:
+        reduced_fit = _subset_fit(search, best_set, [index for index in members if index != member])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
         costs_without_member.append(reduced_fit.cost)
-        variant_hypotheses.append(reduced_fit.hypothesis)
-        if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
-            variant_hypotheses.append(alternative_fit.hypothesis)
-    members_by_importance = np.argsort(costs_without_member)  # the least important first
+        variants.append(reduced_fit.hypothesis)
+        if (look_alike := _look_alike_fit(search, reduced_fit, candidates[member], best_set)) is not None:
+            variants.append(look_alike.hypothesis)
+    by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
-        retained_members = sorted(members_by_importance[dropped_count:].tolist())
-        variant_hypotheses.append(_subset_fit(search, best_set, retained_members).hypothesis)
-    return best_set, variant_hypotheses
+        retained = sorted(by_importance[dropped_count:].tolist())
+        variants.append(_subset_fit(search, best_set, retained).hypothesis)
+    return best_set, variants
 
 
 def _look_alike_fit(
@@ -315,12 +309,12 @@ def _look_alike_fit(
     linearization, residual, model = _local_model_of(search, reduced_fit)
     without_member = model.minimum([])
     terms = _promising_terms(model, [], reduced_fit.hypothesis, without_member)
-    solutions_and_terms = [
+    trials = [
         (model.minimum([term], without_member.theta), term) for term in terms if term.candidate.name != member.name
     ]
-    if not solutions_and_terms:
+    if not trials:
         return None
-    solution, term = min(solutions_and_terms, key=lambda pair: pair[0].statistic)
+    solution, term = min(trials, key=lambda pair: pair[0].statistic)
     del model
     term_values = (term.values(solution.theta),)
     brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), term_values, residual, linearization)
@@ -329,18 +323,13 @@ def _look_alike_fit(
     return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best_set: FittedHypothesis, indices: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
-    if not member_indices:
+    if not indices:
         return search.nominal_fit()
-    candidates, values_by_member = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    subset_candidates = tuple(candidates[member_index] for member_index in member_indices)
+    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
+    members = tuple(candidates[index] for index in indices)
+    start_values = np.concatenate([values[index] for index in indices])
     start_residual = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(
-        search,
-        subset_candidates,
-        np.concatenate([values_by_member[member_index] for member_index in member_indices]),
-        start_residual,
-        best_set.linearization,
-    )
+    brief_fit = fit_briefly(search, members, start_values, start_residual, best_set.linearization)
     return refined(search, brief_fit, best_set.cost)

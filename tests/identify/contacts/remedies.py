@@ -119,10 +119,7 @@ CASES = {
         {"described": made(D)},
     ),
     "a damper to the ground in rig.json": Case(
-        RefusalCode.NOT_MODELLED,
-        RemedyCode.LEAVE_OUT_ATTACHMENTS,
-        made(DAMPED),
-        {"left out": made(A, of=DAMPED)},
+        RefusalCode.NOT_MODELLED, RemedyCode.LEAVE_OUT_ATTACHMENTS, made(DAMPED), {"left out": made(A, of=DAMPED)}
     ),
     "a base that shakes": Case(
         RefusalCode.BASE_MOTION,
@@ -155,10 +152,7 @@ CASES = {
         {"longer": made(D, duration_s=10.0, without_s=3.0), "from rest": made(D, duration_s=3.0)},
     ),
     "dead channels": Case(
-        RefusalCode.ALL_ZERO,
-        RemedyCode.CHECK_CHANNELS,
-        made(D, change=silent()),
-        {"alive": made(D)},
+        RefusalCode.ALL_ZERO, RemedyCode.CHECK_CHANNELS, made(D, change=silent()), {"alive": made(D)}
     ),
     "a force that was not recorded": Case(
         RefusalCode.FORCE_NOT_RECORDED,
@@ -179,10 +173,7 @@ CASES = {
         {"alive": made(D)},
     ),
     "a weak force": Case(
-        RefusalCode.HARDLY_CLOSES,
-        RemedyCode.EXCITE_MORE_OR_QUIETER,
-        made(A, 0.5),
-        {"stronger": made(A, 4.0)},
+        RefusalCode.HARDLY_CLOSES, RemedyCode.EXCITE_MORE_OR_QUIETER, made(A, 0.5), {"stronger": made(A, 4.0)}
     ),
     "a noisy displacement sensor": Case(
         RefusalCode.HARDLY_CLOSES,
@@ -203,10 +194,7 @@ CASES = {
         {"described as a spring": made(with_law(A, STRUT), of=with_law(A, STRUT))},
     ),
     "a stop behind another that is not reached": Case(
-        RefusalCode.NOT_REACHED,
-        RemedyCode.EXCITE_MORE,
-        made(UNREACHED, 4.0),
-        {"stronger": made(UNREACHED, 60.0)},
+        RefusalCode.NOT_REACHED, RemedyCode.EXCITE_MORE, made(UNREACHED, 4.0), {"stronger": made(UNREACHED, 60.0)}
     ),
     "a stop on one side, by accelerometers": Case(
         RefusalCode.ONE_STOP_TOUCHED,

@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 import identify
+from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_record import annular_record, open_force_n
 from identify.contacts.pooled import pooled_report
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode
@@ -141,31 +142,24 @@ def test_a_quarter_of_whirling_a_quarter_of_rocking_and_half_free():
     radius = np.r_[np.full(2 * samples, 2.1e-3), np.full(2 * samples, 1e-4)]
     eta = radius * np.stack([np.cos(angle), np.sin(angle)])
     rate = np.where(np.arange(angle.size) < samples, 0.02, 0.0) * np.stack([-np.sin(angle), np.cos(angle)])
-    estimate = dataclasses.replace(identified_once(), values=VALUES, eta_m=eta, rate_m_per_s=rate)
+    estimate = AnnularEstimate(
+        values=VALUES,
+        covariances=dict.fromkeys(("scatter", "tolerances", "drift", "law"), np.zeros((9, 9))),
+        sides_known=False,
+        center_known=False,
+        pulls=np.zeros(0),
+        eta_m=eta,
+        rate_m_per_s=rate,
+        force_n=np.zeros((2, 1)),
+        unexplained_share=0.0,
+        half_differences=(0.0, 0.0),
+    )
     shares = ring_shares(estimate, rate_hz, 0, 3.0)
     assert (shares.free, shares.sliding, shares.sticking) == pytest.approx((0.5, 0.25, 0.25))
     assert shares.touched_sectors == 1.0
     ((begins_s, ends_s),) = shares.whirls
     assert begins_s == pytest.approx(3.0)
     assert ends_s == pytest.approx(3.0 + (2 * samples - 1) / rate_hz)
-
-
-def identified_once():
-    from identify.contacts.annular_estimate import AnnularEstimate
-
-    none = np.zeros((9, 9))
-    return AnnularEstimate(
-        values=VALUES,
-        covariances=dict.fromkeys(("scatter", "tolerances", "drift", "law"), none),
-        sides_known=False,
-        center_known=False,
-        pulls=np.zeros(0),
-        eta_m=np.zeros((2, 1)),
-        rate_m_per_s=np.zeros((2, 1)),
-        force_n=np.zeros((2, 1)),
-        unexplained_share=0.0,
-        half_differences=(0.0, 0.0),
-    )
 
 
 def test_what_a_body_has_in_common_is_one_parameter_of_both_directions():
@@ -247,10 +241,7 @@ def test_check_takes_both_directions():
     accelerations = recording.signals["acceleration"]
     values = accelerations.values.copy()
     values[12] *= -1  # barrel, z
-    wrong = {
-        **recording.signals,
-        "acceleration": dataclasses.replace(accelerations, values=values),
-    }
+    wrong = {**recording.signals, "acceleration": dataclasses.replace(accelerations, values=values)}
     findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
     assert recording.rig.sensors[12].name in {name for finding in findings for name in finding.channels}
     values[12] = values[4]  # the barrel's y at that place

@@ -28,14 +28,19 @@ def is_within(estimate, value, share):
     return abs(estimate.value - value) < min(share * value, 3 * estimate.standard_error)
 
 
+def assert_told(contacts, stops):
+    """Clearance and stiffness of every stop within 1 and 5 %, and within three standard errors."""
+    for contact, (clearance_m, stiffness) in zip(contacts, stops, strict=True):
+        assert is_within(contact.clearance_m, clearance_m, 0.01)
+        assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
+
+
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_path, quantity):
     believed = progressive_stop(quantity, (6.5e-4, 2e4), (8e-4, 6e4))
     result = report(tmp_path, believed, progressive_stop(quantity, *STOPS))
     assert [c.name for c in result.contacts] == ["bumper", "hard stop"]
-    for contact, (clearance_m, stiffness) in zip(result.contacts, STOPS, strict=True):
-        assert is_within(contact.clearance_m, clearance_m, 0.01)
-        assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
+    assert_told(result.contacts, STOPS)
     assert not result.findings
     assert result.surface.histogram == ()
 
@@ -69,12 +74,8 @@ def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path, ab
     rig = chain(2, "displacement", ground=False)
     (above,) = rig.contacts
     law = replace(above.law, lower_clearance_m=absent_m)
-    below = Contact(
-        name="below",
-        at=above.against,
-        against=above.at,
-        law=replace(law, upper_clearance_m=7e-4, stiffness_n_per_m=5e4),
-    )
+    law_below = replace(law, upper_clearance_m=7e-4, stiffness_n_per_m=5e4)
+    below = Contact(name="below", at=above.against, against=above.at, law=law_below)
     rig = replace(rig, contacts=(replace(above, law=law), below))
     result = report(tmp_path, rig, rig, 8.0)
     for contact, true in zip(result.contacts, rig.contacts, strict=True):
@@ -84,9 +85,8 @@ def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path, ab
 
 
 def test_knees_that_coincide_are_told_of_no_stop(tmp_path):
-    result = report(
-        tmp_path, progressive_stop("displacement", *STOPS), progressive_stop("displacement", (7e-4, 8e3), (7e-4, 5e4))
-    )
+    coincident = progressive_stop("displacement", (7e-4, 8e3), (7e-4, 5e4))
+    result = report(tmp_path, progressive_stop("displacement", *STOPS), coincident)
     assert not result.contacts
     assert list(codes(result).values()) == 2 * [RefusalCode.NOT_SEPARABLE]
 
@@ -99,9 +99,7 @@ def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(t
     assert not alike.contacts
     assert list(codes(alike).values()) == 2 * [RefusalCode.INTERCHANGEABLE]
     result = report(tmp_path, progressive_stop("displacement", (7e-4, 1e4), (6.5e-4, 8e4)), true)
-    for contact, (clearance_m, stiffness) in zip(result.contacts, STOPS, strict=True):
-        assert is_within(contact.clearance_m, clearance_m, 0.01)
-        assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
+    assert_told(result.contacts, STOPS)
 
 
 def test_a_stop_that_is_not_reached_is_refused_alone(tmp_path):
@@ -126,9 +124,7 @@ def test_three_stops(tmp_path):
     ]
     rig = replace(rig, contacts=tuple(contacts))
     result = report(tmp_path, rig, rig, 25.0)
-    for contact, (clearance_m, stiffness) in zip(result.contacts, stops, strict=True):
-        assert is_within(contact.clearance_m, clearance_m, 0.01)
-        assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
+    assert_told(result.contacts, stops)
 
 
 def test_no_number_is_told_of_the_first_where_the_second_has_no_knee(tmp_path):

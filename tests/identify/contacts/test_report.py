@@ -92,8 +92,7 @@ def test_the_sources_of_error_share_the_variance(identification):
 
 
 @pytest.mark.parametrize(
-    ("source", "remedy"),
-    [("tolerances", "calibrate"), ("drift", "displacement sensors"), ("scatter", "record longer")],
+    ("source", "remedy"), [("tolerances", "calibrate"), ("drift", "displacement sensors"), ("scatter", "record longer")]
 )
 def test_what_rules_the_error_is_what_is_advised(identification, source, remedy):
     (estimate,) = identification.outcomes.estimates.values()

@@ -16,7 +16,7 @@ from identify.pages.wording import COVERED
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import decimated
 from rig.model.beam import Beam
-from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Contact, ForceSensor, Rig, Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import channel_groups, read, read_truth, truth_path
@@ -29,7 +29,6 @@ pytestmark = pytest.mark.long
 
 LENGTH_M, CLEARANCE_M, STIFFNESS_N_PER_M = 1.0, 5e-4, 2e4
 GAUGES_M = (0.05, 0.3, 0.6)
-SLOW_HZ = (0.02, 0.4)
 INFINITE = float("inf")
 
 
@@ -39,26 +38,14 @@ def beam(ends="clamped-free"):
 
 def cantilever(lower_clearance_m=CLEARANCE_M):
     """A clamped beam with AC-coupled accelerometers, strain gauges, and stops at its tip."""
-    law = DeadZone(
-        lower_clearance_m=lower_clearance_m,
-        upper_clearance_m=CLEARANCE_M,
-        stiffness_n_per_m=STIFFNESS_N_PER_M,
-        damping_n_s_per_m=5.0,
-    )
-    accelerometers = tuple(
-        Sensor(
-            name=f"a{1000 * x:04.0f}",
-            station=Station("beam", x),
-            quantity="acceleration",
-            noise_density=3e-4,
-            high_pass_hz=0.5,
-        )
-        for x in (0.5, LENGTH_M)
-    )
-    gauges = tuple(
-        Sensor(name=f"e{1000 * x:04.0f}", station=Station("beam", x), quantity="strain", noise_density=1e-9)
-        for x in GAUGES_M
-    )
+    law = replace(equal_sides(CLEARANCE_M, STIFFNESS_N_PER_M, 5.0), lower_clearance_m=lower_clearance_m)
+
+    def sensor(letter, x, **fields):
+        return Sensor(name=f"{letter}{1000 * x:04.0f}", station=Station("beam", x), **fields)
+
+    accelerometer = {"quantity": "acceleration", "noise_density": 3e-4, "high_pass_hz": 0.5}
+    accelerometers = (sensor("a", x, **accelerometer) for x in (0.5, LENGTH_M))
+    gauges = (sensor("e", x, quantity="strain", noise_density=1e-9) for x in GAUGES_M)
     return Rig(
         name="cantilever",
         bodies=(beam(),),
@@ -90,11 +77,14 @@ def off_by_tolerances(rig, seed):
     )
 
 
-def recorded(rig, path, *, plant="modal", duration_s=30.0, step_s=2.0**-13, seed=1, actual=None, band_hz=SLOW_HZ):
-    low_hz, high_hz = band_hz
+def slow_force(seed=1, low_hz=0.02, high_hz=0.4):
+    return excitation_of("gaussian", rms_n=6.0, low_hz=low_hz, high_hz=high_hz, seed=seed)
+
+
+def recorded(rig, path, force, *, plant="modal", duration_s=30.0, step_s=2.0**-13, actual=None):
     record(
         rig,
-        excitation_of("gaussian", rms_n=6.0, low_hz=low_hz, high_hz=high_hz, seed=seed),
+        force,
         plant=plant_named(plant),
         duration_s=duration_s,
         step_s=step_s,
@@ -109,7 +99,7 @@ def recorded(rig, path, *, plant="modal", duration_s=30.0, step_s=2.0**-13, seed
 def slow(tmp_path_factory):
     """A beam that meets two stops below the corner of its accelerometers."""
     path = tmp_path_factory.mktemp("slow") / "r.mcap"
-    return recorded(cantilever(), path, actual=off_by_tolerances(cantilever(), 1))
+    return recorded(cantilever(), path, slow_force(), actual=off_by_tolerances(cantilever(), 1))
 
 
 def only(recording, sensors):
@@ -193,7 +183,8 @@ def test_gauges_tell_a_slow_stop_and_its_sides(slow):
 def test_the_slow_motion_is_that_of_the_plant(tmp_path):
     """Displacement and force against the truth of finite elements, which knows no modes."""
     path = tmp_path / "r.mcap"
-    recording = recorded(cantilever(), path, plant="ancf", duration_s=12.0, step_s=2.0**-11, band_hz=(0.1, 2.0))
+    force = slow_force(low_hz=0.1, high_hz=2.0)
+    recording = recorded(cantilever(), path, force, plant="ancf", duration_s=12.0, step_s=2.0**-11)
     separation = separate(recording, "auto", EXACT)
     truth = read_truth(truth_path(path))
     eta_m, force_n = (truth.signals[group].values[0] for group in ("relative_displacement", "contact_force"))
@@ -242,8 +233,7 @@ def described(recording, kind):
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["frequency of beam", "mass of beam", "force gain of the force", "gain of e0300", "position of e0300"],
+    "kind", ["frequency of beam", "mass of beam", "force gain of the force", "gain of e0300", "position of e0300"]
 )
 def test_a_tolerance_changes_force_and_slow_motion_as_a_wrong_description_does(kind, slow):
     nominal, changed = (separate(recording, "auto", LABORATORY) for recording in (slow, described(slow, kind)))
@@ -279,7 +269,8 @@ def test_a_record_in_motion_uses_no_gauges(slow):
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_slow_stops_are_found_whatever_is_off_by_its_tolerance(seed, lower_clearance_m, tmp_path):
     rig = cantilever(lower_clearance_m)
-    recording = recorded(rig, tmp_path / "r.mcap", duration_s=40.0, seed=seed, actual=off_by_tolerances(rig, seed))
+    path, actual = tmp_path / "r.mcap", off_by_tolerances(rig, seed)
+    recording = recorded(rig, path, slow_force(seed), duration_s=40.0, actual=actual)
     assert_found(identify_contact(recording), clearance_share=0.02, stiffness_share=0.06)
 
 
@@ -298,21 +289,14 @@ def test_six_gauges_and_four_accelerometers_on_two_beams(seed, tmp_path):
         for body, shares in places
         for x in shares
     )
-    path = tmp_path / "r.mcap"
-    record(
-        replace(plain, sensors=(*plain.sensors, *gauges)),
-        settings.force(),
-        plant=plant_named("modal"),
-        duration_s=16.0,
-        step_s=2.0**-13,
-        path=path,
-        progress=lambda _: None,
-    )
-    recording, at_contacts = read(path), {s for c in plain.contacts for s in (c.at, c.against)}
+    rig = replace(plain, sensors=(*plain.sensors, *gauges))
+    recording = recorded(rig, tmp_path / "r.mcap", settings.force(), duration_s=16.0)
+    at_contacts = {s for c in plain.contacts for s in (c.at, c.against)}
+    few = tuple(s for s in plain.sensors if s.station in at_contacts)
     for label, chosen in (
         ("12 accelerometers", plain.sensors),
-        ("4 accelerometers", tuple(s for s in plain.sensors if s.station in at_contacts)),
-        ("4 accelerometers, 6 gauges", (*(s for s in plain.sensors if s.station in at_contacts), *gauges)),
+        ("4 accelerometers", few),
+        ("4 accelerometers, 6 gauges", (*few, *gauges)),
     ):
         report = identify_contact(only(recording, chosen)).report
         for contact, true in zip(report.contacts, plain.contacts, strict=True):

@@ -5,13 +5,11 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.screening import grid_screening
 from rig.model.description import PointDamper, PointSpring, Station
-from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
-from rig.simulation.replay import modal
+from tests.identify.gaps.residual.simulated_records import simulated_record
 
 SETTINGS = Sdof(sensors="displacement", duration_s=16.0)
 PLAIN = SETTINGS.rig()
@@ -21,8 +19,7 @@ BENDS = replace(PLAIN, springs=(PointSpring(station=Station("mass"), cubic_n_per
 
 @pytest.mark.parametrize(("rig", "screened"), [(PLAIN, True), (RUBS, False), (BENDS, False)])
 def test_of_a_rig_that_rubs_or_bends_on_the_ground_none_is_screened(rig, screened):
-    force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / rig.sample_rate_hz)
-    record = record_of(modal(rig, rig, force_n, 1))
+    record = simulated_record(SETTINGS, rig)
     known = candidates(scale_of(record, rig), [s.name for s in record.sensors], record.zero_known)
     found = grid_screening(linearized(record, rig), known)
     assert bool(found) == screened

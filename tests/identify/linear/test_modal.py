@@ -32,18 +32,13 @@ def rig_of(**settings):
 def motion_at_sensors(rig, responses, force_n=None):
     """What the stations do: `responses` gives a body's modal displacements, velocities and accelerations."""
     stations = tuple(s.station for s in rig.sensors)
-    rows = []
-    for order in range(3):
-        coordinates = {body.name: responses(body)[order] for body in rig.bodies}
-        shapes = {b.name: len(coordinates[b.name]) for b in rig.bodies}
-        rows.append(
-            np.stack(
-                [
-                    rig.body(s.body).shapes(np.array([s.position_m]), shapes[s.body])[0] @ coordinates[s.body]
-                    for s in stations
-                ]
-            )
-        )
+    coordinates = {body.name: responses(body) for body in rig.bodies}
+
+    def motion(station, order):
+        modal = coordinates[station.body][order]
+        return rig.body(station.body).shapes(np.array([station.position_m]), len(modal))[0] @ modal
+
+    rows = [np.stack([motion(station, order) for station in stations]) for order in range(3)]
     return Kinematics(
         stations=stations,
         channels=tuple(s.name for s in rig.sensors),
@@ -190,13 +185,10 @@ def test_the_higher_modes_are_taken_off(stations):
     for body in rig.bodies:
         true = forced(rig, body, stations, force_n, contact_n)
         for order, row in enumerate(("displacement", "velocity", "acceleration")):
-            errors = [
-                np.stack(
-                    [getattr(e, row)[:samples] for e in modal_equations(rig, motion, body, stations, contact_force_n)]
-                )
-                - true[order][:, :samples]
-                for contact_force_n in (None, contact_n)
-            ]
+            errors = []
+            for contact_force_n in (None, contact_n):
+                equations = modal_equations(rig, motion, body, stations, contact_force_n)
+                errors.append(np.stack([getattr(e, row)[:samples] for e in equations]) - true[order][:, :samples])
             before, after = (np.linalg.norm(x) / np.linalg.norm(true[order]) for x in errors)
             assert after < 1e-9
             assert before > 1e-5
@@ -215,24 +207,18 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
     def size(signal):
         return np.linalg.norm(np.fft.rfft(hann * signal[:samples])[in_band])
 
+    def imbalance(equation, forced_by):
+        q, rate, acceleration = equation.displacement, equation.velocity, equation.acceleration
+        natural = 2 * np.pi * equation.frequency_hz
+        inertia = acceleration[:samples] + 2 * equation.damping_ratio * natural * rate[:samples]
+        return size(inertia + natural**2 * q[:samples] - forced_by[:samples])
+
     for body in rig.bodies:
-        for measured, clean in zip(
-            *(modal_equations(rig, motion, body, 4, contact_force_n) for contact_force_n in (None, contact_n)),
-            strict=True,
-        ):
+        equations = (modal_equations(rig, motion, body, 4, force_n) for force_n in (None, contact_n))
+        for measured, clean in zip(*equations, strict=True):
             forced_by = measured.shape_at_force * motion.force_n - measured.shape_at_contacts @ contact_n
-            natural = 2 * np.pi * measured.frequency_hz
-            residual = [
-                size(
-                    e.acceleration[:samples]
-                    + 2 * e.damping_ratio * natural * e.velocity[:samples]
-                    + natural**2 * e.displacement[:samples]
-                    - forced_by[:samples]
-                )
-                for e in (measured, clean)
-            ]
-            assert residual[1] < 5e-3 * size(forced_by)
-            assert residual[1] < residual[0] / 3
+            assert imbalance(clean, forced_by) < 5e-3 * size(forced_by)
+            assert imbalance(clean, forced_by) < imbalance(measured, forced_by) / 3
 
 
 def test_relative_displacement_from_the_sensors_at_the_contact():

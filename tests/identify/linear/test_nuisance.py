@@ -19,9 +19,8 @@ def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> Obs
     """Random accelerations at all sensors, and the motion of as many modes as each body has sensors."""
     rng = np.random.default_rng(2)
     sensors, cache = rig.sensors, ResponseCache(OMEGA)
-    accelerations = rng.standard_normal((len(sensors), OMEGA.size)) + 1j * rng.standard_normal(
-        (len(sensors), OMEGA.size)
-    )
+    real, imaginary = (rng.standard_normal((len(sensors), OMEGA.size)) for _ in range(2))
+    accelerations = real + 1j * imaginary
     sensor_response = np.stack([s.response(OMEGA) for s in sensors])
     bodies = []
     for body in rig.bodies:
@@ -55,16 +54,10 @@ def test_every_parameter_has_one_key_and_one_column(beams):
     assert len(set(parameters)) == len(parameters)
     assert len({p.name for p in parameters}) == len(parameters)
     bodywise = {p for p in parameters if p.mode_number is None}
-    sensors = [s.name for s in beams.sensors]
-    for kind, of in (
-        (NuisanceKind.GAIN, sensors),
-        (NuisanceKind.DELAY, sensors),
-        (NuisanceKind.POSITION, sensors),
-        (NuisanceKind.MASS, [b.name for b in beams.bodies]),
-        (NuisanceKind.FREQUENCY, [b.name for b in beams.bodies]),
-        (NuisanceKind.DAMPING, [b.name for b in beams.bodies]),
-        (NuisanceKind.FORCE_GAIN, ["the force"]),
-    ):
+    sensors, bodies = [s.name for s in beams.sensors], [b.name for b in beams.bodies]
+    owners = dict.fromkeys((NuisanceKind.GAIN, NuisanceKind.DELAY, NuisanceKind.POSITION), sensors)
+    owners |= dict.fromkeys((NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING), bodies)
+    for kind, of in {**owners, NuisanceKind.FORCE_GAIN: ["the force"]}.items():
         assert sorted(p.owner for p in bodywise if p.kind == kind) == sorted(of)
 
 
@@ -73,19 +66,12 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
     changes = {change.parameter: change for change in changes_of(observed(beams))}
     for body in beams.bodies:
         for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-            by_mode = [
-                c for p, c in changes.items() if p.kind == kind and p.owner == body.name and p.mode_number is not None
-            ]
-            (common,) = (
-                c for p, c in changes.items() if p.kind == kind and p.owner == body.name and p.mode_number is None
-            )
-            np.testing.assert_allclose(sum(c.signals for c in by_mode), common.signals, rtol=1e-9, atol=1e-12)
-    separate = [c.parameter for c in changes_of(observed(beams), with_common=False)]
-    assert set(changes) - set(separate) == {
-        p
-        for p in changes
-        if p.mode_number is None and p.kind in (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
-    }
+            signals = {p: c.signals for p, c in changes.items() if (p.kind, p.owner) == (kind, body.name)}
+            common = signals.pop(Nuisance(kind, body.name))
+            np.testing.assert_allclose(sum(signals.values()), common, rtol=1e-9, atol=1e-12)
+    separate = {c.parameter for c in changes_of(observed(beams), with_common=False)}
+    kinds = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+    assert set(changes) - separate == {p for p in changes if p.mode_number is None and p.kind in kinds}
 
 
 def test_a_change_is_one_tolerance_long(beams):
@@ -107,11 +93,10 @@ def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_do
             continue
         (i,) = change.sensors
         sensor = beams.sensors[i]
-        changed_sensor = (
-            replace(sensor, gain=sensor.gain * (1 + share * LABORATORY.gain))
-            if change.parameter.kind is NuisanceKind.GAIN
-            else replace(sensor, delay_s=sensor.delay_s + share * LABORATORY.delay_s)
-        )
+        if change.parameter.kind is NuisanceKind.GAIN:
+            changed_sensor = replace(sensor, gain=sensor.gain * (1 + share * LABORATORY.gain))
+        else:
+            changed_sensor = replace(sensor, delay_s=sensor.delay_s + share * LABORATORY.delay_s)
         expected = (changed_sensor.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
         np.testing.assert_allclose(change.signals[0], expected, rtol=1e-5)
 

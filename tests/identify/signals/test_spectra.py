@@ -51,16 +51,13 @@ def test_a_tone_stands_at_its_line_with_the_windows_mean():
     spectra = cut.spectra(x)
     line_index = int(np.argmin(np.abs(cut.frequency_hz - line * RATE_HZ / length)))
     assert cut.frequency_hz[line_index] == line * RATE_HZ / length
-    np.testing.assert_allclose(
-        np.abs(spectra[:, line_index]), length / 4
-    )  # the Hann window's mean is 1/2, the cosine's half 1/2
+    # the Hann window's mean is 1/2, the cosine's half 1/2
+    np.testing.assert_allclose(np.abs(spectra[:, line_index]), length / 4)
     np.testing.assert_allclose(spectra[:, line_index + 3 :], 0, atol=1e-9 * length)
 
 
 @given(
-    samples=st.integers(2000, 50_000),
-    averages=st.integers(2, 60),
-    overlap=st.sampled_from([0.0, 0.25, 0.5, 0.75, 0.9]),
+    samples=st.integers(2000, 50_000), averages=st.integers(2, 60), overlap=st.sampled_from([0.0, 0.25, 0.5, 0.75, 0.9])
 )
 def test_blocks_cover_the_record(samples, averages, overlap):
     assume(samples / (1 + (averages - 1) * (1 - overlap)) > 100)

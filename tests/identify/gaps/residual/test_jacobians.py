@@ -6,12 +6,10 @@ import pytest
 from identify.gaps.residual.fit import contact_jacobian
 from identify.gaps.residual.nuisance import with_nuisance
 from identify.gaps.residual.residual import derivative, linearized, residual_of, same_but_laws
-from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fitted_nuisance
-from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.replay import modal
+from tests.identify.gaps.residual.simulated_records import simulated_record
 
 SETTINGS = BarrelCradle(sensors="acceleration", duration_s=12.0, noise_density=1e-4)
 RIG = SETTINGS.rig()
@@ -22,8 +20,7 @@ EXACT = 5e-3
 @pytest.fixture(scope="module")
 def believed():
     """A recording of the rig that is believed, its slow motion fitted: where that is wrong, stops are met elsewhere."""
-    force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
-    linearization = linearized(record_of(modal(RIG, RIG, force_n, 1)), RIG)
+    linearization = linearized(simulated_record(SETTINGS, RIG), RIG)
     return linearization, fitted_nuisance(linearization).residual
 
 
@@ -51,9 +48,8 @@ def test_effects_by_differences(believed):
         if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.typical_values)):
             continue
         neutral = np.append(candidate.neutral_strength, candidate.typical_values[1:])
-        changed_rig = candidate.applied(
-            RIG, neutral + np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))
-        )
+        step = np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))
+        changed_rig = candidate.applied(RIG, neutral + step)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns)
         linear, contacts = derivative(linearization, changed_rig, residual)
         expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
@@ -78,9 +74,8 @@ def test_contact_unknowns_by_differences(believed, contact):
         for sign in (-1, 1):
             unknowns = [u.copy() for u in unknowns_of(residual)]
             unknowns[contact][k] += sign * step
-            residuals.append(
-                residual_of(linearization, RIG, residual.nuisance_pulls, tuple(unknowns)).contacts[contact].residual
-            )
+            changed = residual_of(linearization, RIG, residual.nuisance_pulls, tuple(unknowns))
+            residuals.append(changed.contacts[contact].residual)
         expected.append((residuals[0] - residuals[1]) / (2 * step))
     assert largest_relative_error(columns[:, -3:].T, expected[-3:]) < EXACT
     weights = residual.contacts[contact].observation.weights

@@ -18,11 +18,9 @@ from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
 from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
-from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
-from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.replay import modal
+from tests.identify.gaps.residual.simulated_records import simulated_record
 
 SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
 ONES = np.ones((BANDS, SENSORS))
@@ -217,9 +215,7 @@ def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
 
 def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0, noise_density=1e-4)
-    rig = settings.rig()
-    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
-    record = record_of(modal(rig, rig, force_n, 1))
+    record = simulated_record(settings, settings.rig())
     prior = prior_scales(record)
     true_share = 4e-3
     deviation_ratio = np.sqrt(

@@ -14,6 +14,7 @@ from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle, Sdof
 from rig.simulation.replay import modal
+from tests.identify.gaps.residual.simulated_records import simulated_record
 
 SETTINGS = Sdof(sensors="displacement", duration_s=12.0)
 RIG = SETTINGS.rig()
@@ -21,8 +22,7 @@ RIG = SETTINGS.rig()
 
 @pytest.fixture(scope="module")
 def linearization():
-    force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
-    return linearized(record_of(modal(RIG, RIG, force_n, 1)), RIG)
+    return linearized(simulated_record(SETTINGS, RIG), RIG)
 
 
 def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(linearization):
@@ -49,8 +49,7 @@ def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong()
     believed = settings.rig()
     sensors = tuple(replace(s, gain=0.5 if i == 2 else 1.0, delay_s=0.0) for i, s in enumerate(believed.sensors))
     rig = replace(believed, sensors=sensors)
-    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
-    linearization = linearized(record_of(modal(rig, rig, force_n, 1)), rig)
+    linearization = linearized(simulated_record(settings, rig), rig)
     small = 1e-2
     for body in rig.bodies:
         modulus = body.youngs_modulus_pa * (1 + small * LABORATORY.frequency) ** 2
@@ -67,12 +66,11 @@ def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong()
 def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured_motion():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
     rig = settings.rig()
-    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
     stiffer = 3.0  # standard deviations: a fifth of the resonance's width
     bodies = tuple(
         b.scale_frequencies(1 + stiffer * LABORATORY.frequency) if b.name == "barrel" else b for b in rig.bodies
     )
-    record = record_of(modal(rig, replace(rig, bodies=bodies), force_n, 1))
+    record = simulated_record(settings, rig, replace(rig, bodies=bodies))
     linearization = linearized(record, rig)
     names = [p.name for p in linearization.columns.parameters]
     values = np.zeros(len(names))
@@ -102,8 +100,7 @@ def test_the_share_of_a_channel_that_the_one_beside_it_shows_is_found():
 def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_parameters():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
     rig = settings.rig()
-    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
-    record = record_of(modal(rig, rig, force_n, 1))
+    record = simulated_record(settings, rig)
     linearization = linearized(record, rig)
     held = [
         p.mode_number is None and p.kind not in ("position", "high-pass", "crosstalk")
@@ -120,7 +117,6 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
 def test_a_rig_whose_modes_leave_the_band_has_the_same_nuisance_parameters():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
     rig = settings.rig()
-    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
-    record = record_of(modal(rig, rig, force_n, 1))
+    record = simulated_record(settings, rig)
     softer = replace(rig, bodies=tuple(replace(b, youngs_modulus_pa=0.5 * b.youngs_modulus_pa) for b in rig.bodies))
     assert linearized(record, softer).columns.parameters == linearized(record, rig).columns.parameters

@@ -29,12 +29,8 @@ def fitted_record(tmp_path_factory):
     rig = progressive_stop("acceleration")
     laws = [replace(c.law, damping_n_s_per_m=0.0) for c in rig.contacts]
     rig = replace(rig, contacts=tuple(replace(c, law=law) for c, law in zip(rig.contacts, laws, strict=True)))
-    path = recorded(
-        Topology(rig, 12.0, ""),
-        tmp_path_factory.mktemp("stops") / "r.mcap",
-        duration_s=12.0,
-        actual=hidden(FACTOR).applied_to(rig),
-    )
+    path = tmp_path_factory.mktemp("stops") / "r.mcap"
+    recorded(Topology(rig, 12.0, ""), path, duration_s=12.0, actual=hidden(FACTOR).applied_to(rig))
     linearization = linearized(record_of(read(path)), rig)
     return linearization, fitted_nuisance(linearization).residual
 
@@ -45,14 +41,8 @@ def test_an_effect_on_one_of_them_is_fitted(fitted_record):
     def build(values):
         return hidden(values[0]).applied_to(linearization.rig)
 
-    effect_fit = fit(
-        linearization,
-        build,
-        np.array([1.0]),
-        np.array([0.01]),
-        (np.array([0.1]), np.array([4.0])),
-        reset_saturated_nuisance(residual),
-    )
+    bounds, start_residual = (np.array([0.1]), np.array([4.0])), reset_saturated_nuisance(residual)
+    effect_fit = fit(linearization, build, np.array([1.0]), np.array([0.01]), bounds, start_residual)
     assert abs(effect_fit.values[0] - FACTOR) < 3 * np.sqrt(effect_fit.covariance[0, 0])
     assert abs(effect_fit.values[0] - FACTOR) < 0.01
     assert effect_fit.residual.contacts[0].cost < 0.1 * residual.contacts[0].cost
@@ -73,9 +63,8 @@ def test_unknowns_of_both_laws_by_differences(fitted_record):
         for step in (-1e-3, 1e-3):
             unknowns = contact.unknowns.copy()
             unknowns[k - 6] += step
-            residuals.append(
-                residual_of(linearization, residual.rig, residual.nuisance_pulls, (unknowns,)).contacts[0].residual
-            )
+            changed = residual_of(linearization, residual.rig, residual.nuisance_pulls, (unknowns,))
+            residuals.append(changed.contacts[0].residual)
         expected = (residuals[0] - residuals[1]) / 2e-3
         assert np.linalg.norm(columns[:, k] - expected) < 5e-3 * np.linalg.norm(expected)
 
@@ -84,17 +73,10 @@ def test_a_contact_that_is_counted_the_other_way_round_leaves_the_same(tmp_path)
     """Residual of contacts between two masses with `at` and `against` exchanged."""
     rig = chain(2, "acceleration", ground=False)
     (first,) = rig.contacts
-    second = replace(
-        first,
-        name="outer",
-        law=replace(first.law, lower_clearance_m=6e-4, upper_clearance_m=8e-4, stiffness_n_per_m=5e4),
-    )
-    turned = replace(
-        second,
-        at=second.against,
-        against=second.at,
-        law=replace(second.law, lower_clearance_m=8e-4, upper_clearance_m=6e-4),
-    )
+    law = replace(first.law, lower_clearance_m=6e-4, upper_clearance_m=8e-4, stiffness_n_per_m=5e4)
+    turned_law = replace(law, lower_clearance_m=8e-4, upper_clearance_m=6e-4)
+    second = replace(first, name="outer", law=law)
+    turned = replace(second, at=second.against, against=second.at, law=turned_law)
     outward, inward = (replace(rig, contacts=(first, c)) for c in (second, turned))
     record = record_of(read(recorded(Topology(outward, 12.0, ""), tmp_path / "r.mcap", duration_s=12.0)))
     residuals = [residual_of(linearized(record, r), r) for r in (outward, inward)]

@@ -65,11 +65,8 @@ def fitted_effects(record, *names):
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, effects)
     estimate = fit_effects(search, effects, np.concatenate([p.typical_values for p in effects]), residual).hypothesis
-    return (
-        estimate.values,
-        np.sqrt(np.diag(estimate.covariance)),
-        (search.nominal_fit().hypothesis.misfit.motion_share, estimate.misfit.motion_share),
-    )
+    shares = search.nominal_fit().hypothesis.misfit.motion_share, estimate.misfit.motion_share
+    return estimate.values, np.sqrt(np.diag(estimate.covariance)), shares
 
 
 def test_friction_and_a_constant_force_are_found_in_motion_at_constant_speed():
@@ -94,9 +91,8 @@ def test_a_held_carriage_rests_where_a_constant_force_holds_it():
     hz = np.fft.rfftfreq(time_s.size, 1 / 512.0)
     noise = np.random.default_rng(402).standard_normal(time_s.size) * (time_s > 1)
     force_n = 70.0 * np.fft.irfft(np.fft.rfft(noise) * np.exp(-((hz / 2) ** 2)), time_s.size) * (time_s > 1)
-    motion = lsim(
-        ([[0, 1], [-spring_n_per_m / 14.0, -15.0 / 14.0]], [[0], [1 / 14.0]], [[1, 0]], [[0]]), force_n, time_s
-    )
+    system = ([[0, 1], [-spring_n_per_m / 14.0, -15.0 / 14.0]], [[0], [1 / 14.0]], [[1, 0]], [[0]])
+    motion = lsim(system, force_n, time_s)
     record = record_of(recording_of(rig, force_n, motion[1] + load_n / spring_n_per_m))
     values, _, (before, after) = fitted_effects(record, "preload")
     assert values == pytest.approx([load_n], abs=0.02)
@@ -106,10 +102,8 @@ def test_a_held_carriage_rests_where_a_constant_force_holds_it():
 def test_the_measured_motion_counts_up_to_the_fade():
     free = record_of(simulated(0.0, 0.0))
     assert free.residual_times_s[0] == pytest.approx(OMITTED_FADES, abs=0.05)
-    held = recording_of(
-        carriage(20.0, 30.0, RATE_HZ, 1.0),
-        *(simulated(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement")),
-    )
+    rows = (simulated(0.0, 0.0).signals[name].values[0] for name in ("force", "displacement"))
+    held = recording_of(carriage(20.0, 30.0, RATE_HZ, 1.0), *rows)
     assert record_of(held).residual_times_s[0] == pytest.approx(OMITTED_EDGE_S, abs=0.05)
 
 
