@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from identify.history.changes import LEVEL, MIN_TREND_COUNT, History, Observation, QuantityHistory
+from identify.history.changes import LEVEL, MIN_TREND_COUNT, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number

@@ -196,7 +196,9 @@ def _fit_pieces(
 
     def linear_fit(knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         def pieces(eta: Signal) -> Signal:
-            return np.stack([np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in knees)])
+            return np.stack(
+                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in knees)]
+            )
 
         columns = samples.low_passed(pieces)[:, rows].T
         heights = np.linalg.lstsq(columns, force_n, rcond=None)[0]

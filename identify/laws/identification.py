@@ -132,9 +132,7 @@ def identify_law(
             laws.append(_identify_contact(contacts, group, record, seconds / len(chosen), seed))
         progress(0.1 + 0.9 * number / len(chosen))
     results = tuple(law.result for law in laws)
-    report = LawReport(
-        rig=recording.rig.name, laws=results, unanswered=unanswered(refused), findings=contacts.findings
-    )
+    report = LawReport(rig=recording.rig.name, laws=results, unanswered=unanswered(refused), findings=contacts.findings)
     return Laws(report, tuple(laws))
 
 
@@ -276,7 +274,9 @@ def _fit_straight_pieces(
     if record.error_n(laws[0], rows) > good_error_n:
         laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
     if len(samples.estimates) > 1:  # soft stops before a hard one
-        stops_m = np.array([side * estimate.values[k] for estimate in samples.estimates for k, side in ((0, -1), (1, 1))])
+        stops_m = np.array(
+            [side * estimate.values[k] for estimate in samples.estimates for k, side in ((0, -1), (1, 1))]
+        )
         laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
     return min(laws, key=lambda law: record.error_n(law, rows))
 

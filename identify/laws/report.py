@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -50,7 +50,11 @@ def write_page(
         headline = f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found"
     sentences = [f"{law.contact}: {law.verdict}." for law in laws]
     sentences = sentences or ["This record does not determine the contacts; why, and what to do, is said below."]
-    colour = "red" if not laws else "yellow" if report.findings or unanswered else "green"
+    colour: Literal["green", "yellow", "red"] = "green"
+    if not laws:
+        colour = "red"
+    elif report.findings or unanswered:
+        colour = "yellow"
     findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     found_html = f"<h2>What was found</h2>{''.join(map(_law_section, laws))}" if laws else ""
     law_html, sections = "", []
@@ -114,7 +118,10 @@ def law_figures(laws: Sequence[ContactLawFit]) -> dict[str, Picture]:
     """Figures of the laws by name; none without a law."""
     if not laws:
         return {}
-    return {"law": picture(partial(_draw_law, laws=laws)), "law_over_time": picture(partial(_draw_over_time, laws=laws))}
+    return {
+        "law": picture(partial(_draw_law, laws=laws)),
+        "law_over_time": picture(partial(_draw_over_time, laws=laws)),
+    }
 
 
 def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
