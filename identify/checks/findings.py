@@ -69,7 +69,7 @@ def force_in_words(force: str) -> str:
 
 
 def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
-    """Names in a sentence; of more than `most`, the first two and the number of the others."""
+    """Names in a sentence; of more than max_count, the first two and the number of the others."""
     if len(names) <= max_count:
         return " and ".join(names)
     return f"{names[0]}, {names[1]} and {len(names) - 2} more"

@@ -23,9 +23,9 @@ Factors = tuple[tuple[str, float], ...]
 class Trial:
     """Trial change of a record or of rig.json: its misfit, and the findings if it is the best one.
 
-    trusted_channels may be trusted beside it. sensors_alone: these channels, the forces and rig.json are right as they
-    are. A trial with more freedom has an allowance above one, a factor on its misfit. A change of rig.json has its
-    changed_rig, and what the tolerances allow of it by their names: `factors` on the believed values.
+    The channels of trusted_indices may be trusted beside it; if is_rest_right, they, the forces and rig.json are right
+    as they are. A trial with more freedom has a misfit_factor above one. A change of rig.json has its changed_rig, and
+    what the tolerances allow of it by their names: tolerance_factors on the believed values.
     """
 
     misfit: float

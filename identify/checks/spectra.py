@@ -33,8 +33,9 @@ SMOOTHED_LINES = 41
 class Spectra:
     """Spectra of the forces, and of the sensors as accelerations: gain, delay and derivative of each chain divided out.
 
-    noise is the standard deviation per line of each sensor's noise, in the same unit. lines are the lines' numbers in
-    the transform of `length` samples; compared_s is the time from the start of the force until the ringing is cut off.
+    line_noise is the standard deviation per line of each sensor's noise, in the same unit. line_numbers are those in
+    the transform of padded_length samples; compared_span_s goes from the start of the force to where the ringing is
+    cut off.
     """
 
     sensors: tuple[Sensor, ...]
@@ -54,7 +55,7 @@ class Spectra:
 
     @property
     def compared_rate_hz(self) -> float:
-        """Samples a second of `in_time`."""
+        """Samples a second of compared_signals."""
         return 2 * (int(self.line_numbers[-1]) + 1) * self.sample_rate_hz / self.padded_length
 
     def compared_signals(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:

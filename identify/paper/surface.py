@@ -23,7 +23,7 @@ Parameters = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class Stops:
-    """Clearances of a contact to its lower and upper stop, with standard errors; half_error_m is that of their mean.
+    """Clearances of a contact to its lower and upper stop, with standard errors; mean_error_m is that of their mean.
 
     clearance_m is their mean, or the clearance of the only stop that is touched.
     """

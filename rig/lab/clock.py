@@ -49,7 +49,7 @@ class SampleTimes:
         return cls(stamps_s.size, rate_hz, stamps_s, stamp_fault)
 
     def stamps(self, first_sample: int, end_sample: int) -> Float[np.ndarray, " some"]:
-        """Time stamps of the samples first to last - 1, s."""
+        """Time stamps of the samples first_sample to end_sample - 1, s."""
         if self.stamps_s is None:
             return np.arange(first_sample, end_sample) / self.rate_hz
         return self.stamps_s[first_sample:end_sample]

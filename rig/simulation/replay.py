@@ -91,7 +91,7 @@ def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces
 
 
 def step_s_of(rig: Rig, min_rate_hz: float) -> float:
-    """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below least_hz."""
+    """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below min_rate_hz."""
     return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(min_rate_hz / rig.sample_rate_hz))))
 
 

@@ -36,7 +36,7 @@ def send_static(stream: rr.RecordingStream, path: str, components: rr.AsComponen
 def send(
     stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], archetype: Any, **columns: Any
 ) -> None:
-    """Send columns of an archetype over time, in batches of ROWS."""
+    """Send columns of an archetype over time, in batches of ROWS_PER_BATCH."""
     for first in range(0, time_s.size, ROWS_PER_BATCH):
         rows = slice(first, first + ROWS_PER_BATCH)
         values = archetype.columns(**{name: column[rows] for name, column in columns.items()})

@@ -30,7 +30,7 @@ DrawShape = Callable[[float, float, float], None]
 def draw(rig: Rig, path: Path) -> None:
     """Draw a rig as SVG, to scale along the bodies; clearances and thicknesses are not to scale.
 
-    Items on a mass are drawn side by side. A rig in space is drawn from the side, and from above below that. Raises
+    Items on a mass are drawn side by side. A rig in space is drawn from the side, and under that from below. Raises
     RigError if the file cannot be written.
     """
     drawing = Drawing()
