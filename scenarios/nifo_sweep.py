@@ -95,16 +95,12 @@ def nifo_sweep(
         for value in values
     ]
     outcomes = run_tasks(nifo_outcome, studies, NifoOutcome, folder / "tasks", dask)
-    points = [
-        Point(
-            1 / estimate.block_s if of_resolution else sweep.unit_factor * value,
-            estimate,
-            dict(zip(outcome.contacts, outcome.closed_shares, strict=True))[estimate.contact],
-            outcome.incoherent_shares,
-        )
-        for value, outcome in zip(values, outcomes, strict=True)
-        for estimate in outcome.estimates
-    ]
+    points = []
+    for value, outcome in zip(values, outcomes, strict=True):
+        closed_shares = dict(zip(outcome.contacts, outcome.closed_shares, strict=True))
+        for estimate in outcome.estimates:
+            x = 1 / estimate.block_s if of_resolution else sweep.unit_factor * value
+            points.append(Point(x, estimate, closed_shares[estimate.contact], outcome.incoherent_shares))
     noisy = [point for point in points if point.estimate.noise_density]
     ideal = ideal_range(noisy) if noisy else None
     print_and_draw(f"NIFO against {sweep.quantity}", sweep.axis, points, folder / f"{varied}.png", ideal)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
 
 from identify.checks import waveforms
 from identify.checks.continuity import discontinuity_findings
@@ -16,6 +15,7 @@ from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
 from identify.checks.pulls import (
     BrokenTolerance,
+    Pulls,
     broken_tolerances,
     joint_cost,
     misfit_within_tolerances,
@@ -119,35 +119,28 @@ def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[st
 
 
 def _model_findings(
-    recording_in_all_directions: Recording,
-    direction: Direction,
-    use: MotionQuantity,
-    tolerances: Tolerances,
-    waveform_findings: list[Finding],
+    full: Recording, direction: Direction, use: MotionQuantity, tolerances: Tolerances, waveform_findings: list[Finding]
 ) -> list[Finding]:
-    """Findings by the linear model of one direction, after those by the waveforms."""
-    force_names = recording_in_all_directions.rig.force_names_in(direction)
-    recording = plane_recording(recording_in_all_directions, direction)
+    """Findings by the linear model of one direction of the full recording, after those by the waveforms."""
+    force_names = full.rig.force_names_in(direction)
+    recording = plane_recording(full, direction)
     rig = recording.rig
     if rig.base_sensors:
         return []  # the comparison takes forces alone
-    excluding_findings = [finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES]
-    excluded_channels = {name for finding in excluding_findings for name in _channels_at_fault(finding, force_names)}
+    excluding = [finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES]
+    excluded = {name for finding in excluding for name in _channels_at_fault(finding, force_names)}
     sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates and use in ("auto", sensor.quantity))
-    if (
-        not sensors
-        or excluded_channels & {*force_names}
-        or any(finding.cause == "not at rest" for finding in waveform_findings)
-    ):
+    is_moving = any(finding.cause == "not at rest" for finding in waveform_findings)
+    if not sensors or excluded & {*force_names} or is_moving:
         return []
-    usable_indices = [i for i, sensor in enumerate(sensors) if sensor.name not in excluded_channels]
+    usable_indices = [i for i, sensor in enumerate(sensors) if sensor.name not in excluded]
     try:
         if len(usable_indices) > len(contact_groups(rig)) + 1:
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable_indices, tolerances)
         # no single direction tells when a ring is open
-        has_ring = any(contact.law.spatial for contact in recording_in_all_directions.rig.contacts)
+        has_ring = any(contact.law.spatial for contact in full.rig.contacts)
         if not waveform_findings and all(body.is_mass for body in rig.bodies) and not has_ring:
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
@@ -171,19 +164,14 @@ def _channel_findings(
         return discontinuities
 
     @cache
-    def tolerance_fit(
-        trusted_indices: tuple[int, ...],
-    ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+    def tolerance_fit(trusted_indices: tuple[int, ...]) -> tuple[list[BrokenTolerance], Pulls]:
         check = linear_check(rig, all_line_spectra(), [*trusted_indices])
         return broken_tolerances(rig, check, [*trusted_indices], tolerances)
 
     def tolerances_explain() -> bool:
-        violations_in_fit, pulls = tolerance_fit(tuple(usable_indices))
+        broken, pulls = tolerance_fit(tuple(usable_indices))
         check = linear_check(rig, all_line_spectra(), usable_indices)
-        return (
-            not violations_in_fit
-            and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
-        )
+        return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
 
     def pull_and_size_of(trial: Trial) -> tuple[float, float]:
         if trial.changed_rig is None:
@@ -194,19 +182,16 @@ def _channel_findings(
         )
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
-    tolerance_questions = ToleranceQuestions(tolerances_explain, pull_and_size_of)
-    gross_result = gross_faults(rig, spectra, usable_indices, all_line_spectra, tolerance_questions)
-    findings = list(gross_result.findings) or discontinuities
-    if gross_result.is_sound and len(gross_result.trusted_indices) > len(rig.contacts) + 1:
-        trusted_indices = gross_result.trusted_indices
-        violations, _ = tolerance_fit(tuple(trusted_indices))
-        is_doubted = violations and not findings
-        replacing_findings = (
-            gross_faults(rig, spectra, trusted_indices, all_line_spectra, tolerance_questions, is_doubted=True).findings
-            if is_doubted
-            else ()
-        )
-        findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
+    questions = ToleranceQuestions(tolerances_explain, pull_and_size_of)
+    gross = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
+    findings = list(gross.findings) or discontinuities
+    if gross.is_sound and len(gross.trusted_indices) > len(rig.contacts) + 1:
+        violations, _ = tolerance_fit(tuple(gross.trusted_indices))
+        replacing: tuple[Finding, ...] = ()
+        if violations and not findings:
+            doubted = gross_faults(rig, spectra, gross.trusted_indices, all_line_spectra, questions, is_doubted=True)
+            replacing = doubted.findings
+        findings += replacing or [tolerance_finding(violation) for violation in violations]
     return findings
 
 
@@ -233,26 +218,16 @@ class _Channel:
 def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
-    first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
-    live_channels = [
-        channel
-        for channel in channels
-        if channel.name not in _channel_names(f for f in first_faults if f.cause == "dead")
-    ]
-    excitation_signals = excitations(recording)
-    may_begin_moving = recording.start_s > 0 or not np.any(excitation_signals)  # a free decay begins in motion
-    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
-    if recording.start_s == 0 and _runs_backwards(live_channels, excitation_signals, recording.rig.sample_rate_hz):
-        motion_findings = [
-            waveforms.reversed_time_finding(tuple(channel.name for channel in live_channels if not channel.is_force))
-        ]
-    findings = motion_findings or [*first_faults, *_spike_findings(live_channels, _channel_names(first_faults))]
-    return [
-        *findings,
-        *waveforms.copy_findings(
-            [channel.name for channel in live_channels], [channel.samples for channel in live_channels]
-        ),
-    ]
+    faults = [fault for fault in map(_first_fault, channels) if fault is not None]
+    dead = _channel_names(fault for fault in faults if fault.cause == "dead")
+    live = [channel for channel in channels if channel.name not in dead]
+    signals = excitations(recording)
+    may_begin_moving = recording.start_s > 0 or not np.any(signals)  # a free decay begins in motion
+    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live)
+    if recording.start_s == 0 and _runs_backwards(live, signals, recording.rig.sample_rate_hz):
+        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live if not c.is_force))]
+    findings = motion_findings or [*faults, *_spike_findings(live, _channel_names(faults))]
+    return [*findings, *waveforms.copy_findings([c.name for c in live], [c.samples for c in live])]
 
 
 def _channel_names(findings: Iterable[Finding]) -> set[str]:
@@ -263,17 +238,13 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     """The forces on bodies, and the sensors of the quantity in use."""
     rig = recording.rig
-    used_names = {
-        *recording.force_names[: count_on_bodies(rig)],
-        *(sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)),
-    }
+    names = {*recording.force_names[: count_on_bodies(rig)]}
+    names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
+    rate_hz, forces_n, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
-            if name in used_names:
-                forces_n, force_names = excitations(recording), excitation_names(rig)
-                yield _Channel(
-                    group, name, samples, rig.sample_rate_hz, forces_n, force_names, _impact_sensors(rig, name)
-                )
+            if name in names:
+                yield _Channel(group, name, samples, rate_hz, forces_n, force_names, _impact_sensors(rig, name))
 
 
 def _impact_sensors(rig: Rig, name: str) -> frozenset[str]:
@@ -326,13 +297,10 @@ def _spike_findings(channels: Sequence[_Channel], faulty_names: set[str]) -> Ite
 def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float) -> bool:
     """True if all motion ends with the force, without ringing: time then seems to run backwards."""
     quiet_count = 0 if quiet_samples(forces_n, rate_hz) else quiet_samples(forces_n[..., ::-1], rate_hz)
-    ringing_samples = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
-    motion_rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
-    return bool(
-        quiet_count
-        and motion_rows
-        and all(float(row[::-1][ringing_samples].std()) < REST_SHARE * float(row.std()) for row in motion_rows)
-    )
+    ringing = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
+    rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
+    stops_dead = (float(row[::-1][ringing].std()) < REST_SHARE * float(row.std()) for row in rows)
+    return bool(quiet_count and rows and all(stops_dead))
 
 
 def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:

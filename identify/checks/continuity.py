@@ -23,16 +23,13 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
     ratio, time_s = discontinuity_ratio(rig, spectra, channel_indices)
     if ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
-    force_count = len(spectra.forces) if len(spectra.forces) > 1 else 0
-    if any(
-        discontinuity_ratio(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO for k in range(force_count)
-    ):
-        return []
-    ratio_by_excluded_index = {
-        k: discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0] for k in channel_indices
-    }
-    worst_index = min(ratio_by_excluded_index, key=lambda k: ratio_by_excluded_index[k])
-    if ratio_by_excluded_index[worst_index] < MIN_DISCONTINUITY_RATIO:
+    for k in range(len(spectra.forces) if len(spectra.forces) > 1 else 0):
+        if discontinuity_ratio(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:
+            return []
+    ratio_without, worst_index = min(
+        (discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0], k) for k in channel_indices
+    )
+    if ratio_without < MIN_DISCONTINUITY_RATIO:
         name = spectra.sensors[worst_index].name
         return [
             Finding(
@@ -61,9 +58,8 @@ def discontinuity_ratio(
     than the median residual power: noise does not fall with the motion, as at the beginning of the force.
     """
     check = linear_check(rig, spectra, channel_indices)
-    residual = Projector(check, channel_indices, doubted_force_index)(
-        (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
-    )
+    unforced = (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
+    residual = Projector(check, channel_indices, doubted_force_index)(unforced)
     scaled_acceleration = spectra.compared_signals((spectra.acceleration / check.error_scale)[channel_indices])
     residual_power = _part_powers(residual, spectra.compared_rate_hz)
     motion_power = _part_powers(scaled_acceleration, spectra.compared_rate_hz)
@@ -79,8 +75,5 @@ def _part_powers(signals: Float[np.ndarray, "sensors times"], samples_per_s: flo
     """Mean square of all rows in each part of the record."""
     part_samples = max(1, round(PART_S * samples_per_s))
     part_count = signals.shape[1] // part_samples
-    return np.asarray(
-        np.mean(
-            signals[:, : part_count * part_samples].reshape(len(signals), part_count, part_samples) ** 2, axis=(0, 2)
-        )
-    )
+    parts = signals[:, : part_count * part_samples].reshape(len(signals), part_count, part_samples)
+    return np.asarray(np.mean(parts**2, axis=(0, 2)))

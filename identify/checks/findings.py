@@ -69,7 +69,7 @@ def force_in_words(force: str) -> str:
 
 
 def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
-    """Names in a sentence; of more than `most`, the first two and the number of the others."""
+    """Names in a sentence; of more than max_count, the first two and the number of the others."""
     if len(names) <= max_count:
         return " and ".join(names)
     return f"{names[0]}, {names[1]} and {len(names) - 2} more"
@@ -77,18 +77,15 @@ def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
 
 def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
     """Merge three or more findings of the same cause into one."""
-    merged_findings: list[Finding] = []
+    merged: list[Finding] = []
     for cause in dict.fromkeys(finding.cause for finding in findings):
-        same_cause = [finding for finding in findings if finding.cause == cause]
-        names = tuple(dict.fromkeys(name for finding in same_cause for name in finding.channels))
-        if len(same_cause) < 3:
-            merged_findings += same_cause
+        alike = [finding for finding in findings if finding.cause == cause]
+        if len(alike) < 3:
+            merged += alike
             continue
+        names = tuple(dict.fromkeys(name for finding in alike for name in finding.channels))
         bodies = {sensor.station.body for sensor in rig.sensors if sensor.name in names}
         body = bodies.pop() if len(bodies) == 1 else ""
-        first_finding = same_cause[0]
-        evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {first_finding.evidence}"
-        merged_findings.append(
-            Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first_finding.mend)
-        )
-    return tuple(merged_findings)
+        evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {alike[0].evidence}"
+        merged.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=alike[0].mend))
+    return tuple(merged)

@@ -119,14 +119,12 @@ def _channel_trials(
 ) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
     for channel_index in usable_indices:
-        other_indices = [i for i in usable_indices if i != channel_index]
-        without_channel = check.with_spectra(check.spectra, other_indices)
-        prediction = without_channel.prediction(other_indices)
+        others = [i for i in usable_indices if i != channel_index]
+        without = check.with_spectra(check.spectra, others)
+        prediction = without.prediction(others)
         if np.isfinite(prediction.misfit):
-            findings = partial(
-                _channel_findings, rig, without_channel, prediction, channel_index, other_indices, all_line_spectra
-            )
-            yield Trial(prediction.misfit, other_indices, findings, misfit_factor=FREED_CHANNEL_FACTOR)
+            findings = partial(_channel_findings, rig, without, prediction, channel_index, others, all_line_spectra)
+            yield Trial(prediction.misfit, others, findings, misfit_factor=FREED_CHANNEL_FACTOR)
 
 
 def _channel_findings(
@@ -138,33 +136,28 @@ def _channel_findings(
     all_line_spectra: SpectraOnDemand,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
-
-    def delays_over_time() -> Float[np.ndarray, " parts"] | None:
-        return _delays_over_time(rig, all_line_spectra(), channel_index, channel_indices)
-
+    delays_over_time = partial(_delays_over_time, rig, all_line_spectra, channel_index, channel_indices)
     return (channel_finding(rig, check, channel_index, prediction, delays_over_time),)
 
 
 def _delays_over_time(
-    rig: Rig, spectra: Spectra, channel_index: int, channel_indices: list[int]
+    rig: Rig, all_line_spectra: SpectraOnDemand, channel_index: int, channel_indices: list[int]
 ) -> Float[np.ndarray, " parts"] | None:
     """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
     it slips; None if they are alike or unknown."""
+    spectra = all_line_spectra()
     check = linear_check(rig, spectra, channel_indices)
-    predicted_spectrum = check.prediction(channel_indices).accelerations[channel_index]
-    measured_and_predicted = spectra.compared_signals(
-        np.stack([spectra.acceleration[channel_index], predicted_spectrum]) / check.error_scale[channel_index]
+    predicted = check.prediction(channel_indices).accelerations[channel_index]
+    measured_and_predicted = (
+        np.stack([spectra.acceleration[channel_index], predicted]) / check.error_scale[channel_index]
     )
     delays_s = []
-    for measured, predicted in np.array_split(measured_and_predicted, PART_COUNT, axis=1):
-        window = np.hanning(measured.size)
-        windowed_spectra = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
-        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.compared_rate_hz)
-        relation_to_predicted = relation(
-            omega[1:], windowed_spectra[0][1:], windowed_spectra[1][1:], np.ones(omega.size - 1)
-        )
-        if relation_to_predicted.coherence >= MIN_PART_COHERENCE:
-            delays_s.append(relation_to_predicted.delay_s)
+    for part in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
+        measured, predicted = np.fft.rfft(part * np.hanning(part.shape[1]))[:, 1:]
+        omega = 2 * np.pi * np.fft.rfftfreq(part.shape[1], 1 / spectra.compared_rate_hz)[1:]
+        fit = relation(omega, measured, predicted, np.ones(omega.size))
+        if fit.coherence >= MIN_PART_COHERENCE:
+            delays_s.append(fit.delay_s)
     return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
@@ -192,22 +185,19 @@ def _force_findings(
 def _swap_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials that exchange two sensors or two forces."""
     spectra = check.spectra
-    for first_index, second_index in combinations(usable_indices, 2):
-        swapped_acceleration = spectra.acceleration.copy()
-        swapped_acceleration[[first_index, second_index]] = swapped_acceleration[[second_index, first_index]]
-        names = spectra.sensors[first_index].name, spectra.sensors[second_index].name
-        trusted_indices = [i for i in usable_indices if i not in (first_index, second_index)]
-        yield Trial(
-            check.misfit(spectra.with_acceleration(swapped_acceleration), usable_indices),
-            trusted_indices,
-            partial(_swap_findings, names),
-        )
-    for force_pair in combinations(range(len(spectra.forces)), 2):
-        swapped_forces = spectra.forces.copy()
-        swapped_forces[[*force_pair]] = swapped_forces[[*force_pair[::-1]]]
-        names = spectra.force_names[force_pair[0]], spectra.force_names[force_pair[1]]
-        misfit = check.misfit(replace(spectra, forces=swapped_forces), usable_indices)
-        yield Trial(misfit, usable_indices, partial(_swap_findings, names), False)
+    for i, k in combinations(usable_indices, 2):
+        acceleration = spectra.acceleration.copy()
+        acceleration[[i, k]] = acceleration[[k, i]]
+        misfit = check.misfit(spectra.with_acceleration(acceleration), usable_indices)
+        trusted_indices = [index for index in usable_indices if index not in (i, k)]
+        findings = partial(_swap_findings, (spectra.sensors[i].name, spectra.sensors[k].name))
+        yield Trial(misfit, trusted_indices, findings)
+    for i, k in combinations(range(len(spectra.forces)), 2):
+        forces = spectra.forces.copy()
+        forces[[i, k]] = forces[[k, i]]
+        misfit = check.misfit(replace(spectra, forces=forces), usable_indices)
+        findings = partial(_swap_findings, (spectra.force_names[i], spectra.force_names[k]))
+        yield Trial(misfit, usable_indices, findings, False)
 
 
 def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
@@ -228,32 +218,27 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
     spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
-    scaled_acceleration = spectra.acceleration
+    scaled = spectra.acceleration
     for _ in range(3):
-        check = check.with_spectra(spectra.with_acceleration(scaled_acceleration), usable_indices)
+        check = check.with_spectra(spectra.with_acceleration(scaled), usable_indices)
         projection = check.unknown_input_projection(usable_indices)
-        channel_columns = np.array(
-            [projection.applied_to(scaled_acceleration[[i]], [k])[0].ravel() for k, i in enumerate(usable_indices)]
-        )
+        columns = np.array([projection.applied_to(scaled[[i]], [k])[0].ravel() for k, i in enumerate(usable_indices)])
         force_column = projection.applied_to(check.acceleration_by_all_forces[usable_indices])[0].ravel()
-        normal_matrix = (channel_columns.conj() @ channel_columns.T).real
-        right_side = (channel_columns.conj() @ force_column).real
-        round_factors = np.linalg.solve(
-            normal_matrix + 1e-9 * np.trace(normal_matrix) * np.eye(len(usable_indices)), right_side
-        )
-        if not np.all(np.isfinite(round_factors)) or np.any(np.abs(round_factors) < 1e-9):
+        normal_matrix = (columns.conj() @ columns.T).real
+        normal_matrix += 1e-9 * np.trace(normal_matrix) * np.eye(len(usable_indices))
+        factors = np.linalg.solve(normal_matrix, (columns.conj() @ force_column).real)
+        if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
             return
-        scaled_acceleration = scaled_acceleration.copy()
-        scaled_acceleration[usable_indices] *= round_factors[:, None]
-        gains[usable_indices] /= round_factors
-    misfit = check.misfit(spectra.with_acceleration(scaled_acceleration), usable_indices)
+        scaled = scaled.copy()
+        scaled[usable_indices] *= factors[:, None]
+        gains[usable_indices] /= factors
+    misfit = check.misfit(spectra.with_acceleration(scaled), usable_indices)
     miscalibrated = [i for i in usable_indices if abs(gains[i] - 1) > MIN_GAIN_ERROR]
     if miscalibrated:
         findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated]
         trusted_indices = [i for i in usable_indices if i not in miscalibrated]
-        yield Trial(
-            misfit, trusted_indices, partial(merge_by_cause, findings, rig), misfit_factor=FREED_CHANNEL_FACTOR**2
-        )
+        merged = partial(merge_by_cause, findings, rig)
+        yield Trial(misfit, trusted_indices, merged, misfit_factor=FREED_CHANNEL_FACTOR**2)
 
 
 def _multiple_channel_faults(
@@ -262,13 +247,11 @@ def _multiple_channel_faults(
     """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
     trusted_indices, excluded_indices = list(usable_indices), list[int]()
     while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
-        trials = []
-        for channel_index in trusted_indices:
-            remaining_indices = [i for i in trusted_indices if i != channel_index]
-            trials.append((check.misfit(check.spectra, remaining_indices), channel_index))
-        misfit, worst_index = min(trials)
-        trusted_indices = [i for i in trusted_indices if i != worst_index]
-        excluded_indices = [*excluded_indices, worst_index]
+        misfit, worst_index = min(
+            (check.misfit(check.spectra, [k for k in trusted_indices if k != i]), i) for i in trusted_indices
+        )
+        trusted_indices.remove(worst_index)
+        excluded_indices.append(worst_index)
         if misfit < SOUND_MISFIT:
             check = check.with_spectra(check.spectra, trusted_indices)
             prediction = check.prediction(trusted_indices)

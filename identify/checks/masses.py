@@ -20,7 +20,7 @@ from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
 from rig.errors import RigError
-from rig.model.description import ON_GROUND, Body, Rig, Station
+from rig.model.description import ON_GROUND, Body, Rig, Station, contact_stations
 from rig.model.modes import loaded_mass
 from rig.model.tolerances import Tolerances
 
@@ -118,28 +118,20 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
     force_high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
     decimation = max(1, int(motion.sample_rate_hz / 2 / (HALF_RATE_TO_FORCE_HZ * force_high_hz)))
     rate_hz = motion.sample_rate_hz / decimation
-    motion_rows = (
-        motion.acceleration_m_per_s2[station_index],
-        motion.velocity_m_per_s[station_index],
-        motion.displacement_m[station_index],
-    )
-    signals = decimated(
-        np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *motion_rows]),
-        decimation,
-    )
-    open_passages = _passages(
-        _open_mask(rig, motion, station_index, decimation, quantile), motion.excited_from // decimation + 1
-    )
-    if sum(p.stop - p.start for p in open_passages) < 50:
+    force_n = force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n)
+    rows = (motion.acceleration_m_per_s2, motion.velocity_m_per_s, motion.displacement_m)
+    signals = decimated(np.stack([force_n, *(row[station_index] for row in rows)]), decimation)
+    is_open = _open_mask(rig, motion, station_index, decimation, quantile)
+    passages = _passages(is_open, motion.excited_from // decimation + 1)
+    if sum(p.stop - p.start for p in passages) < 50:
         return None
-    if np.concatenate([signals[0, p] for p in open_passages]).std() < MIN_FORCE_SHARE * signals[0].std():
+    if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
-    def fit_at_delay(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    def fit_at_delay(delay_s: float) -> MassFit:
         force = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
-        segments = [np.stack([force[p], *signals[1:, p]]) for p in open_passages]
-        centred_segments = [segment - segment.mean(axis=1, keepdims=True) for segment in segments]
-        samples = np.concatenate(centred_segments, axis=1)
+        segments = [np.stack([force[p], *signals[1:, p]]) for p in passages]
+        samples = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
         motion_rms = samples[1:].std(axis=1)
         scaled_motion = samples[1:] / motion_rms[:, None]
         if not np.isfinite(scaled_motion).all():
@@ -147,21 +139,20 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
         pseudo_inverse = np.linalg.pinv(scaled_motion.T)
         coefficients = pseudo_inverse @ samples[0] / motion_rms
         residual = samples[0] - coefficients @ samples[1:]
-        boundaries = np.cumsum([s.shape[1] for s in centred_segments])[:-1]
-        segment_parts = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
-        scores = [influence @ error for influence, error in segment_parts]
+        boundaries = np.cumsum([segment.shape[1] for segment in segments])[:-1]
+        parts = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
+        scores = [influence @ error for influence, error in parts]
         standard_errors = np.sqrt(np.sum(np.square(scores), axis=0)) / motion_rms
-        return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), coefficients, standard_errors, residual
+        explained_share = 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2))
+        return MassFit(coefficients, standard_errors, delay_s, explained_share)
 
-    delays_s = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz)
-    delay_s = float(delays_s[int(np.argmax([fit_at_delay(trial_delay_s)[0] for trial_delay_s in delays_s]))])
-    fine_delays_s = delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz
-    delay_s = float(fine_delays_s[int(np.argmax([fit_at_delay(fine_delay_s)[0] for fine_delay_s in fine_delays_s]))])
-    undelayed_fit = fit_at_delay(0.0)
-    if fit_at_delay(delay_s)[0] - undelayed_fit[0] < 0.2 * (1 - undelayed_fit[0]):
-        delay_s = 0.0
-    explained_share, coefficients, standard_errors, _ = fit_at_delay(delay_s)
-    return MassFit(coefficients, standard_errors, delay_s, explained_share)
+    def best_fit(delays_s: Float[np.ndarray, " trials"]) -> MassFit:
+        return max((fit_at_delay(float(delay_s)) for delay_s in delays_s), key=lambda fit: fit.explained_share)
+
+    coarse = best_fit(np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz))
+    fine, undelayed = best_fit(coarse.delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz), fit_at_delay(0.0)
+    gained_share = fine.explained_share - undelayed.explained_share
+    return undelayed if gained_share < 0.2 * (1 - undelayed.explained_share) else fine
 
 
 def _open_mask(
@@ -171,22 +162,19 @@ def _open_mask(
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // decimation), dtype=bool)
     for group in contact_groups(rig):
-        contact = group.contact
-        if motion.stations[station_index].body not in (
-            contact.at.body,
-            contact.against.body if contact.against else None,
-        ):
+        stations = contact_stations(group.contact)
+        if motion.stations[station_index].body not in [station.body for station in stations]:
             continue
-        if not all(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices):
+        laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
+        if not all(law.has_stops for law in laws):
             return np.zeros_like(is_open)
-        rows = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
+        rows = [motion.row(station) for station in stations]
         if None in rows:
             continue
         eta_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
         distance_m = np.abs(eta_m - np.median(eta_m))[::decimation]
         is_open &= distance_m < np.quantile(distance_m[motion.excited_from // decimation :], quantile)
-        if len(group.contact_indices) > 1:
-            laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
+        if len(laws) > 1:
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
             is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
@@ -205,6 +193,7 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
     channels are those of the forces and, last, of the sensor.
     """
     mass_kg, damping_n_s_per_m, stiffness_n_per_m = fit.coefficients
+    mass_error, damping_error, stiffness_error = fit.standard_errors
     if fit.explained_share < UNRELATED_SHARE:
         return [
             Finding(
@@ -218,7 +207,6 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
     mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
     if fit.delay_s != 0 and not 0.5 < abs(mass_ratio) < 2:  # fitted by chance
         return []
-    unexplained_share = 1 - fit.explained_share
     findings = []
     if abs(fit.delay_s) > 1e-4:
         findings.append(
@@ -231,17 +219,15 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
             )
         )
     size_tolerances = [tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]
-    max_relative_error = MAX_DEVIATIONS * float(np.hypot.reduce(size_tolerances))
-    if abs(mass_ratio - 1) > max_relative_error + MAX_DEVIATIONS * fit.standard_errors[0] / abs(mass_kg):
+    max_error = MAX_DEVIATIONS * float(np.hypot.reduce(size_tolerances))
+    if abs(mass_ratio - 1) > max_error + MAX_DEVIATIONS * mass_error / abs(mass_kg):
         findings.append(_gain_finding(body, channels, mass_ratio))
     natural_hz = _identifiable_hz(body)
     if natural_hz:
         fitted_hz = float(np.sqrt(max(stiffness_n_per_m / mass_kg, 0.0))) / (2 * np.pi)
-        relative_error = 0.5 * float(
-            np.hypot(fit.standard_errors[2] / abs(stiffness_n_per_m), fit.standard_errors[0] / abs(mass_kg))
-        )
-        max_relative_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
-        if abs(fitted_hz / natural_hz - 1) > max_relative_error + unexplained_share + MAX_DEVIATIONS * relative_error:
+        fit_error = 0.5 * float(np.hypot(stiffness_error / abs(stiffness_n_per_m), mass_error / abs(mass_kg)))
+        max_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
+        if abs(fitted_hz / natural_hz - 1) > max_error + 1 - fit.explained_share + MAX_DEVIATIONS * fit_error:
             findings.append(
                 Finding(
                     cause="frequency",
@@ -253,9 +239,9 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
             )
         stated_damping_per_s = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
         damping_factor = damping_n_s_per_m / mass_kg / stated_damping_per_s if stated_damping_per_s else 1.0
-        relative_error = fit.standard_errors[1] / abs(mass_kg) / (stated_damping_per_s or np.inf)
-        max_relative_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
-        if not findings and abs(damping_factor - 1) > max_relative_error + MAX_DEVIATIONS * relative_error:
+        fit_error = damping_error / abs(mass_kg) / (stated_damping_per_s or np.inf)
+        max_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
+        if not findings and abs(damping_factor - 1) > max_error + MAX_DEVIATIONS * fit_error:
             findings.append(
                 Finding(
                     cause="damping",

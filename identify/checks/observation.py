@@ -68,20 +68,16 @@ def _truncation_changes(
     """Changes by the modes that a description leaves out, of each force on a body and each station there: the share
     of its highest modes, beyond the band, in the motion is the standard deviation of what modes beyond them would add.
     """
-    first_stand_in_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
-    if response.body.is_mass or first_stand_in_mode >= response.mode_count:
+    first_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
+    if response.body.is_mass or first_mode >= response.mode_count:
         return
     stations = list(dict.fromkeys(sensor.station for sensor in sensors if sensor.station.body == response.body.name))
-    shapes = response.shapes(stations)[:, first_stand_in_mode:]
-    input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
-    for name, input_shape, input_spectrum in zip(
-        input_names, input_shapes(rig, response, rig.forces), input_spectra, strict=True
-    ):
-        if stations and np.any(input_shape):
-            accelerance = real_product(
-                shapes * input_shape[first_stand_in_mode:], response.accelerance[first_stand_in_mode:]
-            )
-            for station, signal in zip(stations, accelerance * input_spectrum, strict=True):
-                sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station == station]
-                parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[sensor_indices[0]].name} by {name}")
-                yield Change(parameter, sensor_indices, np.tile(signal, (len(sensor_indices), 1)))
+    shapes = response.shapes(stations)[:, first_mode:]
+    names = (*rig.force_names, *(contact.name for contact in rig.contacts))
+    for name, shape, spectrum in zip(names, input_shapes(rig, response, rig.forces), input_spectra, strict=True):
+        if stations and np.any(shape):
+            accelerance = real_product(shapes * shape[first_mode:], response.accelerance[first_mode:])
+            for station, signal in zip(stations, accelerance * spectrum, strict=True):
+                rows = [i for i, sensor in enumerate(sensors) if sensor.station == station]
+                parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[rows[0]].name} by {name}")
+                yield Change(parameter, rows, np.tile(signal, (len(rows), 1)))

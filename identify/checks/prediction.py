@@ -13,7 +13,7 @@ from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED_LINES, Spectra
-from identify.linear.model import ResponseCache, accelerances, input_shapes, real_product, response_of
+from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Station
@@ -66,9 +66,7 @@ class LinearCheck:
         """Accelerances of the unknown inputs: of the doubted force, if there is one, and of the contacts."""
         if doubted_force_index is None:
             return self.contact_accelerance
-        return np.concatenate(
-            [self.accelerance[doubted_force_index : doubted_force_index + 1], self.contact_accelerance]
-        )
+        return np.concatenate([self.accelerance[[doubted_force_index]], self.contact_accelerance])
 
     @property
     def acceleration_by_force(self) -> Complex[np.ndarray, "forces sensors lines"]:
@@ -81,51 +79,38 @@ class LinearCheck:
 
     def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
-        return LinearCheck(
-            spectra, self.accelerance, _error_scale_of(spectra, channel_indices), driven_lines(spectra.forces)
-        )
+        error_scale = _error_scale_of(spectra, channel_indices)
+        return LinearCheck(spectra, self.accelerance, error_scale, driven_lines(spectra.forces))
 
     def unknown_input_projection(
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        unknown_accelerances = self.unknown_inputs(doubted_force_index)[:, channel_indices]
+        accelerances = self.unknown_inputs(doubted_force_index)[:, channel_indices]
         error_scale = self.error_scale[channel_indices]
-        return projection(unknown_accelerances / error_scale, error_scale, len(unknown_accelerances))
+        return projection(accelerances / error_scale, error_scale, len(accelerances))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
-        spectra, unknown_accelerances = self.spectra, self.unknown_inputs(doubted_force_index)
-        known_force_motion = self.acceleration_by_force
+        spectra, accelerances = self.spectra, self.unknown_inputs(doubted_force_index)
+        motion_by_force = self.acceleration_by_force
         if doubted_force_index is not None:
-            known_force_motion = np.delete(known_force_motion, doubted_force_index, axis=0)
-        known_motion = np.asarray(known_force_motion.sum(axis=0))
-        unexplained_spectra = (spectra.acceleration - known_motion)[channel_indices]
-        residual, input_spectra = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(
-            unexplained_spectra
-        )
-        freedom_count = len(channel_indices) - len(unknown_accelerances)
+            motion_by_force = np.delete(motion_by_force, doubted_force_index, axis=0)
+        known_motion = np.asarray(motion_by_force.sum(axis=0))
+        unexplained = (spectra.acceleration - known_motion)[channel_indices]
+        residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
+        freedom_count = len(channel_indices) - len(accelerances)
         line_squares = np.sum(np.abs(residual) ** 2, axis=0)
-        informative_lines = self._informative_lines(channel_indices)
-        line_squares_by_force = (
-            line_squares[driven_by_force & informative_lines]
-            for driven_by_force in self.driven_lines
-            if np.any(driven_by_force & informative_lines)
-        )
-        largest_median = max(
-            float(np.median(squares)) for squares in (line_squares[informative_lines], *line_squares_by_force)
-        )
+        informative = self._informative_lines(channel_indices)
+        masks = [informative, *(driven & informative for driven in self.driven_lines if np.any(driven & informative))]
+        largest_median = max(float(np.median(line_squares[mask])) for mask in masks)
         misfit = largest_median / freedom_count if freedom_count > 0 else np.nan
-        force_spectra, contact_spectra = spectra.forces, input_spectra
+        force_spectra, contact_spectra = spectra.forces, inputs
         if doubted_force_index is not None:
-            force_spectra, contact_spectra = force_spectra.copy(), input_spectra[1:]
-            force_spectra[doubted_force_index] = input_spectra[0]
-        return Prediction(
-            misfit,
-            known_motion + np.einsum("isl,il->sl", unknown_accelerances, input_spectra),
-            force_spectra,
-            contact_spectra,
-        )
+            force_spectra, contact_spectra = force_spectra.copy(), inputs[1:]
+            force_spectra[doubted_force_index] = inputs[0]
+        accelerations = known_motion + np.einsum("isl,il->sl", accelerances, inputs)
+        return Prediction(misfit, accelerations, force_spectra, contact_spectra)
 
     def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
@@ -133,11 +118,9 @@ class LinearCheck:
 
     def _informative_lines(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
-        relative_noise_power = np.mean(
-            (self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]) ** 2, axis=0
-        )
-        is_informative = relative_noise_power < NOISE_SHARE
-        return np.asarray(is_informative) if np.mean(is_informative) > MIN_LINES_SHARE else np.ones_like(is_informative)
+        relative_noise = self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]
+        informative = np.mean(relative_noise**2, axis=0) < NOISE_SHARE
+        return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
 
 
 def linear_check(
@@ -148,7 +131,9 @@ def linear_check(
     To try many rigs, share one `cache`.
     """
     channel_indices = list(range(len(spectra.sensors))) if channel_indices is None else channel_indices
-    accelerance = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
+    cache = cache or ResponseCache(spectra.omega, 0)
+    responses = [response_of(rig, body, cache) for body in rig.bodies]
+    accelerance = accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
     return LinearCheck(spectra, accelerance, _error_scale_of(spectra, channel_indices), driven_lines(spectra.forces))
 
 
@@ -168,28 +153,19 @@ def acceleration_by_forces(
     rig: Rig, predicted: Prediction, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
     """Accelerations at any stations by the forces and the estimated contact forces."""
-    input_spectra, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
-    responses = (response_of(rig, body, cache) for body in rig.bodies)
-    accelerations_by_body = (
-        real_product(
-            response.shapes(stations),
-            response.accelerance * real_product(input_shapes(rig, response, rig.forces).T, input_spectra),
-        )
-        for response in responses
-    )
-    return np.asarray(sum(accelerations_by_body))
+    inputs, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
+
+    def by_body(response: Response) -> Complex[np.ndarray, "stations lines"]:
+        modal_force = real_product(input_shapes(rig, response, rig.forces).T, inputs)
+        return real_product(response.shapes(stations), response.accelerance * modal_force)
+
+    return np.asarray(sum(by_body(response_of(rig, body, cache)) for body in rig.bodies))
 
 
 def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
     """Mask of the lines on which each force has a share of its largest level."""
     force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED_LINES, axis=1), 0.0))
     return np.asarray(force_level > DRIVEN_SHARE * force_level.max(axis=1, keepdims=True))
-
-
-def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
-    """Accelerances of each force, then of each contact (which drives by minus its force)."""
-    responses = [response_of(rig, body, cache) for body in rig.bodies]
-    return accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
 
 
 class Projector:
@@ -200,17 +176,15 @@ class Projector:
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
         line_noise = check.spectra.line_noise[channel_indices]
-        signal_level = (
-            np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
-        )
-        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * signal_level, line_noise)
-        self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown_accelerances = check.unknown_inputs(doubted_force_index)[:, channel_indices]
-        self._projection = projection(unknown_accelerances / self._scale, self._scale, len(unknown_accelerances))
+        level = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
+        scale = np.hypot(MIN_MODEL_ERROR_SHARE * level, line_noise)
+        scale = np.maximum(scale, 1e-9 * scale.max())
+        accelerances = check.unknown_inputs(doubted_force_index)[:, channel_indices]
+        self._projection = projection(accelerances / scale, scale, len(accelerances))
         self._spectra = check.spectra
-        scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / self._scale)
-        duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
-        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(scaled_motion.T))))
+        motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / scale)
+        duration_s = motion_duration_s(motion, self._spectra.compared_rate_hz)
+        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
         return np.asarray(self._spectra.compared_signals(self._projection.applied_to(rows)[0]) * self._counted)

@@ -32,6 +32,8 @@ MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 BATCH_SAMPLES = 1024
 """Samples of all columns in memory at once."""
 
+Pulls = Float[np.ndarray, " nuisances"]
+
 
 @dataclass(frozen=True)
 class Suspect:
@@ -61,27 +63,25 @@ def suspects_of(
         for m in np.flatnonzero(body.response.dynamics.natural_hz > omega[-1] / (2 * np.pi)).tolist()
     }
     suspects = [_suspect_of(p, tolerances, (p.owner, p.mode_number) not in modes_beyond_band) for p in parameters]
-    added_suspects = []
+    columns = []
     clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
         response = body.response
-        sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
-        shapes = response.shapes([sensors[i].station for i in sensor_indices])
-        frequency_motion = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
-        clock_column[sensor_indices] += frequency_motion
+        rows = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
+        shapes = response.shapes([sensors[i].station for i in rows])
+        by_frequency = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
+        clock_column[rows] += by_frequency
         if response.body.length_m and tolerances.mass:
-            density_column = np.zeros_like(clock_column)
-            density_column[sensor_indices] = -tolerances.mass * (
-                real_product(shapes, body.acceleration) + 0.5 * frequency_motion
-            )
-            added_suspects.append((Suspect("density", response.body.name, tolerances.mass), density_column))
-    added_suspects.append((Suspect("clock", "", 1.0), clock_column))
-    if tolerances.delay_s:
-        for name, force_motion in zip(force_names(len(acceleration_by_force)), acceleration_by_force, strict=True):
-            added_suspects.append(
-                (Suspect("force delay", name, tolerances.delay_s), 1j * omega * tolerances.delay_s * force_motion)
-            )
-    return [*suspects, *(suspect for suspect, _ in added_suspects)], np.stack([column for _, column in added_suspects])
+            column = np.zeros_like(clock_column)
+            column[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * by_frequency)
+            suspects.append(Suspect("density", response.body.name, tolerances.mass))
+            columns.append(column)
+    suspects.append(Suspect("clock", "", 1.0))
+    columns.append(clock_column)
+    if delay_s := tolerances.delay_s:
+        suspects += [Suspect("force delay", name, delay_s) for name in force_names(len(acceleration_by_force))]
+        columns += [1j * omega * delay_s * motion for motion in acceleration_by_force]
+    return suspects, np.stack(columns)
 
 
 def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -> Suspect:
@@ -113,7 +113,7 @@ class BrokenTolerance:
 
 def broken_tolerances(
     rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
-) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+) -> tuple[list[BrokenTolerance], Pulls]:
     """Parameters beyond their tolerances, at most four, the highest score first; and all nuisance parameters' pulls.
 
     A pull is the estimate in standard deviations, with the broken parameters free.
@@ -152,11 +152,7 @@ def joint_cost(rig: Rig, check: LinearCheck, channel_indices: list[int], toleran
 
 
 def misfit_within_tolerances(
-    rig: Rig,
-    check: LinearCheck,
-    channel_indices: list[int],
-    tolerances: Tolerances,
-    pulls: Float[np.ndarray, " nuisances"],
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances, pulls: Pulls
 ) -> float:
     """Misfit of these channels without the changes by the nuisance parameters' pulls."""
     acceleration = check.spectra.acceleration.copy()
@@ -168,7 +164,7 @@ def misfit_within_tolerances(
 
 def _violations_and_pulls(
     residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
-) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+) -> tuple[list[BrokenTolerance], Pulls]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
     broken: list[BrokenTolerance] = []
     free_indices: list[int] = []
@@ -176,13 +172,13 @@ def _violations_and_pulls(
     while True:
         scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            free_residual = _column_sum([columns[k] for k in free_indices], scores.free_sizes)
-            remaining_residual = residual - _column_sum(columns[:prior_count], scores.pulls) - free_residual
-            power_by_time = np.mean(remaining_residual**2, axis=0)
-            time_weights = 1 / np.sqrt(1 + power_by_time / max(4 * np.median(power_by_time), np.float32(1)))
+            free_part = _column_sum([columns[k] for k in free_indices], scores.free_sizes)
+            remainder = residual - _column_sum(columns[:prior_count], scores.pulls) - free_part
+            power = np.mean(remainder**2, axis=0)
+            time_weights = 1 / np.sqrt(1 + power / max(4 * np.median(power), np.float32(1)))
             scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
-        violated_indices = [
+        violated = [
             k
             for k, candidate in enumerate(candidates)
             if candidate.is_reportable
@@ -190,15 +186,11 @@ def _violations_and_pulls(
             and abs(scores.scores[k]) > max(required_pull(candidate.kind), min_pull)
             and _exceeds_tolerance(candidate, float(scores.sizes[k]), tolerances)
         ]
-        if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
+        if not violated or len(broken) == MAX_BROKEN_COUNT:
             return broken, scores.pulls
-        worst_index = max(violated_indices, key=lambda k: abs(scores.scores[k]))
-        broken.append(
-            BrokenTolerance(
-                candidates[worst_index], float(scores.sizes[worst_index]), float(scores.scores[worst_index])
-            )
-        )
-        free_indices.append(worst_index)
+        worst = max(violated, key=lambda k: abs(scores.scores[k]))
+        broken.append(BrokenTolerance(candidates[worst], float(scores.sizes[worst]), float(scores.scores[worst])))
+        free_indices.append(worst)
 
 
 @dataclass(frozen=True)
@@ -219,10 +211,8 @@ class _Column:
 
 def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
     """Sum of the columns times their coefficients."""
-    return sum(
-        (np.float32(coefficient) * column.values() for coefficient, column in zip(coefficients, columns, strict=True)),
-        start=0.0,
-    )
+    terms = (np.float32(size) * column.values() for size, column in zip(coefficients, columns, strict=True))
+    return sum(terms, start=0.0)
 
 
 @dataclass(frozen=True)
@@ -231,7 +221,7 @@ class _Scores:
 
     scores: Float[np.ndarray, " columns"]
     sizes: Float[np.ndarray, " columns"]
-    pulls: Float[np.ndarray, " nuisances"]
+    pulls: Pulls
     free_sizes: Float[np.ndarray, " free"]
 
 
@@ -239,25 +229,23 @@ def _scores(
     residual: np.ndarray, columns: list[_Column], prior_count: int, free_indices: list[int], time_weights: np.ndarray
 ) -> _Scores:
     """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_indices` none."""
-    fitted_indices = [*range(prior_count), *free_indices]
+    fitted = [*range(prior_count), *free_indices]
     products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-    for first_sample in range(0, residual.shape[1], BATCH_SAMPLES):
-        batch_samples = slice(first_sample, first_sample + BATCH_SAMPLES)
-        batch_rows = np.stack(
-            [column.values(batch_samples) * time_weights[batch_samples] for column in columns]
-        ).reshape(len(columns), -1)
-        products += batch_rows @ batch_rows.T
-        correlations += batch_rows @ (residual[:, batch_samples] * time_weights[batch_samples]).reshape(-1)
+    for first in range(0, residual.shape[1], BATCH_SAMPLES):
+        batch = slice(first, first + BATCH_SAMPLES)
+        weights = time_weights[batch]
+        rows = np.stack([column.values(batch) * weights for column in columns]).reshape(len(columns), -1)
+        products += rows @ rows.T
+        correlations += rows @ (residual[:, batch] * weights).reshape(-1)
     prior_precision = np.r_[np.ones(prior_count), np.full(len(free_indices), 1e-9)]
-    covariance = np.linalg.inv(products[np.ix_(fitted_indices, fitted_indices)] + np.diag(prior_precision))
-    products_with_fitted = products[:, fitted_indices]
-    estimates = covariance @ correlations[fitted_indices]
-    unexplained_correlations = correlations - products_with_fitted @ estimates
-    variance = np.maximum(
-        np.diag(products) - np.einsum("ij,jk,ik->i", products_with_fitted, covariance, products_with_fitted), 1e-12
-    )
-    sizes, pulls, free_sizes = (unexplained_correlations / variance, estimates[:prior_count], estimates[prior_count:])
-    return _Scores(unexplained_correlations / np.sqrt(variance), sizes, pulls, free_sizes)
+    covariance = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior_precision))
+    with_fitted = products[:, fitted]
+    estimates = covariance @ correlations[fitted]
+    unexplained = correlations - with_fitted @ estimates
+    explained_variance = np.einsum("ij,jk,ik->i", with_fitted, covariance, with_fitted)
+    variance = np.maximum(np.diag(products) - explained_variance, 1e-12)
+    scores, sizes = unexplained / np.sqrt(variance), unexplained / variance
+    return _Scores(scores, sizes, pulls=estimates[:prior_count], free_sizes=estimates[prior_count:])
 
 
 def required_pull(kind: str) -> float:
@@ -277,60 +265,64 @@ def _exceeds_tolerance(candidate: Suspect, error_size: float, tolerances: Tolera
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
     """Finding on a broken tolerance, in words."""
-    suspect, error_size = violation.suspect, violation.size_in_tolerances * violation.suspect.column_change
+    kind, name = violation.suspect.kind, violation.suspect.of
+    error = violation.size_in_tolerances * violation.suspect.column_change
+    percent_off, comes = (
+        f"{100 * error:+.2g} % off",
+        f"comes {1e3 * abs(error):.2g} ms {'late' if error > 0 else 'early'}",
+    )
     tolerances_text = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
-    if suspect.kind == "clock":
+    if kind == "clock":
         return Finding(
             cause="clock",
-            evidence=f"all modes of all bodies lie {100 * error_size:+.2g} % off the frequencies of rig.json",
+            evidence=f"all modes of all bodies lie {percent_off} the frequencies of rig.json",
             mend="check the sampling rate: a clock that is off shifts all frequencies alike",
         )
-    if suspect.kind == "force gain":
+    if kind == "force gain":
         return Finding(
             cause="gain",
-            channels=("force" if suspect.of == SINGLE_FORCE_NAME else suspect.of,),
-            evidence=f"{suspect.of} is {100 * error_size:+.2g} % off what all sensors imply {tolerances_text}",
+            channels=("force" if name == SINGLE_FORCE_NAME else name,),
+            evidence=f"{name} is {percent_off} what all sensors imply {tolerances_text}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )
-    if suspect.kind == "force delay":
+    if kind == "force delay":
         return Finding(
             cause="delay",
-            channels=(suspect.of,),
-            evidence=f"{force_in_words(suspect.of)} comes {1e3 * abs(error_size):.2g} ms "
-            f"{'late' if error_size > 0 else 'early'} against all sensors",
+            channels=(name,),
+            evidence=f"{force_in_words(name)} {comes} against all sensors",
             mend="synchronise the force's clock with the sensors'",
         )
-    if suspect.kind in ("mass", "density"):
+    if kind in ("mass", "density"):
         return Finding(
             cause="mass",
-            of=suspect.of,
-            evidence=f"{suspect.of} moves as if its {suspect.kind} were {100 * error_size:+.2g} % off rig.json "
-            f"{tolerances_text}",
+            of=name,
+            evidence=f"{name} moves as if its {kind} were {percent_off} rig.json {tolerances_text}",
             mend="weigh it and correct rig.json",
         )
-    if suspect.kind in ("frequency", "damping"):
+    if kind in ("frequency", "damping"):
         return Finding(
-            cause="frequency" if suspect.kind == "frequency" else "damping",
-            of=suspect.of,
-            evidence=f"the {suspect.kind} of {suspect.of} is {100 * error_size:+.2g} % off rig.json {tolerances_text}",
+            cause="frequency" if kind == "frequency" else "damping",
+            of=name,
+            evidence=f"the {kind} of {name} is {percent_off} rig.json {tolerances_text}",
             mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
         )
-    words_by_kind = {
-        "gain": f"is {100 * error_size:+.2g} % off in gain against the others and the model",
-        "position": f"moves as if it stood {1e3 * error_size:+.3g} mm from its station",
-        "delay": f"comes {1e3 * abs(error_size):.2g} ms {'late' if error_size > 0 else 'early'} against the others",
-        "high-pass": f"is high-passed at about {abs(error_size):.2g} Hz",
+    causes: dict[str, tuple[Cause, str, str]] = {
+        "gain": ("gain", f"is {percent_off} in gain against the others and the model", "calibrate it again"),
+        "position": (
+            "station",
+            f"moves as if it stood {1e3 * error:+.3g} mm from its station",
+            "measure its place and correct rig.json",
+        ),
+        "delay": (
+            "delay",
+            f"{comes} against the others",
+            f"set delay_s = {error:.2g} in rig.json, or synchronise its clock",
+        ),
+        "high-pass": (
+            "filtered",
+            f"is high-passed at about {abs(error):.2g} Hz",
+            "take the coupling off, or widen high_pass_hz of its tolerance",
+        ),
     }
-    remedy_by_kind = {
-        "gain": "calibrate it again",
-        "position": "measure its place and correct rig.json",
-        "delay": f"set delay_s = {error_size:.2g} in rig.json, or synchronise its clock",
-        "high-pass": "take the coupling off, or widen high_pass_hz of its tolerance",
-    }
-    causes: dict[str, Cause] = {"gain": "gain", "position": "station", "delay": "delay", "high-pass": "filtered"}
-    return Finding(
-        cause=causes[suspect.kind],
-        channels=(suspect.of,),
-        evidence=f"{suspect.of} {words_by_kind[suspect.kind]} {tolerances_text}",
-        mend=remedy_by_kind[suspect.kind],
-    )
+    cause, evidence, mend = causes[kind]
+    return Finding(cause=cause, channels=(name,), evidence=f"{name} {evidence} {tolerances_text}", mend=mend)

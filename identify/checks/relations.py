@@ -23,6 +23,9 @@ MIN_COHERENCE = 0.5
 MAX_DELAY_S = 0.1
 BAND_COUNT = 10
 
+Lines = Float[np.ndarray, " lines"]
+Spectrum = Complex[np.ndarray, " lines"]
+
 
 @dataclass(frozen=True)
 class Relation:
@@ -34,11 +37,7 @@ class Relation:
 
 
 def relation(
-    omega: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, " lines"],
-    predicted: Complex[np.ndarray, " lines"],
-    line_weights: Float[np.ndarray, " lines"],
-    max_delay_s: float = MAX_DELAY_S,
+    omega: Lines, measured: Spectrum, predicted: Spectrum, line_weights: Lines, max_delay_s: float = MAX_DELAY_S
 ) -> Relation:
     """Relation at the delay of the highest coherence; the gain's sign makes the covariance positive there."""
     cross_spectrum = predicted.conj() * measured * line_weights**2
@@ -47,15 +46,13 @@ def relation(
     if not (predicted_power > 0 and measured_power > 0):
         return Relation(0.0, 0.0, 0.0)
     delay_step_s = 0.25 * np.pi / float(omega[-1])
-    delays_to_try_s = delay_step_s * np.arange(-int(max_delay_s / delay_step_s), int(max_delay_s / delay_step_s) + 1)
+    tried_s = delay_step_s * np.arange(-int(max_delay_s / delay_step_s), int(max_delay_s / delay_step_s) + 1)
+    batches_s = np.array_split(tried_s, 8)
     cross_sums = np.concatenate(
-        [
-            (np.exp(1j * delays_s[:, None] * omega) @ cross_spectrum).real
-            for delays_s in np.array_split(delays_to_try_s, 8)
-        ]
+        [(np.exp(1j * delay_s[:, None] * omega) @ cross_spectrum).real for delay_s in batches_s]
     )
     best_index = int(np.argmax(np.abs(cross_sums)))
-    delay_s = delays_to_try_s[best_index]
+    delay_s = tried_s[best_index]
     for _ in range(4):  # of the real part's slope
         delayed_cross_spectrum = np.exp(1j * delay_s * omega) * cross_spectrum
         slope = float(np.sum((1j * omega * delayed_cross_spectrum).real))
@@ -75,10 +72,7 @@ def unit_mistake(gain: float) -> str | None:
 
 
 def gain_by_band(
-    omega: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, " lines"],
-    predicted: Complex[np.ndarray, " lines"],
-    line_weights: Float[np.ndarray, " lines"],
+    omega: Lines, measured: Spectrum, predicted: Spectrum, line_weights: Lines
 ) -> tuple[Float[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
     """Size of the complex gain in each band, unexplained share of the measured power, and the bands' centres, Hz."""
     edge_indices = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BAND_COUNT + 1)[1:-1])

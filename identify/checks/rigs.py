@@ -16,14 +16,16 @@ from identify.linear.model import ResponseCache
 from rig.model.description import Body, Rig, Station
 from rig.model.tolerances import Tolerances
 
+Factors = tuple[tuple[str, float], ...]
+
 
 @dataclass(frozen=True)
 class Trial:
     """Trial change of a record or of rig.json: its misfit, and the findings if it is the best one.
 
-    trusted_channels may be trusted beside it. sensors_alone: these channels, the forces and rig.json are right as they
-    are. A trial with more freedom has an allowance above one, a factor on its misfit. A change of rig.json has its
-    changed_rig, and what the tolerances allow of it by their names: `factors` on the believed values.
+    The channels of trusted_indices may be trusted beside it; if is_rest_right, they, the forces and rig.json are right
+    as they are. A trial with more freedom has a misfit_factor above one. A change of rig.json has its changed_rig, and
+    what the tolerances allow of it by their names: tolerance_factors on the believed values.
     """
 
     misfit: float
@@ -32,15 +34,15 @@ class Trial:
     is_rest_right: bool = True
     misfit_factor: float = 1.0
     changed_rig: Rig | None = None
-    tolerance_factors: tuple[tuple[str, float], ...] = ()
+    tolerance_factors: Factors = ()
 
     def distance_in_tolerances(self, tolerances: Tolerances) -> float:
         """Distance of the changed rig.json from the believed one, in standard deviations of the logarithms, as the
         values are positive; infinite where no tolerance allows the change at all."""
-        tolerances_and_factors = [(getattr(tolerances, name), factor) for name, factor in self.tolerance_factors]
-        if not tolerances_and_factors or any(tolerance == 0 for tolerance, _ in tolerances_and_factors):
+        pairs = [(getattr(tolerances, name), factor) for name, factor in self.tolerance_factors]
+        if not pairs or any(tolerance == 0 for tolerance, _ in pairs):
             return np.inf
-        return float(np.linalg.norm([np.log(factor) / tolerance for tolerance, factor in tolerances_and_factors]))
+        return float(np.linalg.norm([np.log(factor) / tolerance for tolerance, factor in pairs]))
 
 
 MAX_CHANGE_FACTOR = 3.0
@@ -50,94 +52,65 @@ POSITION_COUNT = 21
 
 def rig_trials(rig: Rig, spectra: Spectra, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials of every usual change of rig.json, each with its best value."""
-
     cache = ResponseCache(spectra.omega)
 
     def misfit_of(candidate: Rig, candidate_spectra: Spectra = spectra) -> float:
         return linear_check(candidate, candidate_spectra, usable_indices, cache).prediction(usable_indices).misfit
 
-    def trial(
-        trial_misfit: float,
-        finding: Callable[[], Finding],
-        changed_rig: Rig | None = None,
-        factors: tuple[tuple[str, float], ...] = (),
-    ) -> Trial:
+    def trial(misfit: float, finding: Callable[[], Finding], changed: Rig | None, factors: Factors = ()) -> Trial:
         return Trial(
-            trial_misfit,
-            usable_indices,
-            lambda: (finding(),),
-            False,
-            changed_rig=changed_rig,
-            tolerance_factors=factors,
+            misfit, usable_indices, lambda: (finding(),), False, changed_rig=changed, tolerance_factors=factors
         )
 
-    def best_factor(
-        rig_of_factor: Callable[[float], Rig], max_factor: float = MAX_CHANGE_FACTOR
-    ) -> tuple[float, float]:
-        log_factors = np.linspace(-np.log(max_factor), np.log(max_factor), 13)
-        misfits = [misfit_of(rig_of_factor(float(np.exp(log_factor)))) for log_factor in log_factors]
-        best_index = int(np.argmin(misfits))
-        bounds = (log_factors[max(best_index - 1, 0)], log_factors[min(best_index + 1, len(log_factors) - 1)])
-        optimum = minimize_scalar(
-            lambda x: misfit_of(rig_of_factor(float(np.exp(x)))),
-            bounds=bounds,
-            method="bounded",
-            options={"xatol": 2e-3},
-        )
+    def best_factor(rig_of: Callable[[float], Rig], max_factor: float = MAX_CHANGE_FACTOR) -> tuple[float, float]:
+        def misfit_at(log_factor: float) -> float:
+            return misfit_of(rig_of(float(np.exp(log_factor))))
+
+        logs = np.linspace(-np.log(max_factor), np.log(max_factor), 13)
+        best = int(np.argmin([misfit_at(log_factor) for log_factor in logs]))
+        bounds = (logs[max(best - 1, 0)], logs[min(best + 1, len(logs) - 1)])
+        optimum = minimize_scalar(misfit_at, bounds=bounds, method="bounded", options={"xatol": 2e-3})
         return float(np.exp(optimum.x)), float(optimum.fun)
 
     for body in rig.bodies:
         for changed_body, description in _other_ends(rig, body):
-            changed_rig = _with_body(rig, changed_body)
-            yield trial(misfit_of(changed_rig), partial(_ends_finding, body.name, description), changed_rig)
+            changed = _with_body(rig, changed_body)
+            yield trial(misfit_of(changed), partial(_ends_finding, body.name, description), changed)
         if body.length_m:
-            yield trial(
-                misfit_of(rig, _mirrored_spectra(spectra, body)), partial(_mirrored_finding, body.name, spectra)
-            )
+            misfit = misfit_of(rig, _mirrored_spectra(spectra, body))
+            yield trial(misfit, partial(_mirrored_finding, body.name, spectra), None)
         for finding_of, (change, exponents) in BODY_CHANGES.items():
-            factor, least_misfit = best_factor(partial(_with_changed_body, rig, body, change))
-            changed_rig = _with_changed_body(rig, body, change, factor)
+            factor, misfit = best_factor(partial(_with_changed_body, rig, body, change))
             factors = tuple((name, factor**exponent) for name, exponent in exponents.items())
-            yield trial(least_misfit, partial(finding_of, body.name, factor), changed_rig, factors)
-    clock_factor, least_misfit = best_factor(partial(_with_clock, rig), 1.2)
-    factors = (("frequency", clock_factor),) * len(rig.bodies)
-    yield trial(least_misfit, partial(_clock_finding, clock_factor), _with_clock(rig, clock_factor), factors)
-    for force_index, (name, stated_station) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
-        for other_station in _other_positions(rig.body(stated_station.body), stated_station):
-            stations = (*rig.forces[:force_index], other_station, *rig.forces[force_index + 1 :])
-            changed_rig = replace(rig, force_at=stations if len(stations) > 1 else other_station)
-            yield trial(misfit_of(changed_rig), partial(_force_place_finding, name, other_station), changed_rig)
+            changed = _with_changed_body(rig, body, change, factor)
+            yield trial(misfit, partial(finding_of, body.name, factor), changed, factors)
+    factor, misfit = best_factor(partial(_with_clock, rig), 1.2)
+    factors = (("frequency", factor),) * len(rig.bodies)
+    yield trial(misfit, partial(_clock_finding, factor), _with_clock(rig, factor), factors)
+    for i, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
+        for station in _other_positions(rig, stated):
+            stations = (*rig.forces[:i], station, *rig.forces[i + 1 :])
+            changed = replace(rig, force_at=stations if len(stations) > 1 else station)
+            yield trial(misfit_of(changed), partial(_force_place_finding, name, station), changed)
     for contact in rig.contacts:
-        for place_field in ("at", "against"):
-            stated_contact_station = getattr(contact, place_field)
-            for other_station in (
-                _other_positions(rig.body(stated_contact_station.body), stated_contact_station)
-                if stated_contact_station
-                else ()
-            ):
-                contacts = tuple(
-                    replace(c, **{place_field: other_station}) if c is contact else c for c in rig.contacts
-                )
-                changed_rig = replace(rig, contacts=contacts)
-                yield trial(
-                    misfit_of(changed_rig), partial(_contact_place_finding, contact.name, other_station), changed_rig
-                )
+        for field in ("at", "against"):
+            for station in _other_positions(rig, getattr(contact, field)):
+                contacts = (replace(c, **{field: station}) if c is contact else c for c in rig.contacts)
+                changed = replace(rig, contacts=tuple(contacts))
+                yield trial(misfit_of(changed), partial(_contact_place_finding, contact.name, station), changed)
 
 
 def _with_clock(rig: Rig, frequency_factor: float) -> Rig:
     return replace(rig, bodies=tuple(body.scale_frequencies(frequency_factor) for body in rig.bodies))
 
 
-def _other_positions(body: Body, stated_station: Station) -> list[Station]:
-    """Other places along the body, at least a hundredth of its length away."""
-    if not body.length_m:
+def _other_positions(rig: Rig, stated: Station | None) -> list[Station]:
+    """Other places along a station's body, at least a hundredth of its length away; none of a mass or the ground."""
+    if stated is None or not (length_m := rig.body(stated.body).length_m):
         return []
-    positions_m = np.linspace(0, body.length_m, POSITION_COUNT)
-    return [
-        Station(body.name, float(position_m))
-        for position_m in positions_m
-        if abs(position_m - stated_station.position_m) > 0.01 * body.length_m
-    ]
+    positions_m = np.linspace(0, length_m, POSITION_COUNT)
+    other_m = positions_m[np.abs(positions_m - stated.position_m) > 0.01 * length_m]
+    return [Station(stated.body, float(position_m)) for position_m in other_m]
 
 
 def _with_changed_body(rig: Rig, body: Body, change: Callable[[Body, float], Body], factor: float) -> Rig:
@@ -150,12 +123,9 @@ def _with_body(rig: Rig, body: Body) -> Rig:
 
 def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
     for beam in (b for b in rig.beams if b == body):
-        for end_condition, description in (
-            ("free-free", "free at both ends"),
-            ("clamped-free", "clamped at its left end"),
-        ):
-            if beam.ends != end_condition:
-                yield replace(beam, ends=end_condition), description
+        for ends, description in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
+            if beam.ends != ends:
+                yield replace(beam, ends=ends), description
 
 
 def _mirrored_spectra(spectra: Spectra, body: Body) -> Spectra:
@@ -250,10 +220,7 @@ def _clock_finding(factor: float) -> Finding:
 
 BODY_CHANGES: dict[Callable[[str, float], Finding], tuple[Callable[[Body, float], Body], dict[str, float]]] = {
     _mass_finding: (lambda body, x: body.scale_mass(x), {"mass": 1.0}),
-    _density_finding: (
-        lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),
-        {"mass": 1.0, "frequency": -0.5},
-    ),
+    _density_finding: (lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5), {"mass": 1.0, "frequency": -0.5}),
     _frequency_finding: (lambda body, x: body.scale_frequencies(x), {"frequency": 1.0}),
     _damping_finding: (lambda body, x: body.scale_damping(x**3), {"damping": 3.0}),
 }

@@ -33,8 +33,9 @@ SMOOTHED_LINES = 41
 class Spectra:
     """Spectra of the forces, and of the sensors as accelerations: gain, delay and derivative of each chain divided out.
 
-    noise is the standard deviation per line of each sensor's noise, in the same unit. lines are the lines' numbers in
-    the transform of `length` samples; compared_s is the time from the start of the force until the ringing is cut off.
+    line_noise is the standard deviation per line of each sensor's noise, in the same unit. line_numbers are those in
+    the transform of padded_length samples; compared_span_s goes from the start of the force to where the ringing is
+    cut off.
     """
 
     sensors: tuple[Sensor, ...]
@@ -54,7 +55,7 @@ class Spectra:
 
     @property
     def compared_rate_hz(self) -> float:
-        """Samples a second of `in_time`."""
+        """Samples a second of compared_signals."""
         return 2 * (int(self.line_numbers[-1]) + 1) * self.sample_rate_hz / self.padded_length
 
     def compared_signals(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
@@ -87,34 +88,27 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
     first_line, last_line = int(np.ceil(LOWEST_HZ * padded_length / rate_hz)), int(high_hz * padded_length / rate_hz)
     if last_line - first_line < SMOOTHED_LINES:
         raise RigError("the force's band is too low or too narrow")
-    line_numbers = np.arange(
-        first_line, last_line, 1 if max_lines is None else max(1, (last_line - first_line) // max_lines)
-    )
+    line_step = 1 if max_lines is None else max(1, (last_line - first_line) // max_lines)
+    line_numbers = np.arange(first_line, last_line, line_step)
     omega = 2 * np.pi * line_numbers * rate_hz / padded_length
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    sensor_spectra = rfft(signals * end_taper, padded_length)[:, line_numbers]
-    quiet_count = quiet_samples(forces_n, rate_hz)
-    quiet_signals = signals[:, :quiet_count]
     chain_factors = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
-    sensor_spectra *= chain_factors
-    if quiet_signals.shape[1]:
-        noise_rms = quiet_signals.std(axis=1)
+    acceleration = rfft(signals * end_taper, padded_length)[:, line_numbers] * chain_factors
+    quiet_count = quiet_samples(forces_n, rate_hz)
+    if quiet_count:
+        noise_rms = signals[:, :quiet_count].std(axis=1)
     else:
         noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
-    line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
-    compared_span_s = (
-        quiet_count / rate_hz,
-        max(sample_count / rate_hz - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz),
-    )
-    if compared_span_s[1] - compared_span_s[0] < MIN_COMPARED_S:
+    noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
+    duration_s = sample_count / rate_hz
+    span_s = (quiet_count / rate_hz, max(duration_s - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz))
+    if span_s[1] - span_s[0] < MIN_COMPARED_S:
         raise RigError(
-            f"the record lasts {sample_count / rate_hz:.3g} s, of which less than {MIN_COMPARED_S:g} s can be "
-            "compared with the linear model; record longer"
+            f"the record lasts {duration_s:.3g} s, of which less than {MIN_COMPARED_S:g} s can be compared with the "
+            "linear model; record longer"
         )
     forces = rfft(forces_n * end_taper, padded_length)[:, line_numbers]
-    return Spectra(
-        sensors, omega, sensor_spectra, forces, line_noise, line_numbers, padded_length, compared_span_s, rate_hz
-    )
+    return Spectra(sensors, omega, acceleration, forces, noise, line_numbers, padded_length, span_s, rate_hz)
 
 
 def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:

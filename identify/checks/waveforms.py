@@ -65,16 +65,16 @@ def out_of_range_finding(name: str, group: str, samples: Row) -> Finding | None:
 
     The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
-    plausible, unit = (
-        (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
-    )
-    reached_value = float(np.abs(samples).max())
-    if reached_value <= plausible:
+    plausible, unit = LARGEST_FORCE_N, "N"
+    if group != "force":
+        plausible, unit = QUANTITIES[group].largest, QUANTITIES[group].unit
+    largest = float(np.abs(samples).max())
+    if largest <= plausible:
         return None
     return Finding(
         cause="units",
         channels=(name,),
-        evidence=f"{name} reaches {reached_value:.3g} {unit}, and nothing on a test rig exceeds {plausible:g} {unit}",
+        evidence=f"{name} reaches {largest:.3g} {unit}, and nothing on a test rig exceeds {plausible:g} {unit}",
         mend="check the unit and the scale that it was recorded or imported with",
     )
 
@@ -141,9 +141,8 @@ def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[
 def neighbour_deviation(samples: Row) -> Row:
     """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
     deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
-    return np.asarray(
-        np.r_[0, 0, deviation / np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300), 0, 0]
-    )
+    usual = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
+    return np.asarray(np.r_[0, 0, deviation / usual, 0, 0])
 
 
 def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
@@ -159,26 +158,20 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     jump_deviations = deviation[jump_samples]
     spike_samples = [int(k) for k in jump_samples[jump_deviations > MIN_SPIKE_RATIO]]
     if other_deviations and spike_samples:
-        largest_elsewhere = np.array(
-            [max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jump_samples]
-        )
-        is_unshared = largest_elsewhere < MIN_IMPACT_RATIO
+        elsewhere = np.array([max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jump_samples])
+        is_unshared = elsewhere < MIN_IMPACT_RATIO
         spike_samples = [
             int(k)
             for k, size in zip(jump_samples[is_unshared], jump_deviations[is_unshared], strict=True)
             if size > MIN_SPIKE_RATIO and np.mean(is_unshared[jump_deviations > size / SPIKE_TO_IMPACT_RATIO]) > 0.5
         ]
     elif spike_samples:
-        peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][
-            : MAX_SPIKES + 1
-        ]
-        peak_ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
-        widest_index = int(np.argmax(peak_ratios))
-        spike_samples = (
-            [k for k in spike_samples if deviation[k] >= peaks[widest_index]]
-            if peak_ratios[widest_index] > SPIKE_TO_IMPACT_RATIO
-            else []
-        )
+        middle = interior[1:-1]
+        peaks = np.sort(middle[(middle > interior[:-2]) & (middle > interior[2:])])[::-1][: MAX_SPIKES + 1]
+        ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        widest = int(np.argmax(ratios))
+        stands_out = ratios[widest] > SPIKE_TO_IMPACT_RATIO
+        spike_samples = [k for k in spike_samples if stands_out and deviation[k] >= peaks[widest]]
     if not 0 < len(spike_samples) <= MAX_SPIKES:
         return None
     return Finding(
@@ -209,12 +202,10 @@ def _moving_mean(values: Row, width: int) -> Row:
 
 def copy_findings(names: list[str], rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
-    thinned_rows = [row[:: max(1, row.size // 8192)] for row in rows]
-    unit_vectors = [
-        (row - row.mean()) / norm if (norm := float(np.linalg.norm(row - row.mean()))) > 0 else np.zeros_like(row)
-        for row in thinned_rows
-    ]
-    correlation = np.abs(np.array(unit_vectors) @ np.array(unit_vectors).T)
+    thinned = (row[:: max(1, row.size // 8192)] for row in rows)
+    centred = (row - row.mean() for row in thinned)
+    unit_vectors = np.array([row / (float(np.linalg.norm(row)) or 1.0) for row in centred])
+    correlation = np.abs(unit_vectors @ unit_vectors.T)
     for i, name in enumerate(names):
         for k in range(i):
             if correlation[i, k] > 1 - 1e-9:
@@ -262,18 +253,15 @@ def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, flo
     line_hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
     resolution_hz = line_hz[1]
     for mains_hz in (50.0, 60.0):
-        tone_mask = np.abs(line_hz - mains_hz) <= max(0.15, 1.5 * resolution_hz)
-        background_mask = (np.abs(line_hz - mains_hz) > max(0.6, 3 * resolution_hz)) & (
-            np.abs(line_hz - mains_hz) < max(3.0, 9 * resolution_hz)
-        )
-        if not (tone_mask.any() and background_mask.any()):
+        distance_hz = np.abs(line_hz - mains_hz)
+        tone = distance_hz <= max(0.15, 1.5 * resolution_hz)
+        beside = (distance_hz > max(0.6, 3 * resolution_hz)) & (distance_hz < max(3.0, 9 * resolution_hz))
+        if not (tone.any() and beside.any()):
             continue
-        tone_amplitude = float(line_amplitudes[tone_mask].max())
-        background_amplitude = float(np.sqrt(np.mean(line_amplitudes[background_mask] ** 2)))
-        if tone_amplitude > 2 * TONE_TO_BACKGROUND * background_amplitude and tone_amplitude > MIN_TONE_SHARE * float(
-            samples.std()
-        ):
-            return float(line_hz[tone_mask][np.argmax(line_amplitudes[tone_mask])]), tone_amplitude
+        amplitude = float(line_amplitudes[tone].max())
+        background = float(np.sqrt(np.mean(line_amplitudes[beside] ** 2)))
+        if amplitude > max(2 * TONE_TO_BACKGROUND * background, MIN_TONE_SHARE * float(samples.std())):
+            return float(line_hz[tone][np.argmax(line_amplitudes[tone])]), amplitude
     return None
 
 
@@ -294,9 +282,7 @@ def hum_finding(name: str, rate_hz: float, samples: Row, forces_n: Rows) -> Find
 
 def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> Finding | None:
     """Finding: samples with a mean that should have none: of an acceleration, or of motion before the force begins."""
-    mean, rms = (
-        (float(samples.mean()), float(samples.std())) if usual_rms is None else (float(samples.mean()), usual_rms)
-    )
+    mean, rms = float(samples.mean()), float(samples.std()) if usual_rms is None else usual_rms
     if abs(mean) <= MAX_OFFSET_SHARE * rms or not rms:
         return None
     return Finding(

@@ -4,6 +4,7 @@ its result, and the report on the terminal."""
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from rich.console import Console
@@ -58,25 +59,12 @@ def identify_file(
     segment_s = settings.segment_s
     if segment_s is None and file.exists() and file.stat().st_size > LARGE_FILE_BYTES:
         segment_s = longest_segment_s(file)
+    options: dict[str, Any] = {"use": settings.use, "averaging": settings.averaging, "equation": settings.equation}
+    options |= {"tolerances": settings.tolerances, "progress": progress}
     if segment_s is None:
-        contact_result = identify.contact(
-            file,
-            use=settings.use,
-            averaging=settings.averaging,
-            equation=settings.equation,
-            tolerances=settings.tolerances,
-            progress=progress,
-        )
-        return FileAnswer(contact_result.report, lambda out: _save(contact_result, out, settings.export))
-    report, segment_results = identify_long(
-        file,
-        segment_s=segment_s,
-        use=settings.use,
-        averaging=settings.averaging,
-        equation=settings.equation,
-        tolerances=settings.tolerances,
-        progress=progress,
-    )
+        result = identify.contact(file, **options)
+        return FileAnswer(result.report, lambda out: _save(result, out, settings.export))
+    report, segment_results = identify_long(file, segment_s=segment_s, **options)
     return FileAnswer(report, lambda out: _save_pooled(file, segment_s, report, segment_results, out))
 
 

@@ -58,25 +58,13 @@ def contact_rows(task: RecordingTask) -> TableRows:
 def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str, str | float | None]]:
     findings = " | ".join(finding.sentence for finding in report.findings)
     verdict = "not_to_be_relied_on" if findings else "identified"
-    contact_cells = [(_estimate_cells(contact), contact.name, verdict) for contact in report.contacts]
-    contact_cells += [
-        ({"code": contact.code or "", "reason": contact.reason}, contact.name, "not_told")
-        for contact in report.unanswered
-    ]
-    return [
-        {
-            "recording": recording_name,
-            "rig": report.rig,
-            "contact": contact_name,
-            "verdict": row_verdict,
-            "law": "",
-            "code": "",
-            "reason": "",
-            "findings": findings,
-            **estimate_cells,
-        }
-        for estimate_cells, contact_name, row_verdict in contact_cells
-    ]
+    common: dict[str, str | float | None] = {"recording": recording_name, "rig": report.rig, "findings": findings}
+    common |= {"law": "", "code": "", "reason": ""}
+    rows = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
+    for contact in report.unanswered:
+        reason: dict[str, str | float | None] = {"code": contact.code or "", "reason": contact.reason}
+        rows.append(common | {"contact": contact.name, "verdict": "not_told"} | reason)
+    return rows
 
 
 def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
@@ -100,14 +88,11 @@ def _print_contacts(answers: list[TableRows]) -> None:
     table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
     reasons = []
     for row in (row for answer in answers for row in answer.rows):
-        interval_cells = (_interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0))
-        verdict = str(row["verdict"]).replace("_", " ")
-        table.add_row(
-            str(row["recording"]), str(row.get("contact", "")), *interval_cells, verdict * (verdict != "identified")
-        )
+        intervals = _interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0)
+        recording, contact, verdict = row["recording"], row.get("contact") or "", str(row["verdict"]).replace("_", " ")
+        table.add_row(str(recording), str(contact), *intervals, verdict * (verdict != "identified"))
         if row.get("reason"):
-            contact_phrase = f", {row['contact']}" if row.get("contact") else ""
-            reasons.append(f"{row['recording']}{contact_phrase}: {verdict}: {row['reason']}")
+            reasons.append(f"{recording}{contact and f', {contact}'}: {verdict}: {row['reason']}")
     console = literal_console()
     console.print(table)
     for reason in reasons:

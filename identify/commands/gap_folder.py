@@ -67,25 +67,22 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
 
     Recordings of one rig.json share a file of null references: the first of each rig makes it, then the others follow.
     """
-    first_task_by_reference: dict[str, RecordingTask] = {}
+    first_tasks: dict[str, RecordingTask] = {}
     tasks = []
     with working(f"reading {folder}"):
         for task in tasks_of(folder, out, settings, RESULT_NAMES, force):
-            reference_path = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
-            tasks.append(msgspec.structs.replace(task, shared=reference_path))
-            first_task_by_reference.setdefault(reference_path, tasks[-1])
+            reference = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
+            tasks.append(msgspec.structs.replace(task, shared=reference))
+            first_tasks.setdefault(reference, tasks[-1])
     make_folder(out / NULL_REFERENCES)
-    task_stages = [
-        list(first_task_by_reference.values()),
-        [task for task in tasks if task not in first_task_by_reference.values()],
-    ]
-    answers = answer_all(gap_rows, task_stages, out, settings, RESULT_NAMES[0], dask, force)
-    task_positions = {task.path.name: position for position, task in enumerate(tasks)}
-    answers.sort(key=lambda answer: task_positions[str(answer.rows[0]["recording"])])
+    stages = [list(first_tasks.values()), [task for task in tasks if task not in first_tasks.values()]]
+    answers = answer_all(gap_rows, stages, out, settings, RESULT_NAMES[0], dask, force)
+    positions = {task.path.name: position for position, task in enumerate(tasks)}
+    answers.sort(key=lambda answer: positions[str(answer.rows[0]["recording"])])
     if not as_json:
         _print_diagnoses(answers)
-    parameter_columns = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
-    finish(answers, (*COLUMNS, *parameter_columns), out, TABLE_NAME, as_json)
+    parameters = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
+    finish(answers, (*COLUMNS, *parameters), out, TABLE_NAME, as_json)
 
 
 def gap_rows(task: RecordingTask) -> TableRows:

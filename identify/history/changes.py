@@ -96,61 +96,39 @@ def history_of(observations: Sequence[Observation]) -> History:
 
 def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of the quantities of every contact that any report has."""
-    contacts_by_recording = [{contact.name: contact for contact in report.contacts} for report in reports]
-    contact_names = list(
-        dict.fromkeys(contact_name for contact_by_name in contacts_by_recording for contact_name in contact_by_name)
-    )
+    by_recording = [{contact.name: contact for contact in report.contacts} for report in reports]
+    names = dict.fromkeys(name for contacts in by_recording for name in contacts)
     return [
-        quantity_of(
-            contact_name,
-            field,
-            unit,
-            [
-                getattr(contact_by_name[contact_name], field) if contact_name in contact_by_name else None
-                for contact_by_name in contacts_by_recording
-            ],
-        )
-        for contact_name in contact_names
+        quantity_of(name, field, unit, [getattr(contacts.get(name), field, None) for contacts in by_recording])
+        for name in names
         for field, unit in UNITS.items()
     ]
 
 
 def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of frequency and damping of the modes that all reports have, without known errors."""
-    modes_by_recording = [{f"mode {mode.index} of {mode.beam}": mode for mode in report.modes} for report in reports]
-    common_mode_names = [
-        mode_name
-        for mode_name in modes_by_recording[0]
-        if all(mode_name in mode_by_name for mode_by_name in modes_by_recording)
-    ]
+    by_recording = [{f"mode {mode.index} of {mode.beam}": mode for mode in report.modes} for report in reports]
+    common_names = [name for name in by_recording[0] if all(name in modes for modes in by_recording)]
     return [
-        quantity_of(
-            mode_name,
-            field,
-            unit,
-            [Estimate(getattr(mode_by_name[mode_name], field), 0.0, 0.0) for mode_by_name in modes_by_recording],
-        )
-        for mode_name in common_mode_names
+        quantity_of(name, field, unit, [Estimate(getattr(modes[name], field), 0.0, 0.0) for modes in by_recording])
+        for name in common_names
         for field, unit in MODAL_UNITS.items()
     ]
 
 
 def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
     """History of one quantity, with p-values not yet corrected for the number of tests."""
-    no_estimate = Estimate(np.nan, np.nan)
-    filled_estimates = [estimate or no_estimate for estimate in estimates]
-    values, standard_errors = np.array([(estimate.value, estimate.standard_error) for estimate in filled_estimates]).T
-    own_errors = np.array(
-        [estimate.standard_error if estimate.own_error is None else estimate.own_error for estimate in filled_estimates]
-    )
+    rows = [
+        (e.value, e.standard_error, e.standard_error if e.own_error is None else e.own_error)
+        for e in (estimate or Estimate(np.nan, np.nan) for estimate in estimates)
+    ]
+    values, standard_errors, own_errors = np.array(rows).T
     is_determined = np.isfinite(values) & np.isfinite(own_errors)
     errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
-    recording_weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
-    mean = float(np.average(values[is_determined], weights=recording_weights[is_determined]))
-    recording_positions = np.flatnonzero(is_determined).astype(float)
-    change_results = change_tests(
-        recording_positions, values[is_determined], recording_weights[is_determined], errors_known
-    )
+    weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)[is_determined]
+    mean = float(np.average(values[is_determined], weights=weights))
+    positions = np.flatnonzero(is_determined).astype(float)
+    tests = change_tests(positions, values[is_determined], weights, errors_known)
     common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
@@ -160,9 +138,9 @@ def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate 
         standard_errors=_finite_values(standard_errors),
         own_errors=_finite_values(own_errors),
         mean=mean,
-        p_different=change_results.p_different,
-        p_trend=change_results.p_trend,
-        drift=change_results.drift and _with_common_error(change_results.drift, mean, common_error),
+        p_different=tests.p_different,
+        p_trend=tests.p_trend,
+        drift=tests.drift and _with_common_error(tests.drift, mean, common_error),
     )
 
 
@@ -187,7 +165,7 @@ class ChangeTests:
 
 
 def change_tests(
-    recording_positions: PerRecording, values: PerRecording, recording_weights: PerRecording, errors_known: bool
+    positions: PerRecording, values: PerRecording, weights: PerRecording, errors_known: bool
 ) -> ChangeTests:
     """Test whether the values x_i differ, and whether they follow a line over the positions t_i.
 
@@ -197,46 +175,34 @@ def change_tests(
     residuals with n - 2 degrees of freedom, at least 1 with known errors, so that slightly small errors give no trend.
     b / s_b is compared with Student's t. Without known errors only the line is tested.
     """
-    recording_count = values.size
-    if recording_count < 2:
+    count = values.size
+    if count < 2:
         return ChangeTests(None, None, None)
-    centred_positions = recording_positions - np.average(recording_positions, weights=recording_weights)
-    centred_values = values - np.average(values, weights=recording_weights)
-    p_different = (
-        float(chi2.sf(recording_weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1))
-        if errors_known
-        else None
-    )
-    if recording_count < MIN_TREND_COUNT:
+    t = positions - np.average(positions, weights=weights)
+    x = values - np.average(values, weights=weights)
+    p_different = float(chi2.sf(weights @ x**2 / ERROR_INFLATION**2, count - 1)) if errors_known else None
+    if count < MIN_TREND_COUNT:
         return ChangeTests(p_different, None, None)
-    position_square_sum = recording_weights @ centred_positions**2
-    slope = float(recording_weights @ (centred_positions * centred_values) / position_square_sum)
-    residual_mean_square = float(recording_weights @ (centred_values - slope * centred_positions) ** 2) / (
-        recording_count - 2
-    )
-    slope_error = float(np.sqrt(max(residual_mean_square, 1.0 if errors_known else 0.0) / position_square_sum))
-    position_span = float(np.ptp(recording_positions))
-    p_trend = (
-        float(2 * student_t.sf(abs(slope) / slope_error, recording_count - 2)) if slope_error > 0 else float(slope == 0)
-    )
-    return ChangeTests(p_different, p_trend, Estimate(slope * position_span, slope_error * position_span))
+    square_sum = weights @ t**2
+    slope = float(weights @ (t * x) / square_sum)
+    mean_square = float(weights @ (x - slope * t) ** 2) / (count - 2)
+    slope_error = float(np.sqrt(max(mean_square, 1.0 if errors_known else 0.0) / square_sum))
+    span = float(np.ptp(positions))
+    p_trend = float(2 * student_t.sf(abs(slope) / slope_error, count - 2)) if slope_error > 0 else float(slope == 0)
+    return ChangeTests(p_different, p_trend, Estimate(slope * span, slope_error * span))
 
 
 def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
     """Quantities with p-values corrected for all tests (Holm, "A simple sequentially rejective multiple test
     procedure", 1979)."""
     p_values = [
-        (p_value, quantity_index, field_name)
-        for quantity_index, quantity in enumerate(quantities)
-        for field_name in ("p_different", "p_trend")
-        if (p_value := getattr(quantity, field_name)) is not None
+        (p_value, index, field)
+        for index, quantity in enumerate(quantities)
+        for field in ("p_different", "p_trend")
+        if (p_value := getattr(quantity, field)) is not None
     ]
-    adjusted_by_field: list[dict[str, float]] = [{} for quantity in quantities]
-    adjusted_p = 0.0
-    for rank, (p_value, quantity_index, field_name) in enumerate(sorted(p_values)):
+    corrected, adjusted_p = list(quantities), 0.0
+    for rank, (p_value, index, field) in enumerate(sorted(p_values)):
         adjusted_p = max(adjusted_p, min(1.0, (len(p_values) - rank) * p_value))
-        adjusted_by_field[quantity_index][field_name] = adjusted_p
-    return tuple(
-        msgspec.structs.replace(q, **adjusted_p_values)
-        for q, adjusted_p_values in zip(quantities, adjusted_by_field, strict=True)
-    )
+        corrected[index] = msgspec.structs.replace(corrected[index], **{field: adjusted_p})
+    return tuple(corrected)

@@ -24,20 +24,19 @@ def sources_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: is no folder; give the one with the recordings")
-    source_paths = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{REPORT_NAME}")]
-    if not source_paths:
+    sources = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{REPORT_NAME}")]
+    if not sources:
         raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {REPORT_NAME}; give another")
-    return sorted_by_name(source_paths)
+    return sorted_by_name(sources)
 
 
 def sorted_by_name(paths: Iterable[Path]) -> list[Path]:
     """Paths sorted by name, 2 before 10."""
-    return sorted(
-        paths,
-        key=lambda path: [
-            int(name_part) if name_part.isdigit() else name_part for name_part in re.split(r"(\d+)", path.name)
-        ],
-    )
+
+    def words_and_numbers(path: Path) -> list[str | int]:
+        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+    return sorted(paths, key=words_and_numbers)
 
 
 def observations(

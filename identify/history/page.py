@@ -3,13 +3,14 @@
 import csv
 from collections.abc import Iterator, Sequence
 from io import StringIO
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.history.changes import LEVEL, MIN_TREND_COUNT, UNITS, History, Observation, QuantityHistory
+from identify.history.changes import LEVEL, MIN_TREND_COUNT, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number
@@ -27,17 +28,9 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    change_texts = "; ".join(
-        f"{quantity_name(quantity)} {_change_predicate(quantity)}"
-        for quantity in history.quantities
-        if quantity.changed
-    )
-    recordings_phrase = f"{len(history.used)} recordings of {history.rig}"
-    return (
-        f"{recordings_phrase}: {change_texts}."
-        if change_texts
-        else f"{recordings_phrase}: nothing changed by more than chance."
-    )
+    changes = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
+    text = "; ".join(changes) or "nothing changed by more than chance"
+    return f"{len(history.used)} recordings of {history.rig}: {text}."
 
 
 def quantity_name(quantity: QuantityHistory) -> str:
@@ -78,23 +71,13 @@ def csv_of(history: History) -> bytes:
     csv_text = StringIO()
     writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(["recording", "recorded", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
-    for quantity in history.quantities:
-        recording_values = zip(
-            history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True
-        )
-        for observation, value, *two_errors in recording_values:
+    for q in history.quantities:
+        for recording, value, *errors in zip(history.used, q.values, q.standard_errors, q.own_errors, strict=True):
             if value is not None:
-                half_width_texts = ["" if not error else repr(COVERED * error) for error in two_errors]
-                recording_cells = (observation.name, _date_text(observation))
-                writer.writerow(
-                    [*recording_cells, quantity.of, quantity.quantity, quantity.unit, repr(value), *half_width_texts]
-                )
+                half_widths = ["" if not error else repr(COVERED * error) for error in errors]
+                date_text = f"{recording.recorded:%Y-%m-%dT%H:%M:%SZ}" if recording.recorded else ""
+                writer.writerow([recording.name, date_text, q.of, q.quantity, q.unit, repr(value), *half_widths])
     return csv_text.getvalue().encode()
-
-
-def _date_text(observation: Observation) -> str:
-    """Date in ISO 8601, empty if unknown."""
-    return f"{observation.recorded:%Y-%m-%dT%H:%M:%SZ}" if observation.recorded else ""
 
 
 def _axis_positions(history: History) -> tuple[Float[np.ndarray, " recordings"], str]:
@@ -104,11 +87,8 @@ def _axis_positions(history: History) -> tuple[Float[np.ndarray, " recordings"],
     since_first_s = np.array([(date - dates[0]).total_seconds() for date in dates])
     if since_first_s.size < len(history.used) or not np.all(np.diff(since_first_s) > 0):
         return np.arange(1.0, len(history.used) + 1), ORDER_LABEL
-    unit, unit_s = next(
-        time_unit
-        for time_unit in TIME_UNITS_S
-        if since_first_s[-1] >= 2 * time_unit[1] or time_unit is TIME_UNITS_S[-1]
-    )
+    large_units = (time_unit for time_unit in TIME_UNITS_S if since_first_s[-1] >= 2 * time_unit[1])
+    unit, unit_s = next(large_units, TIME_UNITS_S[-1])
     return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
 
 
@@ -116,40 +96,19 @@ def history_figure(history: History) -> Picture:
     """Figure of clearance and stiffness of every contact over the recordings, as deviations from their means in %."""
     from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
-    colours = (BLUE, RED, GREEN, GREY)
-    markers = "os^v"
-    contact_names = list(dict.fromkeys(quantity.of for quantity in history.quantities if quantity.quantity in UNITS))
-    recording_positions, axis_label = _axis_positions(history)
+    looks = [("o-", BLUE), ("s-", RED), ("^-", GREEN), ("v-", GREY)]
+    positions, axis_label = _axis_positions(history)
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(2, 1, sharex=True)
         for axes, quantity in zip(panels, ("clearance_m", "stiffness_n_per_m"), strict=True):
-            histories = [
-                next(q for q in history.quantities if (q.of, q.quantity) == (contact_name, quantity))
-                for contact_name in contact_names
-            ]
-            for contact_index, quantity_history in enumerate(histories):
-                values = np.array([np.nan if value is None else value for value in quantity_history.values])
-                own_errors = np.array(
-                    [np.nan if own_error is None else own_error for own_error in quantity_history.own_errors]
-                )
-                shifted_positions = recording_positions + 0.08 * np.diff(recording_positions).min() * (
-                    contact_index - (len(histories) - 1) / 2
-                )
-                deviations_percent = 100 * (values / quantity_history.mean - 1)
-                half_widths_percent = 100 * COVERED * own_errors / quantity_history.mean
-                colour = colours[contact_index % len(colours)]
-                axes.errorbar(
-                    shifted_positions,
-                    deviations_percent,
-                    half_widths_percent,
-                    fmt=f"{markers[contact_index % len(markers)]}-",
-                    ms=4,
-                    lw=0.8,
-                    color=colour,
-                    label=quantity_history.of,
-                    capsize=2,
-                )
+            contacts = [q for q in history.quantities if q.quantity == quantity]
+            for k, (contact, (fmt, colour)) in enumerate(zip(contacts, cycle(looks), strict=False)):
+                values, errors = np.array([contact.values, contact.own_errors], dtype=float)
+                x = positions + 0.08 * np.diff(positions).min() * (k - (len(contacts) - 1) / 2)
+                deviations, half_widths = 100 * (values / contact.mean - 1), 100 * COVERED * errors / contact.mean
+                style = {"fmt": fmt, "color": colour, "label": contact.of, "ms": 4, "lw": 0.8, "capsize": 2}
+                axes.errorbar(x, deviations, half_widths, **style)
             axes.set_ylabel(f"{WORD_UNIT_FACTOR[quantity][0]}, % off its mean")
         panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         panels[1].set_xlabel(axis_label)
@@ -188,12 +147,12 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
         f"{1 / LEVEL:.0f} any p falls below {LEVEL:g} by chance.</p>"
     )
     headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
-    sections = [("Over the recordings", page.figure("history", figure, caption))]
-    sections.append(("What changed", table_note + page.table(headings, quantity_rows(history))))
-    sections.append(
-        ("The recordings", page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history)))
-    )
-    return sections
+    recordings = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
+    return [
+        ("Over the recordings", page.figure("history", figure, caption)),
+        ("What changed", table_note + page.table(headings, quantity_rows(history))),
+        ("The recordings", recordings),
+    ]
 
 
 def _recording_rows(history: History) -> Iterator[Sequence[str]]:

@@ -104,17 +104,12 @@ def force_without_low_pass(samples: ForceSamples, rows: Rows) -> Float[np.ndarra
     """
     centres_m = np.linspace(samples.eta_m.min(), samples.eta_m.max(), HAT_COUNT)
     width_m = centres_m[1] - centres_m[0]
-    hat_forces = np.concatenate(
-        [samples.low_passed(partial(_hats, group, width_m)) for group in np.split(centres_m, HAT_GROUP_COUNT)]
-    ).T
-    bend_penalty_rows = (
-        BEND_PENALTY * np.sqrt(np.sum(hat_forces[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
-    )
-    equations = np.concatenate([hat_forces[rows], bend_penalty_rows])
-    heights_n = np.linalg.lstsq(
-        equations, np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)]), rcond=None
-    )[0]
-    return (samples.force_n - hat_forces @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
+    groups = np.split(centres_m, HAT_GROUP_COUNT)
+    hats = np.concatenate([samples.low_passed(partial(_hats, group, width_m)) for group in groups]).T
+    penalty = BEND_PENALTY * np.sqrt(np.sum(hats[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
+    target_n = np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)])
+    heights_n = np.linalg.lstsq(np.concatenate([hats[rows], penalty]), target_n, rcond=None)[0]
+    return (samples.force_n - hats @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
 
 
 def _hats(centres_m: Float[np.ndarray, " places"], width_m: float, eta_m: Signal) -> Float[np.ndarray, "places *shape"]:
@@ -154,17 +149,15 @@ def slope_jumps(law: LawFunction, low_m: float, high_m: float, jump_share: float
     Of many the largest are kept: the slope of a law that is nearly constant is all rounding.
     """
     eta_m = np.linspace(low_m, high_m, 4001)
-    slopes_n_per_m = np.gradient(law(eta_m), eta_m)
+    slopes = np.gradient(law(eta_m), eta_m)
     window = 8
-    slope_changes = np.abs(slopes_n_per_m[window:] - slopes_n_per_m[:-window])
-    is_jump = slope_changes > jump_share * max(
-        float(np.ptp(slopes_n_per_m)), 1e-9 * float(np.abs(slopes_n_per_m).max())
-    )
-    jump_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
+    changes = np.abs(slopes[window:] - slopes[:-window])
+    is_jump = changes > jump_share * max(float(np.ptp(slopes)), 1e-9 * float(np.abs(slopes).max()))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
     middles_m = eta_m[window // 2 : -window // 2]
-    jump_runs = [(a, b) for a, b in zip(jump_edges[::2], jump_edges[1::2], strict=True) if b - a <= 3 * window]
-    jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MAX_KNEES])
-    return np.array([np.average(middles_m[a:b], weights=slope_changes[a:b]) for a, b in jump_runs])
+    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= 3 * window]
+    runs = sorted(sorted(runs, key=lambda run: -float(changes[slice(*run)].sum()))[:MAX_KNEES])
+    return np.array([np.average(middles_m[a:b], weights=changes[a:b]) for a, b in runs])
 
 
 def mean_slopes(
@@ -185,11 +178,11 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     """
     law, error_n = _fit_pieces(samples, rows, np.sort(knees_m))
     while law.knees_m.size:
-        weakest_index = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_index))
+        weakest = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
+        reduced, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest))
         if reduced_error_n > DROPPED_KNEE_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
-        law, error_n = reduced_law, reduced_error_n
+        law, error_n = reduced, reduced_error_n
     return law
 
 
@@ -201,54 +194,48 @@ def _fit_pieces(
     low_m, high_m = float(samples.eta_m.min()), float(samples.eta_m.max())
     span_m = high_m - low_m
 
-    def linear_fit(relative_knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        linear_columns = samples.low_passed(
-            lambda eta: np.stack(
-                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in relative_knees)]
+    def linear_fit(knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def pieces(eta: Signal) -> Signal:
+            return np.stack(
+                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in knees)]
             )
-        )[:, rows].T
-        heights = np.linalg.lstsq(linear_columns, force_n, rcond=None)[0]
-        return linear_columns, heights, force_n - linear_columns @ heights
 
-    def knee_derivatives(relative_knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
-        step_columns = samples.low_passed(
-            lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in relative_knees])
-        )
-        return (heights[2:, None] * step_columns[:, rows]).T
+        columns = samples.low_passed(pieces)[:, rows].T
+        heights = np.linalg.lstsq(columns, force_n, rcond=None)[0]
+        return columns, heights, force_n - columns @ heights
 
-    def jacobian(relative_knees: np.ndarray) -> np.ndarray:
-        linear_columns, heights, _ = linear_fit(relative_knees)
-        knee_columns = knee_derivatives(relative_knees, heights)
-        height_derivatives = np.linalg.lstsq(linear_columns, knee_columns, rcond=None)[0]  # the slopes follow
-        return knee_columns - linear_columns @ height_derivatives
+    def knee_derivatives(knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
+        steps = samples.low_passed(lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in knees]))
+        return (heights[2:, None] * steps[:, rows]).T
 
-    relative_knees = np.clip(start_knees_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
-    if relative_knees.size:
-        inverse_error = 1 / max(float(np.std(linear_fit(relative_knees)[2])), 1e-12)
+    def jacobian(knees: np.ndarray) -> np.ndarray:
+        columns, heights, _ = linear_fit(knees)
+        knee_columns = knee_derivatives(knees, heights)
+        height_derivatives = np.linalg.lstsq(columns, knee_columns, rcond=None)[0]  # the slopes follow
+        return knee_columns - columns @ height_derivatives
+
+    knees = np.clip(start_knees_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
+    if knees.size:
+        inverse_error = 1 / max(float(np.std(linear_fit(knees)[2])), 1e-12)
         optimum = least_squares(
-            lambda knee: inverse_error * linear_fit(knee)[2],
-            relative_knees,
-            lambda knee: inverse_error * jacobian(knee),
+            lambda knees: inverse_error * linear_fit(knees)[2],
+            knees,
+            lambda knees: inverse_error * jacobian(knees),
             bounds=(low_m / span_m, high_m / span_m),
             x_scale=0.05,
             max_nfev=30,
         )
-        relative_knees = np.sort(optimum.x)
-    linear_columns, heights, residual = linear_fit(relative_knees)
-    jacobian_columns = (
-        np.concatenate([linear_columns, knee_derivatives(relative_knees, heights)], axis=1)
-        if relative_knees.size
-        else linear_columns
-    )
-    influence = jacobian_columns @ np.linalg.pinv(jacobian_columns.T @ jacobian_columns)
-    scores = part_scores(influence, residual)
-    linear_count = heights.size
-    slope_scores = np.cumsum(scores[:, 1:linear_count], axis=1)
+        knees = np.sort(optimum.x)
+    columns, heights, residual = linear_fit(knees)
+    if knees.size:
+        columns = np.concatenate([columns, knee_derivatives(knees, heights)], axis=1)
+    scores = part_scores(columns @ np.linalg.pinv(columns.T @ columns), residual)
+    slope_scores = np.cumsum(scores[:, 1 : heights.size], axis=1)
     law = PiecewiseLinear(
         offset_n=float(heights[0]),
-        knees_m=relative_knees * span_m,
+        knees_m=knees * span_m,
         slopes_n_per_m=np.cumsum(heights[1:]) / span_m,
-        knee_errors_m=span_m * np.sqrt(np.sum(scores[:, linear_count:] ** 2, axis=0)),
+        knee_errors_m=span_m * np.sqrt(np.sum(scores[:, heights.size :] ** 2, axis=0)),
         slope_errors_n_per_m=np.sqrt(np.sum(slope_scores**2, axis=0)) / span_m,
     )
     return law, float(np.sqrt(np.mean(residual**2)))
@@ -258,10 +245,10 @@ def hysteresis_share(
     samples: ForceSamples, velocity_m_per_s: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice
 ) -> float:
     """Share of the unexplained variance that a damper in proportion to the law's local slope explains."""
-    slopes_n_per_m = np.abs(law.slopes_n_per_m)
+    slopes = np.abs(law.slopes_n_per_m)
 
     def slope_weighted_rate(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        return slopes_n_per_m[np.searchsorted(law.knees_m, eta_m)] / slopes_n_per_m.max() * rate_m_per_s
+        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
 
     damper_n = samples.low_passed(slope_weighted_rate, velocity_m_per_s)[rows]
     residual_n = (samples.force_n - samples.low_passed(law))[rows]
@@ -292,13 +279,13 @@ class SlidingFriction:
 
     def force_n(self, course: MonotonicRuns) -> Float[np.ndarray, " more"]:
         """Force at every sample of a course."""
-        half_backlash_m, k = self.backlash_m / 2, self.stiffness_n_per_m
-        low_m, high_m = -half_backlash_m - self.lower_n / k, half_backlash_m + self.upper_n / k
-        slider_at_turns_m = [0.0]
+        half_m, k = self.backlash_m / 2, self.stiffness_n_per_m
+        low_m, high_m = -half_m - self.lower_n / k, half_m + self.upper_n / k
+        turns_m = [0.0]
         for run_m in course.run_lengths_m:
-            slider_at_turns_m.append(min(max(slider_at_turns_m[-1] + run_m, low_m), high_m))
-        slider_m = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.eta_since_turn_m, low_m, high_m)
-        return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
+            turns_m.append(min(max(turns_m[-1] + run_m, low_m), high_m))
+        slider_m = np.clip(np.array(turns_m)[course.run_indices] + course.eta_since_turn_m, low_m, high_m)
+        return np.asarray(k * (slider_m - np.clip(slider_m, -half_m, half_m)))
 
 
 def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
@@ -316,35 +303,15 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
         return (force_n - samples.low_passed(law_of_logarithms(logarithms))[rows]) / force_span_n
 
-    log_starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASHES, START_STIFFNESSES)]
-    log_starts.sort(key=lambda log_start: float(np.sum(relative_residual(log_start) ** 2)))
-    fit_from = partial(
-        least_squares, relative_residual, bounds=(np.full(4, -12.0), np.full(4, 8.0)), diff_step=LOG_STEP, max_nfev=30
-    )
-    rough_fit = min(
-        (fit_from(log_start, ftol=ROUGH_TOLERANCE) for log_start in log_starts[:ROUGH_START_COUNT]),
-        key=lambda fit_result: float(fit_result.cost),
-    )
-    optimum = fit_from(rough_fit.x)
-    residual_slopes = _error_slopes(relative_residual, optimum.x)
-    scores = part_scores(
-        residual_slopes @ np.linalg.pinv(residual_slopes.T @ residual_slopes), -relative_residual(optimum.x)
-    )
-    relative_errors = np.sqrt(np.sum(scores**2, axis=0))
-    parameters = np.exp(log_scales + optimum.x)
-    standard_errors = tuple((parameters * relative_errors).tolist())
-    return replace(law_of_logarithms(optimum.x), standard_errors=standard_errors)
-
-
-def _error_slopes(
-    relative_residual: Callable[[Float[np.ndarray, " parameters"]], Float[np.ndarray, " rows"]],
-    logarithms: Float[np.ndarray, " parameters"],
-) -> Float[np.ndarray, "rows parameters"]:
-    """Central differences of the error by each parameter."""
-    return np.stack(
-        [
-            (relative_residual(logarithms + step) - relative_residual(logarithms - step)) / (2 * LOG_STEP)
-            for step in LOG_STEP * np.eye(logarithms.size)
-        ],
-        axis=1,
-    )
+    starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASHES, START_STIFFNESSES)]
+    starts.sort(key=lambda start: float(np.sum(relative_residual(start) ** 2)))
+    bounds = (np.full(4, -12.0), np.full(4, 8.0))
+    fit_from = partial(least_squares, relative_residual, bounds=bounds, diff_step=LOG_STEP, max_nfev=30)
+    rough_fits = (fit_from(start, ftol=ROUGH_TOLERANCE) for start in starts[:ROUGH_START_COUNT])
+    optimum = fit_from(min(rough_fits, key=lambda fit: float(fit.cost)).x).x
+    steps = LOG_STEP * np.eye(optimum.size)
+    differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in steps]
+    slopes = np.stack(differences, axis=1) / (2 * LOG_STEP)
+    scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -relative_residual(optimum))
+    standard_errors = np.exp(log_scales + optimum) * np.sqrt(np.sum(scores**2, axis=0))
+    return replace(law_of_logarithms(optimum), standard_errors=tuple(standard_errors.tolist()))

@@ -113,36 +113,26 @@ def identify_law(
     """
     if not (np.isfinite(seconds) and seconds >= 1):
         raise RigError(f"seconds is {seconds}; give 1 or more")
-    contact_names = [contact.name for contact in recording.rig.contacts]
-    if contact is not None and contact not in contact_names:
-        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(contact_names)}")
+    names = [contact.name for contact in recording.rig.contacts]
+    if contact is not None and contact not in names:
+        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # raises before the long computation if it is missing
     contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
     separation, refusals = contacts.separation, contacts.outcomes.refusals
     groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
-    chosen = [
-        (contact_group, contact_record)
-        for contact_group, contact_record in groups_and_records
-        if contact in (None, *(contact_names[contact_index] for contact_index in contact_group.contact_indices))
-    ]
+    members = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
+    chosen = [member for member in members if contact is None or contact in member[0]]
     laws: list[ContactLawFit] = []
-    refusal_by_name: dict[str, Refusal] = {}
-    for number, (contact_group, contact_record) in enumerate(chosen, start=1):
-        member_names = [contact_names[contact_index] for contact_index in contact_group.contact_indices]
-        if set(member_names) <= refusals.keys() and (
-            contact_record.drift is not None or not np.ptp(contact_record.eta_m)
-        ):
-            refusal_by_name |= {name: refusals[name] for name in member_names}
+    refused: dict[str, Refusal] = {}
+    for number, (group_names, group, record) in enumerate(chosen, start=1):
+        if group_names <= refusals.keys() and (record.drift is not None or not np.ptp(record.eta_m)):
+            refused |= {name: refusals[name] for name in names if name in group_names}
         else:
-            laws.append(_identify_contact(contacts, contact_group, contact_record, seconds / len(chosen), seed))
+            laws.append(_identify_contact(contacts, group, record, seconds / len(chosen), seed))
         progress(0.1 + 0.9 * number / len(chosen))
-    report = LawReport(
-        rig=recording.rig.name,
-        laws=tuple(law.result for law in laws),
-        unanswered=unanswered(refusal_by_name),
-        findings=contacts.findings,
-    )
+    results = tuple(law.result for law in laws)
+    report = LawReport(rig=recording.rig.name, laws=results, unanswered=unanswered(refused), findings=contacts.findings)
     return Laws(report, tuple(laws))
 
 
@@ -187,33 +177,31 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: AcceptedContacts, contact_group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
+    contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
-    samples = _contact_samples(contacts, contact_group, contact_record)
-    force_samples, error_resolution_n = samples.record, samples.error_resolution_n
-    formula_fit = _search_formula(samples, search_s, seed)
-    formula, low_m, high_m = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    samples = _contact_samples(contacts, group, contact_record)
+    record = samples.record
+    search_fit = _search_formula(samples, search_s, seed)
+    formula, low_m, high_m = search_fit.formula, float(search_fit.eta_m.min()), float(search_fit.eta_m.max())
     knees_m = slope_jumps(formula, low_m, high_m)
-    pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
-    candidate_laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
+    pieces = _fit_straight_pieces(samples, search_fit, knees_m)
+    laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
-        candidate_laws[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
-    candidate_laws[SLIDING] = sliding_friction(force_samples, samples.training_rows)
-    candidate_laws |= {CUBIC: polynomial(force_samples, samples.training_rows, 3), FORMULA: formula}
-    candidates = tuple(
-        TriedLaw(name, force_samples.error_n(law, samples.held_out_rows)) for name, law in candidate_laws.items()
-    )
+        laws[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
+    laws[SLIDING] = sliding_friction(record, samples.training_rows)
+    laws |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
+    candidates = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in laws.items())
     errors_n = [candidate.held_out_error_n for candidate in candidates]
-    best_law = candidates[_simplest_equivalent_index(errors_n, error_resolution_n)]
+    best = candidates[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
     # the final fit takes all excited rows
-    pieces = straight_pieces(force_samples, samples.excited_rows, pieces.knees_m)
-    friction = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
+    pieces = straight_pieces(record, samples.excited_rows, pieces.knees_m)
+    friction = sliding_friction(record, samples.excited_rows) if best.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
-    law_estimate = ContactLawEstimate(
-        contact=contact_group.contact.name,
-        verdict=verdict_sentence(pieces, formula_text, candidates, best_law, contact_record.sides_known, friction),
-        best=best_law.law,
+    estimate = ContactLawEstimate(
+        contact=group.contact.name,
+        verdict=verdict_sentence(pieces, formula_text, candidates, best, contact_record.sides_known, friction),
+        best=best.law,
         formula=formula_text,
         knees_m=tuple(float(k) for k in knees_m),
         slopes_n_per_m=mean_slopes(formula, knees_m, low_m, high_m),
@@ -221,21 +209,17 @@ def _identify_contact(
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
         sliding=None if friction is None else sliding_estimates(friction),
         candidates=candidates,
-        force_rms_n=float(np.std(force_samples.force_n[samples.excited_rows])),
-        hysteresis_share=hysteresis_share(force_samples, samples.velocity_m_per_s, pieces, samples.held_out_rows),
+        force_rms_n=float(np.std(record.force_n[samples.excited_rows])),
+        hysteresis_share=hysteresis_share(record, samples.velocity_m_per_s, pieces, samples.held_out_rows),
         sides_known=contact_record.sides_known,
-        points=formula_fit.eta_m.size,
-        repeatable=not formula_fit.out_of_time,
+        points=search_fit.eta_m.size,
+        repeatable=not search_fit.out_of_time,
     )
-    time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.decimation)
-    return ContactLawFit(
-        law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, friction, force_samples, time_s
-    )
+    time_s = contacts.separation.motion.time_s(record.force_n.size, contact_record.decimation)
+    return ContactLawFit(estimate, search_fit.eta_m, search_fit.force_n, formula, pieces, friction, record, time_s)
 
 
-def _contact_samples(
-    contacts: AcceptedContacts, contact_group: ContactGroup, contact_record: ContactRecord
-) -> _ContactSamples:
+def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 
     Of several contacts between the same places the estimated damping is subtracted: it would hide the knee of a soft
@@ -243,42 +227,39 @@ def _contact_samples(
 
     Raises RigError if too little of the record is excited.
     """
-    separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
-    member_names = [separation.rig.contacts[contact_index].name for contact_index in contact_group.contact_indices]
+    separation, by_name = contacts.separation, contacts.outcomes.estimates
+    names = [separation.rig.contacts[i].name for i in group.contact_indices]
     estimates = tuple(
-        estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed
-        for sign, name in zip(contact_group.signs, member_names, strict=True)
-        if name in estimates_by_name
+        by_name[name] if sign > 0 else by_name[name].reversed
+        for sign, name in zip(group.signs, names, strict=True)
+        if name in by_name
     )
-    force_samples, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
+    record, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
     if len(estimates) > 1:
-        damping_n = force_samples.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
-        force_samples = replace(force_samples, force_n=force_samples.force_n - damping_n)
-    first_row = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
-    stop_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
-    if stop_row - first_row < MIN_SAMPLE_COUNT:
+        damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
+        record = replace(record, force_n=record.force_n - damping_n)
+    first = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
+    stop = record.force_n.size - EDGE_SAMPLE_COUNT
+    if stop - first < MIN_SAMPLE_COUNT:
         raise RigError(
-            f"the excited part of the record holds {max(stop_row - first_row, 0)} samples of the contact force; "
-            "record longer"
+            f"the excited part of the record holds {max(stop - first, 0)} samples of the contact force; record longer"
         )
-    middle_row = (first_row + stop_row) // 2
-    return _ContactSamples(
-        force_samples, velocity_m_per_s, estimates, slice(first_row, middle_row), slice(middle_row, stop_row)
-    )
+    middle = (first + stop) // 2
+    return _ContactSamples(record, velocity_m_per_s, estimates, slice(first, middle), slice(middle, stop))
 
 
 def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:
     """Simplest formula whose error equals the least, searched on samples spread evenly over eta."""
-    force_samples, training_rows = samples.record, samples.training_rows
-    eta_m, force_n = force_samples.eta_at_force_m[training_rows], force_without_low_pass(force_samples, training_rows)
-    chosen_indices = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
-    eta_m, force_n = eta_m[chosen_indices], force_n[chosen_indices]
+    record, rows = samples.record, samples.training_rows
+    eta_m, force_n = record.eta_at_force_m[rows], force_without_low_pass(record, rows)
+    chosen = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
+    eta_m, force_n = eta_m[chosen], force_n[chosen]
     eta_unit_m, force_unit_n = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
-    formula_search = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
-    formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in formula_search.formulas]
-    errors_n = [force_samples.error_n(candidate, training_rows) for candidate in formulas]
+    result = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
+    formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in result.formulas]
+    errors_n = [record.error_n(candidate, rows) for candidate in formulas]
     formula = formulas[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
-    return _FormulaFit(formula, min(errors_n), eta_m, force_n, formula_search.out_of_time)
+    return _FormulaFit(formula, min(errors_n), eta_m, force_n, result.out_of_time)
 
 
 def _fit_straight_pieces(
@@ -286,55 +267,45 @@ def _fit_straight_pieces(
 ) -> PiecewiseLinear:
     """Best straight pieces of several starts: the formula's knees; evenly spaced ones where those fit worse than the
     best formula; the stops of the joint estimates where these are several."""
-    force_samples, training_rows = samples.record, samples.training_rows
+    record, rows = samples.record, samples.training_rows
     low_m, high_m = float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
-    candidate_laws = [straight_pieces(force_samples, training_rows, knees_m)]
-    if (
-        force_samples.error_n(candidate_laws[0], training_rows)
-        > EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
-    ):
-        candidate_laws.append(
-            straight_pieces(force_samples, training_rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1])
-        )
+    laws = [straight_pieces(record, rows, knees_m)]
+    good_error_n = EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
+    if record.error_n(laws[0], rows) > good_error_n:
+        laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
     if len(samples.estimates) > 1:  # soft stops before a hard one
         stops_m = np.array(
-            [side * estimate.values[k] for estimate in samples.estimates for k, side in enumerate((-1, 1))]
+            [side * estimate.values[k] for estimate in samples.estimates for k, side in ((0, -1), (1, 1))]
         )
-        candidate_laws.append(
-            straight_pieces(force_samples, training_rows, stops_m[(stops_m > low_m) & (stops_m < high_m)])
-        )
-    return min(candidate_laws, key=lambda law: force_samples.error_n(law, training_rows))
+        laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
+    return min(laws, key=lambda law: record.error_n(law, rows))
 
 
 def _add_drift(
-    contact_record: ContactRecord, estimates: tuple[JointEstimate, ...]
+    record: ContactRecord, estimates: tuple[JointEstimate, ...]
 ) -> tuple[ForceSamples, Float[np.ndarray, " more"]]:
     """Force and relative displacement with the estimated drift added, and the relative velocity (m/s)."""
-    eta_m, force_n, velocity_m_per_s = contact_record.eta_m, contact_record.force_n, contact_record.velocity_m_per_s
-    for estimate in estimates if contact_record.drift is not None else ():
+    eta_m, force_n, velocity_m_per_s = record.eta_m, record.force_n, record.velocity_m_per_s
+    for estimate in estimates if record.drift is not None else ():
         eta_m, velocity_m_per_s = eta_m + estimate.drift_m, velocity_m_per_s + estimate.drift_m_per_s
-        force_n = force_n - contact_record.spring_n_per_m * contact_record.at_force_samples(estimate.drift_m)
-    return ForceSamples(eta_m, force_n, contact_record.sample_rate_hz, contact_record.decimation), velocity_m_per_s
+        force_n = force_n - record.spring_n_per_m * record.at_force_samples(estimate.drift_m)
+    return ForceSamples(eta_m, force_n, record.sample_rate_hz, record.decimation), velocity_m_per_s
 
 
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
     """Part of the force of joint estimates that vanishes at rest."""
     at_rest = np.zeros_like(rate_m_per_s)
-    damping_forces_n = [
-        estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates
-    ]
-    return np.asarray(np.sum(damping_forces_n, axis=0))
+    forces_n = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates]
+    return np.asarray(np.sum(forces_n, axis=0))
 
 
 def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
     """Indices of at most `POINT_COUNT` samples, drawn evenly from the `CELL_COUNT` cells of the range of eta."""
     cell_of_sample = np.minimum((CELL_COUNT * (eta_m - eta_m.min()) / np.ptp(eta_m)).astype(int), CELL_COUNT - 1)
-    shuffled_indices = rng.permutation(eta_m.size)
-    indices_by_cell = shuffled_indices[np.argsort(cell_of_sample[shuffled_indices], kind="stable")]
-    cell_starts = np.searchsorted(cell_of_sample[indices_by_cell], np.arange(1, CELL_COUNT))
-    return np.sort(
-        np.concatenate([indices[: POINT_COUNT // CELL_COUNT] for indices in np.split(indices_by_cell, cell_starts)])
-    )
+    shuffled = rng.permutation(eta_m.size)
+    by_cell = shuffled[np.argsort(cell_of_sample[shuffled], kind="stable")]
+    cells = np.split(by_cell, np.searchsorted(cell_of_sample[by_cell], np.arange(1, CELL_COUNT)))
+    return np.sort(np.concatenate([indices[: POINT_COUNT // CELL_COUNT] for indices in cells]))
 
 
 def _simplest_equivalent_index(errors_n: list[float], resolution_n: float) -> int:

@@ -4,16 +4,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from identify.laws.identification import EDGE_SAMPLE_COUNT, ContactLawFit, Laws
-from identify.laws.results import PIECEWISE, ContactLawEstimate, LawReport
+from identify.laws.results import PIECEWISE, ContactLawEstimate, LawReport, estimate_interval
 from identify.pages import page
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
-from identify.pages.wording import interval, number
+from identify.pages.wording import number
 from rig.files import make_folder, write_json
 
 TABULATED_POINT_COUNT = 800
@@ -32,8 +32,8 @@ def write_results(laws: Laws, out: Path, title: str, sources: Sequence[Path] = (
     """Write law.html, the figures as PNG and, last of all, law.json."""
     make_folder(out)
     figures = law_figures(laws.fits)
-    for figure_name, law_figure in figures.items():
-        law_figure.save(out / f"{figure_name}.png")
+    for name, figure in figures.items():
+        figure.save(out / f"{name}.png")
     write_page(laws.report, figures, title, out / "law.html", sources)
     write_json(laws.report, out / "law.json")
 
@@ -43,43 +43,35 @@ def write_page(
 ) -> None:
     """Write the page; the figures are those of `law_figures`, by their names."""
     laws, unanswered = report.laws, report.unanswered
-    first_names = [name for name in figures if name == "law"]
+    headline = "contact law found"
+    if report.findings:
+        headline = "not to be relied on"
+    elif unanswered:
+        headline = f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found"
+    sentences = [f"{law.contact}: {law.verdict}." for law in laws]
+    sentences = sentences or ["This record does not determine the contacts; why, and what to do, is said below."]
+    colour: Literal["green", "yellow", "red"] = "green"
+    if not laws:
+        colour = "red"
+    elif report.findings or unanswered:
+        colour = "yellow"
     findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     found_html = f"<h2>What was found</h2>{''.join(map(_law_section, laws))}" if laws else ""
+    law_html, sections = "", []
+    if unanswered:
+        refusals = page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered])
+        sections.append(("What was refused", refusals))
+    for name, figure in figures.items():
+        if name == "law":
+            law_html = page.figure(name, figure, _CAPTIONS[name], page.FIRST_PLOT_PX)
+        else:
+            sections.append(("Over time", page.figure(name, figure, _CAPTIONS[name])))
     page.write(
         path,
         title=title,
-        answer=page.Answer(
-            "red" if not laws else "yellow" if report.findings or unanswered else "green",
-            "not to be relied on"
-            if report.findings
-            else "contact law found"
-            if not unanswered
-            else f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found",
-            [f"{law.contact}: {law.verdict}." for law in laws]
-            or ["This record does not determine the contacts; why, and what to do, is said below."],
-        ),
-        top_blocks=[
-            f"{findings_html}{found_html}",
-            "".join(page.figure(name, figures[name], _CAPTIONS[name], page.FIRST_PLOT_PX) for name in first_names),
-        ],
-        sections=[
-            *(
-                [
-                    (
-                        "What was refused",
-                        page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered]),
-                    )
-                ]
-                if unanswered
-                else []
-            ),
-            *(
-                ("Over time", page.figure(name, law_figure, _CAPTIONS[name]))
-                for name, law_figure in figures.items()
-                if name not in first_names
-            ),
-        ],
+        answer=page.Answer(colour, headline, sentences),
+        top_blocks=[f"{findings_html}{found_html}", law_html],
+        sections=sections,
         foot_text="Every number of this page stands in law.json, unrounded.",
         sources=sources,
     )
@@ -111,24 +103,25 @@ def _law_section(law: ContactLawEstimate) -> str:
 def _law_values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
     """Names and values with 95 % intervals: of the friction where it is the best law, else of the straight pieces."""
     if law.sliding is not None:
-        for quantity_words, estimate, unit, unit_factor in (
-            ("slides one way at", law.sliding.upper_n, "N", 1.0),
-            ("slides the other way at", law.sliding.lower_n, "N", 1.0),
-            ("backlash", law.sliding.backlash_m, "mm", 1e3),
-            ("stiffness", law.sliding.stiffness_n_per_m, "N/m", 1.0),
-        ):
-            yield quantity_words, interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, unit)
+        yield "slides one way at", estimate_interval(law.sliding.upper_n, "N")
+        yield "slides the other way at", estimate_interval(law.sliding.lower_n, "N")
+        yield "backlash", estimate_interval(law.sliding.backlash_m, "mm", 1e3)
+        yield "stiffness", estimate_interval(law.sliding.stiffness_n_per_m, "N/m")
         return
     for ordinal, knee in enumerate(law.fitted_knees_m, start=1):
-        yield f"{PIECEWISE}, knee {ordinal}", interval(1e3 * knee.value, 1e3 * knee.standard_error, "mm")
+        yield f"{PIECEWISE}, knee {ordinal}", estimate_interval(knee, "mm", 1e3)
     for ordinal, slope in enumerate(law.fitted_slopes_n_per_m, start=1):
-        yield f"{PIECEWISE}, slope {ordinal}", interval(slope.value, slope.standard_error, "N/m")
+        yield f"{PIECEWISE}, slope {ordinal}", estimate_interval(slope, "N/m")
 
 
 def law_figures(laws: Sequence[ContactLawFit]) -> dict[str, Picture]:
     """Figures of the laws by name; none without a law."""
-    draw_functions = {"law": _draw_law, "law_over_time": _draw_over_time} if laws else {}
-    return {figure_name: picture(partial(draw, laws=laws)) for figure_name, draw in draw_functions.items()}
+    if not laws:
+        return {}
+    return {
+        "law": picture(partial(_draw_law, laws=laws)),
+        "law_over_time": picture(partial(_draw_over_time, laws=laws)),
+    }
 
 
 def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
@@ -144,21 +137,13 @@ def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
             _draw_sliding(force_axes, residual_axes, law)
             continue
         eta_m, knees_m = law.eta_m, law.pieces.knees_m
-        eta_grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
+        grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
+        formula_n, pieces_n = law.formula(grid_m), law.pieces(grid_m)
         force_axes.plot(1e3 * eta_m, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
         residual_axes.plot(1e3 * eta_m, law.force_n - law.pieces(eta_m), ".", ms=2, color=GREY, alpha=0.5)
-        for axes, subtracted_n in ((force_axes, 0.0), (residual_axes, law.pieces(eta_grid_m))):
-            axes.plot(
-                1e3 * eta_grid_m, law.formula(eta_grid_m) - subtracted_n, color=BLUE, lw=1.4, label="formula found"
-            )
-            axes.plot(
-                1e3 * eta_grid_m,
-                law.pieces(eta_grid_m) - subtracted_n,
-                color=RED,
-                lw=1.4,
-                ls="--",
-                label="straight pieces",
-            )
+        for axes, base_n in ((force_axes, 0.0), (residual_axes, pieces_n)):
+            axes.plot(1e3 * grid_m, formula_n - base_n, color=BLUE, lw=1.4, label="formula found")
+            axes.plot(1e3 * grid_m, pieces_n - base_n, color=RED, lw=1.4, ls="--", label="straight pieces")
         force_axes.plot(1e3 * knees_m, law.pieces(knees_m), "o", ms=8, mfc="none", mew=1.5, color=GREEN, label="knees")
         force_axes.set(title=law.result.contact)
         residual_axes.set(xlabel="η, mm")
@@ -172,20 +157,13 @@ def _draw_over_time(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     force_panels, motion_panels = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
     for force_axes, motion_axes, law in zip(force_panels, motion_panels, laws, strict=True):
         force_n = law.record.force_n
-        largest_sample = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
-        first_sample = min(
-            max(largest_sample - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0)
-        )
-        section_samples = slice(first_sample, first_sample + SECTION_SAMPLE_COUNT)
-        force_axes.plot(
-            law.time_s[section_samples], force_n[section_samples], color=GREY, lw=2.4, label="force, no law assumed"
-        )
-        force_axes.plot(
-            law.time_s[section_samples], law.plotted_force_n[section_samples], color=RED, lw=1.0, label=law.plotted_law
-        )
-        motion_axes.plot(
-            law.time_s[section_samples], 1e3 * law.record.eta_at_force_m[section_samples], color=BLUE, lw=1.0
-        )
+        largest = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
+        first = min(max(largest - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0))
+        section = slice(first, first + SECTION_SAMPLE_COUNT)
+        time_s, eta_mm = law.time_s[section], 1e3 * law.record.eta_at_force_m[section]
+        force_axes.plot(time_s, force_n[section], color=GREY, lw=2.4, label="force, no law assumed")
+        force_axes.plot(time_s, law.plotted_force_n[section], color=RED, lw=1.0, label=law.plotted_law)
+        motion_axes.plot(time_s, eta_mm, color=BLUE, lw=1.0)
         force_axes.set(title=law.result.contact)
         motion_axes.set(xlabel="time, s")
     force_panels[0].set_ylabel("contact force, N")
@@ -195,10 +173,10 @@ def _draw_over_time(figure: Any, laws: Sequence[ContactLawFit]) -> None:
 
 def _draw_legend(figure: Any, panels: Any) -> None:
     """Draw one legend for all panels, each label once."""
-    handle_by_label = {
-        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(handle_by_label.values(), handle_by_label.keys(), loc="outside upper center", ncols=4)
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4)
 
 
 def _draw_sliding(force_axes: Any, residual_axes: Any, law: ContactLawFit) -> None:

@@ -77,7 +77,7 @@ def verdict_sentence(
     pieces: PiecewiseLinear,
     formula: str,
     candidates: tuple[TriedLaw, ...],
-    best_law: TriedLaw,
+    best: TriedLaw,
     sides_known: bool,
     sliding: SlidingFriction | None,
 ) -> str:
@@ -85,46 +85,40 @@ def verdict_sentence(
     if sliding is not None:
         friction = sliding_estimates(sliding)
         return (
-            f"friction behind a backlash: it slides at {_interval(friction.upper_n, 'N')} one way and at "
-            f"{_interval(friction.lower_n, 'N')} the other, behind a backlash of "
-            f"{_interval(friction.backlash_m, 'mm', 1e3)} "
-            f"and a stiffness of {_interval(friction.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it "
-            f"leaves {best_law.held_out_error_n:.3g} N rms of held-out data"
+            f"friction behind a backlash: it slides at {estimate_interval(friction.upper_n, 'N')} one way and at "
+            f"{estimate_interval(friction.lower_n, 'N')} the other, behind a backlash of "
+            f"{estimate_interval(friction.backlash_m, 'mm', 1e3)} and a stiffness of "
+            f"{estimate_interval(friction.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
+            f"{best.held_out_error_n:.3g} N rms of held-out data"
         )
-    if best_law.law != PIECEWISE:
+    if best.law != PIECEWISE:
         piecewise_error_n = next(candidate.held_out_error_n for candidate in candidates if candidate.law == PIECEWISE)
-        formula_note = f", {formula}" if best_law.law == FORMULA else ""
+        formula_note = f", {formula}" if best.law == FORMULA else ""
         return (
             f"a freely fitted piecewise-linear law is not the best: it leaves {piecewise_error_n:.3g} N rms of "
-            f"held-out data, the {best_law.law} {best_law.held_out_error_n:.3g} N{formula_note}"
+            f"held-out data, the {best.law} {best.held_out_error_n:.3g} N{formula_note}"
         )
-    slopes_n_per_m = pieces.slopes_n_per_m
+    kind, slopes = "piecewise-linear law", pieces.slopes_n_per_m
     if not pieces.knees_m.size:
-        return f"straight line with the slope {slopes_n_per_m[0]:.5g} N/m"
-    has_gap = pieces.knees_m.size == 2 and abs(slopes_n_per_m[1]) < FLAT_SHARE * np.abs(slopes_n_per_m).max()
-    law_kind, shown_slopes_n_per_m = (
-        ("dead zone", slopes_n_per_m[[0, 2]]) if has_gap else ("piecewise-linear law", slopes_n_per_m)
-    )
+        return f"straight line with the slope {slopes[0]:.5g} N/m"
+    if pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT_SHARE * np.abs(slopes).max():
+        kind, slopes = "dead zone", slopes[[0, 2]]
     origin_note = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
-    knees_mm, slopes_text = _enumeration(1e3 * pieces.knees_m), _enumeration(shown_slopes_n_per_m)
-    return f"{law_kind} with knees at {knees_mm} mm and slopes {slopes_text} N/m{origin_note}"
+    knees_mm, slopes_text = _enumeration(1e3 * pieces.knees_m), _enumeration(slopes)
+    return f"{kind} with knees at {knees_mm} mm and slopes {slopes_text} N/m{origin_note}"
 
 
 def sliding_estimates(friction: SlidingFriction) -> SlidingLaw:
     """Values of the friction with their standard errors."""
-    field_names = SlidingLaw.__struct_fields__
-    return SlidingLaw(
-        **{
-            field_name: Estimate(getattr(friction, field_name), standard_error)
-            for field_name, standard_error in zip(field_names, friction.standard_errors, strict=True)
-        }
-    )
+    fields_and_errors = zip(SlidingLaw.__struct_fields__, friction.standard_errors, strict=True)
+    return SlidingLaw(**{field: Estimate(getattr(friction, field), error) for field, error in fields_and_errors})
 
 
-def _interval(estimate: Estimate, unit: str, unit_factor: float = 1.0) -> str:
+def estimate_interval(estimate: Estimate, unit: str, unit_factor: float = 1.0) -> str:
+    """95 % interval of an estimate in a unit of that factor."""
     return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, unit)
 
 
 def _enumeration(values: Float[np.ndarray, " values"]) -> str:
-    number_texts = [f"{value:.5g}" for value in values]
-    return " and ".join([", ".join(number_texts[:-1]), number_texts[-1]] if len(number_texts) > 1 else number_texts)
+    *first_texts, last_text = [f"{value:.5g}" for value in values]
+    return f"{', '.join(first_texts)} and {last_text}" if first_texts else last_text

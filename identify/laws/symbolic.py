@@ -21,13 +21,9 @@ THREAD_COUNT = 2
 NEGLIGIBLE_CONSTANT = 1e-5
 """Constant term below which it is dropped; y is of order 1."""
 
-_OPERATION_FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "min": np.minimum,
-    "max": np.maximum,
-}
+Points = Float[np.ndarray, " points"]
+_FUNCTIONS: dict[str, Callable[..., Any]] = {"+": np.add, "-": np.subtract, "*": np.multiply, "abs": np.abs}
+_FUNCTIONS |= {"min": np.minimum, "max": np.maximum}
 
 
 @dataclass(frozen=True)
@@ -43,10 +39,7 @@ class Formula:
             return np.full_like(x, self.value)
         if self.operation == "x":
             return self.value * x
-        operand_values = [operand(x) for operand in self.operands]
-        if self.operation == "abs":
-            return np.abs(operand_values[0])
-        return np.asarray(_OPERATION_FUNCTIONS[self.operation](*operand_values))
+        return np.asarray(_FUNCTIONS[self.operation](*(operand(x) for operand in self.operands)))
 
     @property
     def length(self) -> int:
@@ -83,22 +76,20 @@ class Formula:
 
 def simplify(operation: str, operands: tuple[Formula, ...]) -> Formula:
     """Operation on formulas with constants evaluated, gathered in front, and dropped where they have no effect."""
-    operand_kinds = [operand.operation for operand in operands]
-    if all(operand_kind == "1" for operand_kind in operand_kinds):
+    kinds = [operand.operation for operand in operands]
+    if all(kind == "1" for kind in kinds):
         return Formula("1", float(Formula(operation, operands=operands)(np.zeros(1))[0]))
-    if operation in "+-" and operand_kinds == ["x", "x"]:
+    if operation in "+-" and kinds == ["x", "x"]:
         sign = 1 if operation == "+" else -1
         return Formula("x", operands[0].value + sign * operands[1].value)
-    if operation in "+-" and "1" in operand_kinds:
-        first, second = (operands[0], operands[1]) if operation == "+" else (operands[0], _times(operands[1], -1.0))
-        return _plus(second, first.value) if operand_kinds[0] == "1" else _plus(first, second.value)
+    if operation in "+-" and "1" in kinds:
+        first, second = operands[0], operands[1] if operation == "+" else _times(operands[1], -1.0)
+        return _plus(second, first.value) if kinds[0] == "1" else _plus(first, second.value)
     if operation == "*":
-        (first_factor, first), (second_factor, second) = (_factor_and_rest(operands[0]), _factor_and_rest(operands[1]))
-        product = (
-            (first if operand_kinds[1] == "1" else second)
-            if "1" in operand_kinds
-            else Formula("*", operands=(first, second))
-        )
+        (first_factor, first), (second_factor, second) = map(_factor_and_rest, operands)
+        product = Formula("*", operands=(first, second))
+        if "1" in kinds:
+            product = first if kinds[1] == "1" else second
         return _times(product, first_factor * second_factor)
     return Formula(operation, operands=operands)
 
@@ -157,13 +148,7 @@ def pyoperon() -> Any:
         return importlib.import_module("pyoperon.sklearn")
 
 
-def search(
-    x: Float[np.ndarray, " points"],
-    y: Float[np.ndarray, " points"],
-    seconds: float,
-    seed: int,
-    thread_count: int = THREAD_COUNT,
-) -> FormulaSearch:
+def search(x: Points, y: Points, seconds: float, seed: int, thread_count: int = THREAD_COUNT) -> FormulaSearch:
     """Search formulas y = f(x) of + - * min max abs and constants, by error and length; x and y are of order 1.
 
     Genetic programming with two objectives (pyoperon's NSGA-II), with constants fitted by Levenberg-Marquardt. The same
@@ -187,29 +172,30 @@ def search(
         random_state=seed,
     ).fit(x[:, None], y)
     out_of_time = regressor.stats_["generations"] < GENERATION_COUNT and time.monotonic() - start_s > 0.9 * int(seconds)
-    formulas = [_formula_of_tree(individual["tree"]) for individual in regressor.pareto_front_]
-    pareto_front: list[tuple[float, Formula]] = []
-    for formula in sorted(formulas, key=lambda f: f.length):
+    formulas, least_error = list[Formula](), np.inf
+    trees = (individual["tree"] for individual in regressor.pareto_front_)
+    for formula in sorted(map(_formula_of_tree, trees), key=lambda formula: formula.length):
         mean_square_error = float(np.mean((formula(x) - y) ** 2))
-        if not pareto_front or mean_square_error < pareto_front[-1][0]:
-            pareto_front.append((mean_square_error, formula))
-    return FormulaSearch(tuple(formula for _, formula in pareto_front), out_of_time)
+        if not formulas or mean_square_error < least_error:
+            formulas.append(formula)
+            least_error = mean_square_error
+    return FormulaSearch(tuple(formulas), out_of_time)
 
 
 def _formula_of_tree(tree: Any) -> Formula:
     """Formula of a tree in pyoperon's postfix notation, where the first operand stands directly before its operator."""
     operation_names = {"fmin": "min", "fmax": "max"}  # the node's type has these two the wrong way round
-    formula_stack: list[Formula] = []
+    stack: list[Formula] = []
     for node in tree.Nodes:
         if node.IsConstant or node.IsVariable:
-            formula_stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
+            stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
             continue
         operation = operation_names.get(node.Name, node.Name)
-        operands = [formula_stack.pop() for _ in range(node.Arity)]
+        operands = [stack.pop() for _ in range(node.Arity)]
         if len(operands) == 1 and operation == "-":
             operands.insert(0, Formula("1", 0.0))
         formula = simplify(operation, tuple(operands[: 1 if operation == "abs" else 2]))
         for operand in operands[2:]:
             formula = simplify(operation, (formula, operand))
-        formula_stack.append(formula)
-    return formula_stack.pop()
+        stack.append(formula)
+    return stack.pop()

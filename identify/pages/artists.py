@@ -22,13 +22,8 @@ _PX_PER_POINT = 1.33
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _MARKERS = {"s": "square", "^": "triangle", "v": "inverted_triangle", "|": "dash", "_": "dash"}
 _ALIGNMENTS = {"center": "center", "left": "left", "right": "right"}
-_BASELINES = {
-    "center": "middle",
-    "center_baseline": "middle",
-    "bottom": "bottom",
-    "top": "top",
-    "baseline": "alphabetic",
-}
+_BASELINES = {"center": "middle", "center_baseline": "middle", "bottom": "bottom", "top": "top"}
+_BASELINES["baseline"] = "alphabetic"
 LabelledRenderers = Iterator[tuple[str, Any]]
 """Labels and their Bokeh renderers; a label that begins with _ is not shown."""
 
@@ -74,32 +69,30 @@ def tick_places(axis: Any) -> list[float]:
 
 def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
     """Renderers of all artists of the axes with their labels, from the bottom up."""
-    label_by_artist_id = {}
+    labels: dict[int, str] = {}
     for container in axes.containers:
         for bar_or_bars in container:
-            bar_artists = bar_or_bars if isinstance(bar_or_bars, tuple | list) else [bar_or_bars]
-            label_by_artist_id.update({id(artist): container.get_label() for artist in bar_artists})
+            bars = bar_or_bars if isinstance(bar_or_bars, tuple | list) else [bar_or_bars]
+            labels |= {id(bar): container.get_label() for bar in bars}
 
     def label_of(artist: Any) -> str:
-        return str(label_by_artist_id.get(id(artist), artist.get_label()))
+        return str(labels.get(id(artist), artist.get_label()))
 
     artists = sorted([*axes.patches, *axes.collections, *axes.lines], key=lambda artist: artist.get_zorder())
-    draw_function_by_type = {
+    draw_functions = {
         "Line2D": _draw_line,
         "StepPatch": _draw_steps,
         "LineCollection": _draw_segments,
         "QuadMesh": _draw_mesh,
-    } | {"PathCollection": _draw_points}
-    for bar_style, same_style_artists in groupby(
-        artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)
-    ):
-        if bar_style is not None:
-            yield bar_style.label, _draw_bars(list(same_style_artists), bar_style, plot)
+        "PathCollection": _draw_points,
+    }
+    for style, alike in groupby(artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)):
+        if style is not None:
+            yield style.label, _draw_bars(list(alike), style, plot)
             continue
-        for artist in same_style_artists:
-            for renderer in draw_function_by_type.get(type(artist).__name__, _draw_hexagons)(
-                artist, axes, plot, figure
-            ):
+        for artist in alike:
+            draw = draw_functions.get(type(artist).__name__, _draw_hexagons)
+            for renderer in draw(artist, axes, plot, figure):
                 yield label_of(artist), renderer
     for text in axes.texts:
         _draw_label(text, plot)
@@ -112,60 +105,53 @@ def _draw_label(text: Any, plot: Any) -> None:
     if not text.get_text():
         return
     (x, y), (x_offset_pt, y_offset_pt) = map(float, text.xy), map(float, text.xyann)
-    plot.add_layout(
-        Label(
-            x=x,
-            y=y,
-            x_offset=_PX_PER_POINT * x_offset_pt,
-            y_offset=_PX_PER_POINT * y_offset_pt,
-            text=PlainText(text=text.get_text()),
-            text_font_size="11px",
-            text_align=_ALIGNMENTS[text.get_ha()],
-            text_baseline=_BASELINES[text.get_va()],
-        )
+    label = Label(
+        x=x,
+        y=y,
+        x_offset=_PX_PER_POINT * x_offset_pt,
+        y_offset=_PX_PER_POINT * y_offset_pt,
+        text=PlainText(text=text.get_text()),
+        text_font_size="11px",
+        text_align=_ALIGNMENTS[text.get_ha()],
+        text_baseline=_BASELINES[text.get_va()],
     )
+    plot.add_layout(label)
 
 
 def _draw_line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     colour, alpha = _hex_colour(line.get_color()), line.get_alpha() or 1.0
     width_px = _PX_PER_POINT * line.get_linewidth()
-    x, y = (np.asarray(coordinates, dtype=float) for coordinates in line.get_data())
-    dash_name = _DASHES.get(line.get_linestyle())
-    line_style = {"line_color": colour, "line_alpha": alpha, "line_width": width_px, "line_dash": dash_name or "solid"}
+    x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+    dash = _DASHES.get(line.get_linestyle())
+    style = {"line_color": colour, "line_alpha": alpha, "line_width": width_px, "line_dash": dash or "solid"}
     is_data_x, is_data_y = line.get_transform().contains_branch_seperately(axes.transData)
     if not (is_data_x and is_data_y):
-        yield plot.vspan(x=x[:1], **line_style) if is_data_x else plot.hspan(y=y[:1], **line_style)
+        yield plot.vspan(x=x[:1], **style) if is_data_x else plot.hspan(y=y[:1], **style)
         return
-    is_joined = dash_name is not None and line.get_linewidth() > 0
+    is_joined = dash is not None and line.get_linewidth() > 0
     x, y = _thin_points(x, y, is_joined)
     if is_joined and line.get_drawstyle() == "steps-mid":
-        yield plot.step(x, y, mode="center", **line_style)
+        yield plot.step(x, y, mode="center", **style)
     elif is_joined:
-        yield plot.line(x, y, **line_style)
+        yield plot.line(x, y, **style)
     marker = str(line.get_marker())
     if marker not in ("None", "", " "):
-        marker_px = _PX_PER_POINT * line.get_markersize() * (0.6 if marker == "." else 1.0)
-        angle_rad = np.pi / 2 if marker == "|" else 0.0
-        face_colour, edge_colour = _hex_colour(line.get_markerfacecolor()), _hex_colour(line.get_markeredgecolor())
-        marker_colours = {
-            "fill_color": face_colour,
-            "line_color": edge_colour,
-            "fill_alpha": alpha,
-            "line_alpha": alpha,
+        size_px = _PX_PER_POINT * line.get_markersize() * (0.6 if marker == "." else 1.0)
+        shape = {
+            "marker": _MARKERS.get(marker, "circle"),
+            "size": size_px,
+            "angle": np.pi / 2 if marker == "|" else 0.0,
         }
-        yield plot.scatter(
-            x, y, marker=_MARKERS.get(marker, "circle"), size=marker_px, angle=angle_rad, **marker_colours
-        )
+        face, edge = _hex_colour(line.get_markerfacecolor()), _hex_colour(line.get_markeredgecolor())
+        yield plot.scatter(x, y, fill_color=face, line_color=edge, fill_alpha=alpha, line_alpha=alpha, **shape)
 
 
 def _draw_steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     values, edges, _ = patch.get_data()
-    line_style = {
-        "line_color": _hex_colour(patch.get_edgecolor()),
-        "line_width": _PX_PER_POINT * patch.get_linewidth(),
-        "line_dash": _DASHES.get(patch.get_linestyle(), "solid"),
-    }
-    yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), **line_style)
+    colour, width_px = _hex_colour(patch.get_edgecolor()), _PX_PER_POINT * patch.get_linewidth()
+    dash = _DASHES.get(patch.get_linestyle(), "solid")
+    x, y = np.repeat(edges, 2)[1:-1], np.repeat(values, 2)
+    yield plot.line(x, y, line_color=colour, line_width=width_px, line_dash=dash)
 
 
 @dataclass(frozen=True)
@@ -189,10 +175,8 @@ def _bar_style(artist: Any, label: str, axes: Any) -> _BarStyle | None:
 
 def _draw_bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
     """Bars of one style as one renderer: each would cost as much as a curve."""
-    x_left, y_low, width, height = (
-        np.array([float(getattr(patch, f"get_{property_name}")()) for patch in patches])
-        for property_name in ("x", "y", "width", "height")
-    )
+    rows = [(patch.get_x(), patch.get_y(), patch.get_width(), patch.get_height()) for patch in patches]
+    x_left, y_low, width, height = np.array(rows, dtype=float).T
     fill_style = {"fill_color": style.colour, "fill_alpha": style.alpha, "line_color": None}
     if style.is_data_x and style.is_data_y:
         return plot.quad(left=x_left, right=x_left + width, bottom=y_low, top=y_low + height, **fill_style)
@@ -204,12 +188,9 @@ def _draw_bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
 def _draw_segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     """Error bars."""
     segments = [np.asarray(segment, dtype=np.float32) for segment in lines.get_segments()]
-    line_style = {
-        "line_color": _hex_colour(lines.get_colors()[0]),
-        "line_width": _PX_PER_POINT * lines.get_linewidths()[0],
-    }
-    x, y = ([segment[:, coordinate_index].tolist() for segment in segments] for coordinate_index in (0, 1))
-    yield plot.multi_line(x, y, **line_style)
+    colour, width_px = _hex_colour(lines.get_colors()[0]), _PX_PER_POINT * lines.get_linewidths()[0]
+    x, y = ([segment[:, column].tolist() for segment in segments] for column in (0, 1))
+    yield plot.multi_line(x, y, line_color=colour, line_width=width_px)
 
 
 def _draw_hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
@@ -219,13 +200,10 @@ def _draw_hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[A
     hexagon, centres = cells.get_paths()[0].vertices[:6], np.asarray(cells.get_offsets())
     values, colour_mapper = np.asarray(cells.get_array(), dtype=float), _colour_mapper(cells)
     corners = (centres[:, None] + hexagon).reshape(-1, 2)
-    rounded_corners = [[float(f"{value:.4g}") for value in coordinate_row] for coordinate_row in corners.T]
-    x, y = (
-        [coordinate_row[first_corner : first_corner + 6] for first_corner in range(0, len(coordinate_row), 6)]
-        for coordinate_row in rounded_corners
-    )
-    source_columns = {"x": x, "y": y, "value": values.tolist()}
-    yield plot.patches("x", "y", source=source_columns, fill_color=transform("value", colour_mapper), line_color=None)
+    rounded = ([float(f"{value:.4g}") for value in row] for row in corners.T)
+    x, y = ([row[first : first + 6] for first in range(0, len(row), 6)] for row in rounded)
+    columns = {"x": x, "y": y, "value": values.tolist()}
+    yield plot.patches("x", "y", source=columns, fill_color=transform("value", colour_mapper), line_color=None)
     _add_colour_bar(plot, colour_mapper, figure)
 
 
@@ -235,24 +213,17 @@ def _draw_mesh(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
 
     corners, values = cells.get_coordinates(), np.ma.filled(cells.get_array(), np.nan).astype(float)
     edge_x, edge_y = corners[0, :, 0], corners[:, 0, 1]
-    row_indices, column_indices = np.nonzero(np.isfinite(values))
+    rows, columns = np.nonzero(np.isfinite(values))
     colour_mapper = _colour_mapper(cells)
-    source_columns = {
-        "left": edge_x[column_indices].tolist(),
-        "right": edge_x[column_indices + 1].tolist(),
-        "bottom": edge_y[row_indices].tolist(),
-        "top": edge_y[row_indices + 1].tolist(),
-        "value": [float(f"{value:.4g}") for value in values[row_indices, column_indices]],
+    source = {
+        "left": edge_x[columns].tolist(),
+        "right": edge_x[columns + 1].tolist(),
+        "bottom": edge_y[rows].tolist(),
+        "top": edge_y[rows + 1].tolist(),
+        "value": [float(f"{value:.4g}") for value in values[rows, columns]],
     }
-    yield plot.quad(
-        "left",
-        "right",
-        "top",
-        "bottom",
-        source=source_columns,
-        fill_color=transform("value", colour_mapper),
-        line_color=None,
-    )
+    style = {"fill_color": transform("value", colour_mapper), "line_color": None}
+    yield plot.quad("left", "right", "top", "bottom", source=source, **style)
     _add_colour_bar(plot, colour_mapper, figure)
 
 
@@ -266,8 +237,8 @@ def _draw_points(points: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[An
         yield plot.scatter(x, y, size=size_px, color=_hex_colour(points.get_facecolor()[0]))
         return
     colour_mapper = _colour_mapper(points)
-    source_columns = {"x": x.tolist(), "y": y.tolist(), "value": np.asarray(values, dtype=float).tolist()}
-    yield plot.scatter("x", "y", source=source_columns, size=size_px, color=transform("value", colour_mapper))
+    columns = {"x": x.tolist(), "y": y.tolist(), "value": np.asarray(values, dtype=float).tolist()}
+    yield plot.scatter("x", "y", source=columns, size=size_px, color=transform("value", colour_mapper))
     _add_colour_bar(plot, colour_mapper, figure)
 
 
@@ -275,19 +246,17 @@ def _colour_mapper(artist: Any) -> Any:
     from bokeh.models import LinearColorMapper
     from matplotlib.colors import to_hex
 
-    lowest_value, highest_value = artist.get_clim()
-    return LinearColorMapper(
-        [to_hex(artist.cmap(share)) for share in np.linspace(0, 1, 64)], low=lowest_value, high=highest_value
-    )
+    low, high = artist.get_clim()
+    return LinearColorMapper([to_hex(artist.cmap(share)) for share in np.linspace(0, 1, 64)], low=low, high=high)
 
 
 def _add_colour_bar(plot: Any, colour_mapper: Any, figure: Any) -> None:
     """Colour bar with the label of the figure's own, if it has one."""
     from bokeh.models import ColorBar
 
-    colour_bar_axes: Sequence[Any] = [axes for axes in figure.axes if axes.get_label() == COLOUR_BAR]
-    for bar_axes in [axes for axes in colour_bar_axes if axes.get_position().y0 >= 0][:1]:
-        plot.add_layout(ColorBar(color_mapper=colour_mapper, title=bar_axes.get_ylabel(), width=10, padding=4), "right")
+    bars = (axes for axes in figure.axes if axes.get_label() == COLOUR_BAR and axes.get_position().y0 >= 0)
+    if (bar := next(bars, None)) is not None:
+        plot.add_layout(ColorBar(color_mapper=colour_mapper, title=bar.get_ylabel(), width=10, padding=4), "right")
 
 
 def _thin_points(
@@ -297,14 +266,8 @@ def _thin_points(
     indices = np.arange(0, x.size, -(-x.size // MAX_POINTS) or 1)
     if x.size > MAX_POINTS and is_joined:
         buckets = np.array_split(np.arange(x.size), MAX_POINTS // 2)
-        extreme_positions = [sorted((int(np.argmin(y[bucket])), int(np.argmax(y[bucket])))) for bucket in buckets]
-        indices = np.array(
-            [
-                bucket[position]
-                for bucket, bucket_positions in zip(buckets, extreme_positions, strict=True)
-                for position in bucket_positions
-            ]
-        )
+        extremes = [sorted((bucket[np.argmin(y[bucket])], bucket[np.argmax(y[bucket])])) for bucket in buckets]
+        indices = np.ravel(extremes)
     return x[indices].astype(np.float32), y[indices].astype(np.float32)
 
 

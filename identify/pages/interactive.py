@@ -51,20 +51,16 @@ def interactive_html(figure: Any, height_px: int | None = None) -> str:
     from bokeh.models import Column, Row
 
     range_by_axes: dict[Any, Any] = {}
-    plot_rows = []
+    rows = []
     for _, row_panels in groupby(sorted(panels, key=_subplot_row), key=_subplot_row):
         plots = [_plot(axes, figure, range_by_axes) for axes in row_panels]
-        plot_rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
+        rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
     if height_px is not None:
-        _limit_height([plot for row_panels in plot_rows for plot in row_panels.children], height_px)
-    element_id = f"plot_{next(_plot_numbers)}"
-    item_json = json.dumps(json_item(Column(children=plot_rows, sizing_mode="stretch_width"), element_id)).replace(
-        "<", "\\u003c"
-    )
-    heading_html = f"<h3>{escape(title)}</h3>" if title else ""
-    return (
-        f'{heading_html}<div id="{element_id}" class="plot"></div><script>Bokeh.embed.embed_item({item_json})</script>'
-    )
+        _limit_height([plot for row in rows for plot in row.children], height_px)
+    name = f"plot_{next(_plot_numbers)}"
+    item = json.dumps(json_item(Column(children=rows, sizing_mode="stretch_width"), name)).replace("<", "\\u003c")
+    heading = f"<h3>{escape(title)}</h3>" if title else ""
+    return f'{heading}<div id="{name}" class="plot"></div><script>Bokeh.embed.embed_item({item})</script>'
 
 
 def _limit_height(plots: list[Any], height_px: int) -> None:
@@ -88,22 +84,12 @@ def _subplot_row(axes: Any) -> int:
 
 
 def _plot(axes: Any, figure: Any, range_by_axes: dict[Any, Any]) -> Any:
-    from bokeh.models import (
-        CustomJSTicker,
-        CustomJSTickFormatter,
-        FixedTicker,
-        HoverTool,
-        Legend,
-        LegendItem,
-        PlainText,
-        Range1d,
-        Title,
-    )
+    from bokeh.models import HoverTool, PlainText, Range1d, Title
     from bokeh.plotting import figure as new_plot
 
     def shared_range(direction: str, siblings: Any, limits: tuple[float, float]) -> Any:
-        range_key = direction, frozenset(map(id, siblings.get_siblings(axes)))
-        return range_by_axes.setdefault(range_key, Range1d(*map(float, limits)))
+        key = direction, frozenset(map(id, siblings.get_siblings(axes)))
+        return range_by_axes.setdefault(key, Range1d(*map(float, limits)))
 
     plot = new_plot(
         x_range=shared_range("x", axes.get_shared_x_axes(), axes.get_xlim()),
@@ -119,46 +105,52 @@ def _plot(axes: Any, figure: Any, range_by_axes: dict[Any, Any]) -> Any:
     )
     plot.toolbar.logo = None
     for bokeh_axis, axis in ((plot.xaxis, axes.xaxis), (plot.yaxis, axes.yaxis)):
-        bokeh_axis.axis_label = PlainText(text=_axis_label(axes, axis))
-        bokeh_axis.axis_label_text_font_style = "normal"
-        if name_by_position := tick_names(axis):
-            bokeh_axis.ticker = FixedTicker(ticks=list(name_by_position))
-            bokeh_axis.major_label_orientation = _SLANT_RAD if axis is axes.xaxis else "horizontal"
-            bokeh_axis.major_label_overrides = {
-                position: PlainText(text=fill(name, _TICK_LINE_LETTERS)) for position, name in name_by_position.items()
-            }
-        elif axis.get_scale() == "log":
-            bokeh_axis.formatter = CustomJSTickFormatter(code=_LOG_NUMBER)
-            bokeh_axis.ticker = CustomJSTicker(major_code=_LOG_TICKS)
-        else:
-            bokeh_axis.formatter.power_limit_high = _PLAIN_POWER
-            if places := tick_places(axis):
-                bokeh_axis.ticker = FixedTicker(ticks=places)
+        _set_axis(bokeh_axis, axes, axis)
     if title := axes.get_title() or axes.get_title("left"):
         plot.title = Title(text=PlainText(text=fill(title, _TITLE_LINE_LETTERS)))
-    renderers_by_label: dict[str, list[Any]] = {}
+    shown: dict[str, list[Any]] = {}
     for label, renderer in draw_artists(axes, plot, figure):
-        renderers_by_label.setdefault(label, []).append(renderer)
-    shown_renderers = {
-        label: renderers for label, renderers in renderers_by_label.items() if label[:1] not in ("", "_")
-    }
-    if shown_renderers:
-        legend_column_count = 1 if max(map(len, shown_renderers)) > _LONG_LABEL_LETTERS else 2
-        legend_items = [
-            LegendItem(label={"value": label}, renderers=renderers) for label, renderers in shown_renderers.items()
-        ]
-        plot.add_layout(
-            Legend(items=legend_items, click_policy="hide", ncols=legend_column_count, label_text_font_size="11px"),
-            "above",
-        )
-        plot.legend.update(location="top_left", border_line_color=None, padding=0, spacing=6, margin=0, glyph_height=14)
+        if label[:1] not in ("", "_"):
+            shown.setdefault(label, []).append(renderer)
+    if shown:
+        _add_legend(plot, shown)
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.[0000]}"), ("y", "$y{0.[0000]}")]))
     return plot
 
 
+def _set_axis(bokeh_axis: Any, axes: Any, axis: Any) -> None:
+    """Set label, ticks and numbers of an axis as those of a matplotlib axis."""
+    from bokeh.models import CustomJSTicker, CustomJSTickFormatter, FixedTicker, PlainText
+
+    bokeh_axis.axis_label = PlainText(text=_axis_label(axes, axis))
+    bokeh_axis.axis_label_text_font_style = "normal"
+    if names := tick_names(axis):
+        bokeh_axis.ticker = FixedTicker(ticks=list(names))
+        bokeh_axis.major_label_orientation = _SLANT_RAD if axis is axes.xaxis else "horizontal"
+        texts = {position: PlainText(text=fill(name, _TICK_LINE_LETTERS)) for position, name in names.items()}
+        bokeh_axis.major_label_overrides = texts
+    elif axis.get_scale() == "log":
+        bokeh_axis.formatter = CustomJSTickFormatter(code=_LOG_NUMBER)
+        bokeh_axis.ticker = CustomJSTicker(major_code=_LOG_TICKS)
+    else:
+        bokeh_axis.formatter.power_limit_high = _PLAIN_POWER
+        if places := tick_places(axis):
+            bokeh_axis.ticker = FixedTicker(ticks=places)
+
+
+def _add_legend(plot: Any, renderers_by_label: dict[str, list[Any]]) -> None:
+    """Add a legend above the plot, in which a click hides a curve."""
+    from bokeh.models import Legend, LegendItem
+
+    columns = 1 if max(map(len, renderers_by_label)) > _LONG_LABEL_LETTERS else 2
+    items = [LegendItem(label={"value": label}, renderers=shown) for label, shown in renderers_by_label.items()]
+    plot.add_layout(Legend(items=items, click_policy="hide", ncols=columns, label_text_font_size="11px"), "above")
+    plot.legend.update(location="top_left", border_line_color=None, padding=0, spacing=6, margin=0, glyph_height=14)
+
+
 def _axis_label(axes: Any, axis: Any) -> str:
     """Label of an axis, or of one that shares its scale, which stands at the figure's edge."""
-    siblings = axes.get_shared_x_axes() if axis is axes.xaxis else axes.get_shared_y_axes()
-    sibling_axes = (panel.xaxis if axis is axes.xaxis else panel.yaxis for panel in siblings.get_siblings(axes))
-    label_texts = (labelled_axis.get_label().get_text() for labelled_axis in (axis, *sibling_axes))
-    return next(filter(None, label_texts), "")
+    name = axis.axis_name
+    siblings = (axes.get_shared_x_axes() if name == "x" else axes.get_shared_y_axes()).get_siblings(axes)
+    sharing_axes = (axis, *(getattr(panel, f"{name}axis") for panel in siblings))
+    return next(filter(None, (sharing.get_label().get_text() for sharing in sharing_axes)), "")

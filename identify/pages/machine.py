@@ -56,17 +56,19 @@ class _Layout:
         """Place along x; of masses alone, the middle."""
         if not self.px_per_m:
             return WIDTH / 2
-        return LEFT_MARGIN + self.px_per_m * (
-            self.left_ends_m[station.body] + station.position_m - min(self.left_ends_m.values())
-        )
+        x_m = self.left_ends_m[station.body] + station.position_m - min(self.left_ends_m.values())
+        return LEFT_MARGIN + self.px_per_m * x_m
 
     def contact_x_px(self, contact: Contact) -> float:
         """Place of a contact along x; the contacts of a mass stand side by side."""
-        upper_body = self.upper_body(contact)
-        if not upper_body.is_mass:
+        body = self.upper_body(contact)
+        if not body.is_mass:
             return self.x_px(contact.at)
-        same_body_contacts = [neighbour for neighbour in self.rig.contacts if self.upper_body(neighbour) == upper_body]
-        return self.x_px(Station(upper_body.name)) + 0.5 * MASS_SIZE[0] * same_body_contacts.index(contact)
+        return self.x_px(Station(body.name)) + 0.5 * MASS_SIZE[0] * self.contacts_of(body).index(contact)
+
+    def contacts_of(self, body: Body) -> list[Contact]:
+        """Contacts of which a body is the upper one."""
+        return [contact for contact in self.rig.contacts if self.upper_body(contact) == body]
 
     def corner_x_px(self, station: Station, width_share: float) -> float:
         """Place of a station along x; on a mass, this share of its width from its middle."""
@@ -79,8 +81,7 @@ class _Layout:
 
     def is_marked_below(self, body: Body) -> bool:
         """True of the lowest of several bodies, unless a contact's texts stand below it."""
-        is_lowest = body == self.rig.bodies[0] and len(self.rig.bodies) > 1
-        return is_lowest and all(self.upper_body(contact) != body for contact in self.rig.contacts)
+        return body == self.rig.bodies[0] and len(self.rig.bodies) > 1 and not self.contacts_of(body)
 
     @property
     def drawn_forces(self) -> tuple[Station, ...]:
@@ -106,29 +107,21 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         spans_below[station.body].line_for(*layout.force_span_px(station))
     contact_texts: list[tuple[Contact, DrawnText]] = []
     for contact in rig.contacts:
-        text_lines = [contact.name, *contact_lines.get(contact.name, ())]
-        upper_body = layout.upper_body(contact)
-        posts_px = [
-            layout.contact_x_px(neighbour) + STOP_HALF_WIDTH
-            for neighbour in rig.contacts
-            if neighbour != contact and layout.upper_body(neighbour) == upper_body
-        ]
-        text_spans = spans_below[upper_body.name]
-        contact_texts.append((contact, contact_text(layout.contact_x_px(contact), text_lines, text_spans, posts_px)))
-    held_lines = {
-        body.name: spans_below[body.name].line_for(*_held_span_px(layout, body.name))
-        for body in rig.bodies
-        if _is_held_somewhere(body)
-    }
+        lines, body = [contact.name, *contact_lines.get(contact.name, ())], layout.upper_body(contact)
+        neighbours = [neighbour for neighbour in layout.contacts_of(body) if neighbour != contact]
+        posts_px = [layout.contact_x_px(neighbour) + STOP_HALF_WIDTH for neighbour in neighbours]
+        text = contact_text(layout.contact_x_px(contact), lines, spans_below[body.name], posts_px)
+        contact_texts.append((contact, text))
+    held_bodies = [body.name for body in rig.bodies if _is_held_somewhere(body)]
+    held_lines = {name: spans_below[name].line_for(*_held_span_px(layout, name)) for name in held_bodies}
     mark_texts: list[tuple[DrawnMark, DrawnText]] = []
     for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
         body = rig.body(mark.station.body)
-        text_spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
+        spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
         marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
-        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, text_spans, marks_px)))
-    ringed_marks = {
-        (mark.station.body, round(layout.x_px(mark.station))): (mark, text) for mark, text in mark_texts[::-1]
-    }
+        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, spans, marks_px)))
+    places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in mark_texts]
+    ringed = dict(zip(places[::-1], mark_texts[::-1], strict=True))  # the first mark of each place
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
@@ -142,7 +135,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         *_sensors(layout),
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
-        *(element for mark, text in ringed_marks.values() for element in _mark_ring(layout, mark, text)),
+        *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
         *(element for mark, text in mark_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
@@ -176,9 +169,7 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
     if body.is_mass:
         yield _text_element(x_px, top_px + height_px / 2 + 5, "middle", body.name, "name")
     else:
-        contacts_px = [
-            layout.contact_x_px(contact) for contact in layout.rig.contacts if layout.upper_body(contact) == body
-        ]
+        contacts_px = map(layout.contact_x_px, layout.contacts_of(body))
         end_px = max(left_px + width_px, *(x_px + STOP_HALF_WIDTH for x_px in contacts_px), 0.0)
         yield _text_element(end_px + 12, top_px + height_px, "start", body.name, "name")
 
@@ -186,41 +177,27 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
 def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
     """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground, and its lines
     of text."""
-    x_px, upper_body = layout.contact_x_px(contact), layout.upper_body(contact)
-    top_px, bottom_px = layout.tops_px[upper_body.name], layout.bottom_px(upper_body)
-    carrier_names = [station.body for station in contact_stations(contact) if station.body != upper_body.name]
-    foot_px = (
-        layout.tops_px[carrier_names[0]]
-        if carrier_names
-        else bottom_px + ROW_GAP + LINE_HEIGHT * (text.first_line + len(text.lines) - 1)
-    )
+    body = layout.upper_body(contact)
+    left_px, post_px = layout.contact_x_px(contact) - STOP_HALF_WIDTH, layout.contact_x_px(contact) + STOP_HALF_WIDTH
+    top_px, bottom_px = layout.tops_px[body.name], layout.bottom_px(body)
+    carriers = [station.body for station in contact_stations(contact) if station.body != body.name]
+    foot_px = bottom_px + ROW_GAP + LINE_HEIGHT * (text.first_line + len(text.lines) - 1)
+    if carriers:
+        foot_px = layout.tops_px[carriers[0]]
     css_class = "found" if len(text.lines) > 1 else "fork"
     if contact.law.has_stops:
-        yield _path_element(
-            css_class, f"M{x_px - STOP_HALF_WIDTH:g},{top_px - STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}V{foot_px:g}"
-        )
-        yield _path_element(
-            css_class, f"M{x_px - STOP_HALF_WIDTH:g},{bottom_px + STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}"
-        )
+        yield _path_element(css_class, f"M{left_px:g},{top_px - STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}V{foot_px:g}")
+        yield _path_element(css_class, f"M{left_px:g},{bottom_px + STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}")
     else:
-        coil_step_px = (foot_px - bottom_px) / 8
-        coil_path = (
-            f"l-8,{coil_step_px / 2:g}"
-            + f"l16,{coil_step_px:g}l-16,{coil_step_px:g}" * 2
-            + f"l16,{coil_step_px:g}l-8,{coil_step_px / 2:g}"
-        )
-        yield _path_element(
-            css_class, f"M{x_px + STOP_HALF_WIDTH:g},{bottom_px:g}v{coil_step_px:g}{coil_path}V{foot_px:g}"
-        )
-    if not carrier_names:
-        yield _path_element("ink", f"M{x_px + STOP_HALF_WIDTH - 20:g},{foot_px:g}h40")
-        yield _path_element(
-            "thin",
-            "".join(f"M{x_px + STOP_HALF_WIDTH - 16 + 8 * line_index:g},{foot_px:g}l-6,8" for line_index in range(5)),
-        )
-    for line_index, text_line in enumerate(text.lines):
-        y_px = bottom_px + 30 + LINE_HEIGHT * (text.first_line + line_index)
-        yield _text_element(text.x_px, y_px, text.anchor, text_line, "value" if line_index else "name")
+        step_px = (foot_px - bottom_px) / 8
+        coil = f"l16,{step_px:g}l-16,{step_px:g}" * 2 + f"l16,{step_px:g}l-8,{step_px / 2:g}"
+        yield _path_element(css_class, f"M{post_px:g},{bottom_px:g}v{step_px:g}l-8,{step_px / 2:g}{coil}V{foot_px:g}")
+    if not carriers:
+        yield _path_element("ink", f"M{post_px - 20:g},{foot_px:g}h40")
+        yield _path_element("thin", "".join(f"M{post_px - 16 + 8 * k:g},{foot_px:g}l-6,8" for k in range(5)))
+    for k, line in enumerate(text.lines):
+        y_px = bottom_px + 30 + LINE_HEIGHT * (text.first_line + k)
+        yield _text_element(text.x_px, y_px, text.anchor, line, "value" if k else "name")
 
 
 def _supports(layout: _Layout) -> Iterator[str]:
@@ -253,9 +230,8 @@ def _sensors(layout: _Layout) -> Iterator[str]:
     sensors = [sensor for sensor in layout.rig.sensors if sensor not in layout.rig.base_sensors]
     for station in dict.fromkeys(sensor.station for sensor in sensors):
         path_data = f"M{layout.x_px(station) - 5:g},{layout.tops_px[station.body] - 9:g}h10l-5,8z"
-        yield _path_element(
-            "sensor", path_data, ", ".join(sensor.name for sensor in sensors if sensor.station == station)
-        )
+        names = ", ".join(sensor.name for sensor in sensors if sensor.station == station)
+        yield _path_element("sensor", path_data, names)
 
 
 def _forces(layout: _Layout) -> Iterator[str]:
@@ -292,9 +268,9 @@ def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[st
 
 
 def _mark_words(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
-    for line_index, text_line in enumerate(text.lines):
-        y_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * line_index
-        yield _text_element(text.x_px, y_px, text.anchor, text_line, "mark-words")
+    for k, line in enumerate(text.lines):
+        y_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * k
+        yield _text_element(text.x_px, y_px, text.anchor, line, "mark-words")
 
 
 def _path_element(css_class: str, path_data: str, tooltip: str = "") -> str:

@@ -67,55 +67,46 @@ def nifo(
     Contacts that are not visible in the equation, or that never close, take no part. Raises RigError if there are not
     more blocks than unknowns.
     """
-    active_contacts = tuple(
-        j for j, is_visible in enumerate(equation.is_visible) if is_visible and np.any(penetration_m[j])
-    )
-    unknown_count = 1 + len(active_contacts) + (form == "weak")
+    active = tuple(j for j, is_visible in enumerate(equation.is_visible) if is_visible and np.any(penetration_m[j]))
+    unknown_count = 1 + len(active) + (form == "weak")
     if len(blocks.starts) <= unknown_count:
         raise RigError(
             f"{len(blocks.starts)} blocks for {unknown_count} unknowns a line; use shorter blocks or record longer"
         )
     displacement = equation.displacement
-    input_terms = [[Term(force_n, factor=equation.shape_at_force)]]
-    input_terms += [
-        [Term(penetration_m[contact], factor=equation.shape_at_contacts[contact])] for contact in active_contacts
-    ]
+    terms = [[Term(force_n, factor=equation.shape_at_force)]]
+    terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
     if form == "weak":
-        input_terms[0].append(Term(displacement, derivative=2, factor=-1.0))
-        input_terms.append([Term(displacement, derivative=1)])
+        terms[0].append(Term(displacement, derivative=2, factor=-1.0))
+        terms.append([Term(displacement, derivative=1)])
+    terms.append([Term(displacement)])
     derivative_factor = 2j * 2 * np.pi * blocks.frequency_hz
 
     def channel_spectra(block_indices: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
-        spectra = blocks.spectra_of_sums(
-            [*input_terms, [Term(displacement)]], [blocks.starts[k] for k in block_indices]
-        )
+        spectra = blocks.spectra_of_sums(terms, [blocks.starts[k] for k in block_indices])
         if form == "weak":
             spectra[0] += derivative_factor * spectra[-2]
         return spectra
 
-    input_weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
-    frf = input_weights[:, 0]
-    stiffness_n_per_m = -input_weights[:, 1 : 1 + len(active_contacts)] / frf[:, None]
+    weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
+    frf, of_contacts = weights[:, 0], slice(1, 1 + len(active))
+    stiffness_n_per_m = -weights[:, of_contacts] / frf[:, None]
 
     def mean_stiffness_influence(
-        changes: Complex[np.ndarray, "chunk blocks unknowns"], line_chunk: slice
+        changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
     ) -> Float[np.ndarray, "blocks contacts"]:
         """Changes of the spectral means of the stiffness k = -w / H by those of the weights w and of the FRF H."""
-        weight_changes, frf_changes = changes[:, :, 1 : 1 + len(active_contacts)], changes[:, :, :1]
-        stiffness_changes = -(
-            (weight_changes + stiffness_n_per_m[line_chunk, None] * frf_changes) / frf[line_chunk, None, None]
-        )
-        return stiffness_changes.real.sum(axis=0) / frf.size
+        weight_changes, frf_changes = changes[:, :, of_contacts], changes[:, :, :1]
+        k_changes = -((weight_changes + stiffness_n_per_m[chunk, None] * frf_changes) / frf[chunk, None, None])
+        return k_changes.real.sum(axis=0) / frf.size
 
-    mean_variances = variance_of_sum(
-        lambda block_indices: influences(
-            channel_spectra, block_indices, input_weights, inverse_normal, mean_stiffness_influence
-        ),
-        len(blocks.starts),
-    )
+    def block_influences(block_indices: Sequence[int]) -> Float[np.ndarray, "blocks contacts"]:
+        return influences(channel_spectra, block_indices, weights, inverse_normal, mean_stiffness_influence)
+
+    mean_variances = variance_of_sum(block_influences, len(blocks.starts))
     return Nifo(
         equation=equation,
-        contacts=active_contacts,
+        contacts=active,
         frequency_hz=blocks.frequency_hz,
         frf=frf,
         stiffness_n_per_m=stiffness_n_per_m.T,
@@ -131,14 +122,10 @@ def fit_mode(nifo_result: Nifo) -> tuple[float, float]:
     Linear least squares of H (omega_0^2 + i omega g) = 1 + omega^2 H, so that resonance and noise weigh as in H.
     """
     omega = 2 * np.pi * nifo_result.frequency_hz
-    regression_columns = np.stack([nifo_result.frf, 1j * omega * nifo_result.frf], axis=1)
-    regression_target = 1 + omega**2 * nifo_result.frf
-    real_equations = (
-        np.concatenate([regression_columns.real, regression_columns.imag]),
-        np.concatenate([regression_target.real, regression_target.imag]),
-    )
-    (natural_squared, damping_rate), *_ = np.linalg.lstsq(*real_equations, rcond=None)
+    columns = np.stack([nifo_result.frf, 1j * omega * nifo_result.frf], axis=1)
+    target = 1 + omega**2 * nifo_result.frf
+    real_columns, real_target = np.concatenate([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
+    (natural_squared, damping_rate), *_ = np.linalg.lstsq(real_columns, real_target, rcond=None)
     natural_rad_per_s = float(np.sqrt(max(float(natural_squared), 0.0)))
-    return natural_rad_per_s / (2 * np.pi), float(damping_rate) / (
-        2 * natural_rad_per_s
-    ) if natural_rad_per_s > 0 else 0.0
+    damping_ratio = float(damping_rate) / (2 * natural_rad_per_s) if natural_rad_per_s > 0 else 0.0
+    return natural_rad_per_s / (2 * np.pi), damping_ratio

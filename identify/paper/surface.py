@@ -17,9 +17,13 @@ MAX_LOG_KAPPA = 20.0
 """Largest ln kappa of the density of a relative displacement, of one standard deviation: a rigid stop."""
 
 
+Samples = Float[np.ndarray, " samples"]
+Parameters = Float[np.ndarray, " parameters"]
+
+
 @dataclass(frozen=True)
 class Stops:
-    """Clearances of a contact to its lower and upper stop, with standard errors; half_error_m is that of their mean.
+    """Clearances of a contact to its lower and upper stop, with standard errors; mean_error_m is that of their mean.
 
     clearance_m is their mean, or the clearance of the only stop that is touched.
     """
@@ -61,14 +65,14 @@ class Surface:
     stiffness_n_per_m: Float[np.ndarray, " contacts"]
 
 
-def restoring_force(equation: ModalEquation, force_n: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+def restoring_force(equation: ModalEquation, force_n: Samples) -> Samples:
     """Restoring force r = shape_at_force F - q'' of a modal equation, N / sqrt(kg)."""
     return equation.shape_at_force * force_n - equation.acceleration
 
 
 def fit_surface(
     equation: ModalEquation,
-    force_n: Float[np.ndarray, " samples"],
+    force_n: Samples,
     eta_m: Float[np.ndarray, "contacts samples"],
     decimation: int,
     start_stops: tuple[Stops | None, ...],
@@ -79,62 +83,48 @@ def fit_surface(
     errors are sandwich estimates, which allow for residuals correlated within a sixteenth of the record. Both sides are
     low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
-    contacts_to_fit = [
-        (j, s)
-        for j, (s, is_visible) in enumerate(zip(start_stops, equation.is_visible, strict=True))
-        if is_visible and s
-    ]
-    contact_indices = [j for j, _ in contacts_to_fit]
-    measured_force = decimated(restoring_force(equation, force_n), decimation)
+    visible = zip(start_stops, equation.is_visible, strict=True)
+    starts = {j: start for j, (start, is_visible) in enumerate(visible) if is_visible and start}
+    measured = decimated(restoring_force(equation, force_n), decimation)
     linear_columns = decimated(np.stack([equation.velocity, equation.displacement]), decimation)
 
-    def regression_columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
-        dead_zone_columns = [
-            equation.shape_at_contacts[contact_index]
-            * decimated(penetration_m(eta_m[contact_index], stops[2 * i], stops[2 * i + 1]), decimation)
-            for i, contact_index in enumerate(contact_indices)
-        ]
-        return np.stack([*linear_columns, *dead_zone_columns], axis=1)
+    def columns_of(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
+        depths_m = (penetration_m(eta_m[j], *stops[2 * i : 2 * i + 2]) for i, j in enumerate(starts))
+        dead_zones = (
+            equation.shape_at_contacts[j] * decimated(x, decimation) for j, x in zip(starts, depths_m, strict=True)
+        )
+        return np.stack([*linear_columns, *dead_zones], axis=1)
 
-    def residual_force(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
-        return measured_force - _projection(regression_columns(stops), measured_force)[0]
+    def residual(stops: Float[np.ndarray, " stops"]) -> Samples:
+        return measured - _projection(columns_of(stops), measured)[0]
 
-    largest_m = np.array(
-        [[-eta_m[contact_index].min(), eta_m[contact_index].max()] for contact_index in contact_indices]
-    ).ravel()
-    scale_m = np.maximum(largest_m, 1e-12)
-    start_stops_m = np.array([x for _, s in contacts_to_fit for x in (s.lower_m, s.upper_m)])
+    scale_m = np.maximum(np.array([[-eta_m[j].min(), eta_m[j].max()] for j in starts]).ravel(), 1e-12)
+    start_m = np.array([x for start in starts.values() for x in (start.lower_m, start.upper_m)])
     solution = least_squares(
-        lambda s: residual_force(s * scale_m),
-        np.clip(start_stops_m / scale_m, 0.0, 0.98),
+        lambda relative: residual(relative * scale_m),
+        np.clip(start_m / scale_m, 0.0, 0.98),
         bounds=(0, 1),
         xtol=1e-9,
         ftol=1e-12,
     )
-    stops = solution.x * scale_m
-    fitted_force, column_weights = _projection(regression_columns(stops), measured_force)
-    covariance = _sandwich(
-        np.concatenate([regression_columns(stops), solution.jac / scale_m], axis=1), measured_force - fitted_force
-    )
+    stops_m = solution.x * scale_m
+    columns = columns_of(stops_m)
+    fitted, weights = _projection(columns, measured)
+    covariance = _sandwich(np.concatenate([columns, solution.jac / scale_m], axis=1), measured - fitted)
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
-    contact_forces = np.zeros((len(eta_m), measured_force.size))
+    contact_forces = np.zeros((len(eta_m), measured.size))
     stiffness_n_per_m = np.full(len(eta_m), np.nan)
-    first_stop_column = len(linear_columns) + len(contact_indices)
-    for i, j in enumerate(contact_indices):
-        stop_columns = slice(first_stop_column + 2 * i, first_stop_column + 2 * i + 2)
-        stop_covariance = covariance[stop_columns, stop_columns]
-        stiffness_n_per_m[j] = column_weights[2 + i]
-        contact_forces[j] = column_weights[2 + i] * regression_columns(stops)[:, 2 + i]
-        closed_share = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
-        if closed_share >= MIN_CONTACT_SHARE:
-            variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
+    for i, (j, start) in enumerate(starts.items()):
+        first = columns.shape[1] + 2 * i
+        variance = covariance[first : first + 2, first : first + 2]
+        stiffness_n_per_m[j] = weights[2 + i]
+        contact_forces[j] = weights[2 + i] * columns[:, 2 + i]
+        lower_m, upper_m = stops_m[2 * i : 2 * i + 2].tolist()
+        if np.mean((eta_m[j] > upper_m) | (eta_m[j] < -lower_m)) >= MIN_CONTACT_SHARE:
+            variances = [variance[0, 0], variance[1, 1], variance.sum() / 4]
             lower_error_m, upper_error_m, mean_error_m = np.sqrt(variances).tolist()
-            lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
-            is_touched = contacts_to_fit[i][1].touched
-            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, mean_error_m, is_touched)
-    return Surface(
-        equation, decimation, measured_force, fitted_force, contact_forces, tuple(fitted_stops), stiffness_n_per_m
-    )
+            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, mean_error_m, start.touched)
+    return Surface(equation, decimation, measured, fitted, contact_forces, tuple(fitted_stops), stiffness_n_per_m)
 
 
 def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
@@ -149,36 +139,31 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     deviation_m = float(np.std(eta_m))
     scaled_eta = (edges_m[:-1] + edges_m[1:]) / 2 / deviation_m
 
-    def fit_density(
-        sample_m: Float[np.ndarray, " samples"], start_parameters: list[Float[np.ndarray, " parameters"]]
-    ) -> Float[np.ndarray, " parameters"]:
+    def fit_density(sample_m: Samples, starts: list[Parameters]) -> Parameters:
         bin_shares = np.histogram(sample_m, edges_m)[0] / sample_m.size
 
-        def cost(parameters: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
+        def cost(parameters: Parameters) -> tuple[float, Parameters]:
             """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
             depth, kappa = penetration_m(scaled_eta, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
             exponent = -parameters[0] * scaled_eta - parameters[1] * scaled_eta**2 / 2 - kappa * depth**2 / 2
-            largest_exponent = exponent.max()
-            density = np.exp(exponent - largest_exponent)
+            largest = exponent.max()
+            density = np.exp(exponent - largest)
             density_sum = density.sum()
             by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < MAX_LOG_KAPPA)
             by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
-            gradient = np.array([-scaled_eta, -(scaled_eta**2) / 2, by_log_kappa, *by_stops]) @ (
-                density / density_sum - bin_shares
-            )
-            return float(-(bin_shares @ exponent) + largest_exponent + np.log(density_sum)), gradient
+            slopes = np.array([-scaled_eta, -(scaled_eta**2) / 2, by_log_kappa, *by_stops])
+            cost = float(-(bin_shares @ exponent) + largest + np.log(density_sum))
+            return cost, slopes @ (density / density_sum - bin_shares)
 
-        attempts = [
-            minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in start_parameters
-        ]
+        attempts = [minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in starts]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m
-    best_parameters = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
+    best = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
     parts_m = np.array_split(eta_m, PARTS)
-    part_stops_m = np.array([np.abs(fit_density(part_m, [best_parameters])[3:]) for part_m in parts_m]) * deviation_m
+    part_stops_m = np.array([np.abs(fit_density(part_m, [best])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
-    lower_m, upper_m = np.abs(best_parameters[3:]) * deviation_m
+    lower_m, upper_m = np.abs(best[3:]) * deviation_m
     lower_error_m, upper_error_m, mean_error_m = (
         float(np.std(stops_m, ddof=1) / np.sqrt(PARTS))
         for stops_m in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
@@ -187,25 +172,27 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
 
 
 def _projection(
-    columns: Float[np.ndarray, "samples columns"], target: Float[np.ndarray, " samples"]
-) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " columns"]]:
+    columns: Float[np.ndarray, "samples columns"], target: Samples
+) -> tuple[Samples, Float[np.ndarray, " columns"]]:
     """Projection of the target on the columns, and their weights, by normal equations of scaled columns."""
-    column_norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    column_norms[column_norms == 0] = 1.0
-    normal_matrix = (columns.T @ columns) / np.outer(column_norms, column_norms)
-    column_weights = (
-        np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / column_norms) / column_norms
-    )
-    return columns @ column_weights, column_weights
+    norms = _column_norms(columns)
+    normal_matrix = (columns.T @ columns) / np.outer(norms, norms)
+    weights = np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / norms) / norms
+    return columns @ weights, weights
 
 
 def _sandwich(
-    jacobian: Float[np.ndarray, "samples parameters"], residual: Float[np.ndarray, " samples"]
+    jacobian: Float[np.ndarray, "samples parameters"], residual: Samples
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Sandwich covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
-    column_norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    column_norms[column_norms == 0] = 1.0
-    unit_columns = jacobian / column_norms
+    norms = _column_norms(jacobian)
+    unit_columns = jacobian / norms
     inverse_normal = np.linalg.pinv(unit_columns.T @ unit_columns, rcond=1e-12, hermitian=True)
-    scores = part_scores(unit_columns @ inverse_normal, residual) / column_norms
+    scores = part_scores(unit_columns @ inverse_normal, residual) / norms
     return np.asarray(scores.T @ scores * PARTS / (PARTS - 1))
+
+
+def _column_norms(columns: Float[np.ndarray, "samples columns"]) -> Float[np.ndarray, " columns"]:
+    """Norm of each column, 1 of a column of zeros."""
+    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    return np.where(norms == 0, 1.0, norms)

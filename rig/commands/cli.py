@@ -81,8 +81,7 @@ def _first_paragraph(documented_class: type) -> str:
 @app.command(cls=help_filled_by(_record_words), epilog="{settings}")
 def record(
     scenario: Annotated[
-        str,
-        typer.Argument(metavar="RIG", help="One of {references}, or a rig of your own: its rig.json."),
+        str, typer.Argument(metavar="RIG", help="One of {references}, or a rig of your own: its rig.json.")
     ],
     out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
     plant: Annotated[
@@ -187,11 +186,8 @@ def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference 
 
     is_file = Path(scenario).suffix == ".json"
     if not is_file and scenario not in REFERENCES:
-        reference_names = ", ".join(REFERENCES)
-        raise typer.BadParameter(
-            f"{scenario!r} is none of {reference_names}, and no FILE.json{hint(scenario, REFERENCES)}",
-            param_hint="RIG",
-        )
+        names, suggestion = ", ".join(REFERENCES), hint(scenario, REFERENCES)
+        raise typer.BadParameter(f"{scenario!r} is none of {names}, and no FILE.json{suggestion}", param_hint="RIG")
     rig = read_rig(Path(scenario)) if is_file else None
     try:
         return reference(scenario, settings) if rig is None else own_rig(rig, settings)
@@ -217,22 +213,18 @@ def info(file: File, as_json: Json = False) -> None:
     say(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
     body_table = _empty_table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
-        mode_count = min(4 + body.rigid_modes, body.max_modes)
-        body_table.add_row(
-            body.name, body.kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(mode_count)[body.rigid_modes :])
-        )
-    contact_table = _empty_table(
-        "Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m"
-    )
+        frequencies_hz = body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes))[body.rigid_modes :]
+        body_table.add_row(body.name, body.kind, ", ".join(f"{hz:.2f}" for hz in frequencies_hz))
+    headings = ("contact", "at", "against", "clearance, mm", "stiffness, N/m")
+    contact_table = _empty_table("Contacts, as rig.json believes", *headings)
     for contact in rig.contacts:
-        law, against_text = contact.law, "ground" if contact.against is None else _station_text(contact.against)
-        clearances_text = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
+        law, against = contact.law, "ground" if contact.against is None else _station_text(contact.against)
+        clearances = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
         if law.spatial:
-            clearances_text = f"{1e3 * law.clearance_m:g} all around"
-        contact_table.add_row(
-            contact.name, _station_text(contact.at), against_text, clearances_text, f"{law.stiffness_n_per_m:g}"
-        )
-    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
+            clearances = f"{1e3 * law.clearance_m:g} all around"
+        stiffness = f"{law.stiffness_n_per_m:g}"
+        contact_table.add_row(contact.name, _station_text(contact.at), against, clearances, stiffness)
+    channel_tables = [_channel_table(group, signals) for group, signals in recording.signals.items()]
     for table in (body_table, contact_table, *channel_tables):
         console.print(table, "")
     for key, value in recording.provenance.items():
@@ -276,23 +268,16 @@ def doctor() -> None:
 def _summary_json(recording: Recording) -> dict[str, Any]:
     from rig.model.description import to_json
 
+    channels = []
+    for group, signals in recording.signals.items():
+        unit, stations = signals.channels.unit, map(msgspec.to_builtins, signals.channels.stations)
+        for name, station, samples in zip(signals.channels.names, stations, signals.values, strict=True):
+            channels.append({"group": group, "name": name, "station": station, "unit": unit, "rms": _rms(samples)})
     return {
         "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
         "sample_rate_hz": recording.rig.sample_rate_hz,
-        "channels": [
-            {
-                "group": group_name,
-                "name": channel_name,
-                "station": msgspec.to_builtins(station),
-                "unit": signals.channels.unit,
-                "rms": _rms(samples),
-            }
-            for group_name, signals in recording.signals.items()
-            for channel_name, station, samples in zip(
-                signals.channels.names, signals.channels.stations, signals.values, strict=True
-            )
-        ],
+        "channels": channels,
         "provenance": dict(recording.provenance),
     }
 

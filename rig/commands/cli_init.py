@@ -96,19 +96,13 @@ def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
         )
 
     command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {kind_name} {_EXAMPLES[kind_name]}"
-    options = [
-        Parameter(
-            field.name, Parameter.KEYWORD_ONLY, default=None, annotation=_option(field, help_by_field[field.name])
-        )
-        for field in _fields_in_order(kind)
+    options: list[tuple[str, Any, Any]] = [
+        (field.name, None, _option(field, help_by_field[field.name])) for field in _fields_in_order(kind)
     ]
-    shared_options = [
-        Parameter("out", Parameter.KEYWORD_ONLY, default=Path(), annotation=Out),
-        Parameter("force", Parameter.KEYWORD_ONLY, default=False, annotation=Force),
-        Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=Json),
-    ]
-    command.__signature__ = Signature([*options, *shared_options])  # type: ignore[attr-defined]
-    command.__annotations__ = {p.name: p.annotation for p in (*options, *shared_options)}
+    options += [("out", Path(), Out), ("force", False, Force), ("as_json", False, Json)]
+    parameters = [Parameter(name, Parameter.KEYWORD_ONLY, default=d, annotation=a) for name, d, a in options]
+    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {name: annotation for name, _, annotation in options}
     return command
 
 
@@ -143,9 +137,7 @@ def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
         "int": "NUMBER",
         "": "TEXT",
     }
-    metavar = next(
-        metavar_text for type_fragment, metavar_text in metavar_by_type.items() if type_fragment in str(field.type)
-    )
+    metavar = next(text for type_text, text in metavar_by_type.items() if type_text in str(field.type))
     option_name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(option_name, help=help_text, metavar=metavar, show_default=False)]
 

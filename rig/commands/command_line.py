@@ -180,19 +180,11 @@ def console_table(
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
-    progress_columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    bar = Progress(
+        *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=SPEED_PERIOD_S
     )
-    with Progress(
-        *progress_columns,
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-        speed_estimate_period=SPEED_PERIOD_S,
-    ) as progress:
+    with bar as progress:
         task_id = progress.add_task(one_line(description), total=1.0)
         yield lambda done_share: progress.update(task_id, completed=done_share)
 

@@ -63,25 +63,13 @@ def demo(
     mass_effect = f"added_mass:mass_kg={MASS_KG},relative_position={POSITION_M / BarrelCradle().length_m}"
     record_command = ("rig", "record", "barrel_cradle", *setting_options)
     force_option = ("--force",) if force else ()
+    change_options = ("--duration", CHANGED_S, "--seed", 2, "--effect", mass_effect)
     identification_commands = (
         (*record_command, "--plant", plant, "--duration", NOMINAL_S, "--out", nominal_path, *force_option),
         ("identify", "contact", nominal_path, "--out", out / "contact", *force_option),
     )
     diagnosis_commands = (
-        (
-            *record_command,
-            "--plant",
-            "modal",
-            "--duration",
-            CHANGED_S,
-            "--seed",
-            2,
-            "--effect",
-            mass_effect,
-            "--out",
-            changed_path,
-            *force_option,
-        ),
+        (*record_command, "--plant", "modal", *change_options, "--out", changed_path, *force_option),
         ("identify", "gap", changed_path, "--out", out / "gap", *force_option),
     )
     console = Console(stderr=True)

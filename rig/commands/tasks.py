@@ -144,12 +144,9 @@ def _completions_on_processes(function: Callable[[Parameters], TaskResult], task
             if not _is_lost(future):
                 break
         else:
+            reason = f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?)"
             future = Future()
-            future.set_exception(
-                RigError(
-                    f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?); run the command again to go on"
-                )
-            )
+            future.set_exception(RigError(f"{reason}; run the command again to go on"))
         yield index, future
 
 
@@ -168,10 +165,8 @@ def _completions_on_pool(
         while True:
             try:
                 while waiting_indices and not is_broken and len(index_by_future) < process_count:
-                    index_by_future[pool.submit(_on_one_thread, function, tasks[waiting_indices[0]])] = waiting_indices[
-                        0
-                    ]
-                    waiting_indices.popleft()
+                    future = pool.submit(_on_one_thread, function, tasks[waiting_indices[0]])
+                    index_by_future[future] = waiting_indices.popleft()
             except BrokenProcessPool:
                 is_broken = True
             if not index_by_future:

@@ -49,7 +49,7 @@ class SampleTimes:
         return cls(stamps_s.size, rate_hz, stamps_s, stamp_fault)
 
     def stamps(self, first_sample: int, end_sample: int) -> Float[np.ndarray, " some"]:
-        """Time stamps of the samples first to last - 1, s."""
+        """Time stamps of the samples first_sample to end_sample - 1, s."""
         if self.stamps_s is None:
             return np.arange(first_sample, end_sample) / self.rate_hz
         return self.stamps_s[first_sample:end_sample]
@@ -86,53 +86,43 @@ def evenly_sampled(
         )
     rate_ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
     grid_hz = rate_hz / float(rate_ratio)
-    history_steps: tuple[str, ...] = ()
+    steps = []
     if stamp_fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
         values = _resample_to_grid(values, sample_times, grid_hz)
-        history_steps = (
-            f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {stamp_fault or 'the rate is uneven'}",
-        )
+        reason = stamp_fault or "the rate is uneven"
+        steps.append(f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {reason}")
     if rate_ratio != 1:
         values = np.stack([_filter_to_rate(samples, rate_ratio) for samples in values])
-        history_steps = (*history_steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
-    return values, history_steps
+        steps.append(f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
+    return values, tuple(steps)
 
 
 def _resample_to_grid(
     values: Float[np.ndarray, "channels samples"], sample_times: SampleTimes, grid_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
     """Resample to an even grid by cubic splines, piece by piece with overlapping knots."""
-    (start_s,), (end_s,) = (
-        sample_times.stamps(0, 1),
-        sample_times.stamps(sample_times.sample_count - 1, sample_times.sample_count),
-    )
-    grid_values = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
+    count = sample_times.sample_count
+    (start_s,), (end_s,) = sample_times.stamps(0, 1), sample_times.stamps(count - 1, count)
+    grid = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
     piece_length = max(PIECE_SAMPLES // len(values), OVERLAP_SAMPLES)
     grid_start = 0
-    for first_sample in range(0, sample_times.sample_count - 1, piece_length):
-        last_sample = min(first_sample + piece_length, sample_times.sample_count - 1)
-        knot_start = max(first_sample - OVERLAP_SAMPLES, 0)
-        knot_stop = min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count)
-        knots_s = sample_times.stamps(knot_start, knot_stop)
-        is_final = last_sample == sample_times.sample_count - 1
-        grid_stop = (
-            grid_values.shape[1] if is_final else math.ceil((knots_s[last_sample - knot_start] - start_s) * grid_hz)
-        )
-        times_s = start_s + np.arange(grid_start, grid_stop) / grid_hz
-        grid_values[:, grid_start:grid_stop] = scipy.interpolate.CubicSpline(
-            knots_s, values[:, knot_start:knot_stop], axis=1
-        )(times_s)
+    for first in range(0, count - 1, piece_length):
+        last = min(first + piece_length, count - 1)
+        knots = slice(max(first - OVERLAP_SAMPLES, 0), min(last + OVERLAP_SAMPLES, count))
+        knots_s = sample_times.stamps(knots.start, knots.stop)
+        grid_stop = grid.shape[1]
+        if last < count - 1:
+            grid_stop = math.ceil((knots_s[last - knots.start] - start_s) * grid_hz)
+        spline = scipy.interpolate.CubicSpline(knots_s, values[:, knots], axis=1)
+        grid[:, grid_start:grid_stop] = spline(start_s + np.arange(grid_start, grid_stop) / grid_hz)
         grid_start = grid_stop
-    return grid_values
+    return grid
 
 
 def _filter_to_rate(samples: Float[np.ndarray, " samples"], rate_ratio: Fraction) -> Float[np.ndarray, " fewer"]:
-    return np.asarray(
-        scipy.signal.resample_poly(
-            samples, rate_ratio.numerator, rate_ratio.denominator, window=("kaiser", 8.0), padtype="line"
-        ),
-        dtype=float,
-    )
+    up, down = rate_ratio.numerator, rate_ratio.denominator
+    filtered = scipy.signal.resample_poly(samples, up, down, window=("kaiser", 8.0), padtype="line")
+    return np.asarray(filtered, dtype=float)
 
 
 def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
@@ -147,28 +137,25 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         )
     interval_s = float(np.median(intervals_s))
     duration_s = float(time_s[-1] - time_s[0])
-    gap_indices = np.flatnonzero(intervals_s > MIN_GAP_INTERVALS * interval_s)
-    if gap_indices.size:
-        widest_gap = int(np.argmax(intervals_s))
-        if intervals_s[widest_gap] > MAX_BRIDGED_INTERVALS * interval_s:
+    gaps = np.flatnonzero(intervals_s > MIN_GAP_INTERVALS * interval_s)
+    if gaps.size:
+        widest = int(np.argmax(intervals_s))
+        if intervals_s[widest] > MAX_BRIDGED_INTERVALS * interval_s:
             raise RigError(
-                f"its time stamps have a gap of {intervals_s[widest_gap]:.6g} s after {time_s[widest_gap]:.6f} s; cut "
-                "the record there and import the longer part"
+                f"its time stamps have a gap of {intervals_s[widest]:.6g} s after {time_s[widest]:.6f} s; cut the "
+                "record there and import the longer part"
             )
-        interval_count = float(np.round(intervals_s / interval_s).sum())
-        return float(
-            np.divide(interval_count, duration_s)
-        ), f"its time stamps have {gap_indices.size} gaps, the first after {time_s[gap_indices[0]]:.6f} s"
+        rate_hz = float(np.divide(float(np.round(intervals_s / interval_s).sum()), duration_s))
+        return rate_hz, f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
     del intervals_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
-    deviations_intervals = time_s - time_s[0]
-    deviations_intervals *= rate_hz
-    deviations_intervals -= np.arange(time_s.size)
-    np.abs(deviations_intervals, out=deviations_intervals)
-    worst_stamp = int(np.argmax(deviations_intervals))
-    if deviations_intervals[worst_stamp] > MAX_JITTER_INTERVALS:
+    deviations = time_s - time_s[0]  # in intervals, in place: records are long
+    deviations *= rate_hz
+    deviations -= np.arange(time_s.size)
+    np.abs(deviations, out=deviations)
+    worst = int(np.argmax(deviations))
+    if deviations[worst] > MAX_JITTER_INTERVALS:
         return rate_hz, (
-            f"its time stamps are uneven, by {deviations_intervals[worst_stamp]:.2g} of a sampling interval at "
-            f"{time_s[worst_stamp]:.6f} s"
+            f"its time stamps are uneven, by {deviations[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
         )
     return rate_hz, ""

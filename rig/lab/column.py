@@ -53,3 +53,8 @@ def decode_text(encoded_text: bytes) -> str:
         return encoded_text.decode()
     except UnicodeDecodeError:
         return encoded_text.decode("latin-1")
+
+
+def column_names(name: str, count: int) -> tuple[str, ...]:
+    """Names of the columns of a matrix: its own of a single one, else NAME[1], NAME[2], ..."""
+    return (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))

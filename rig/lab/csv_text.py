@@ -5,7 +5,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
@@ -74,39 +73,26 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     name_line = next(islice(lines_of(path, form.encoding), form.lines_before_names, None), None)
     if name_line is None:
         raise RigError(f"{path}: has no line after the first {form.lines_before_names}; check lines_before_names")
-    names_in_line = names_in(name_line, form.delimiter)
-    has_names = (
-        not all(is_number(name, form.decimal) for name in names_in_line if name) if form.names is None else form.names
-    )
-    skipped_line_count = form.lines_before_names + (1 if has_names else 0) + form.lines_after_names
-    sample_lines_shape = _count_lines(path, form, skipped_line_count)
-    cell_count = sample_lines_shape.cell_count
-    used_column_count = (
-        _used_column_count(path, names_in_line, cell_count, sample_lines_shape.trailing_empty_count)
-        if has_names
-        else cell_count
-    )
+    names = names_in(name_line, form.delimiter)
+    has_names = form.names
+    if has_names is None:
+        has_names = not all(is_number(name, form.decimal) for name in names if name)
+    skipped_count = form.lines_before_names + has_names + form.lines_after_names
+    shape = _count_lines(path, form, skipped_count)
+    cell_count = used_count = shape.cell_count
+    if has_names:
+        used_count = _used_column_count(path, names, cell_count, shape.trailing_empty_count)
     # of last columns without a name there may be any number
-    for line_cell_count, line_number in sample_lines_shape.first_line_by_count.items():
-        if (
-            line_cell_count != cell_count
-            and (line_cell_count < used_column_count or used_column_count == cell_count)
-            and not form.cut_incomplete_end
-        ):
+    for count, line_number in shape.first_line_by_count.items():
+        is_other = count != cell_count and (count < used_count or used_count == cell_count)
+        if is_other and not form.cut_incomplete_end:
             raise RigError(
-                f"{path}: the number of columns changed from {cell_count} to {line_cell_count} in line {line_number}; "
+                f"{path}: the number of columns changed from {cell_count} to {count} in line {line_number}; "
                 "check delimiter"
             )
-    column_names = (
-        tuple(names_in_line[:used_column_count])
-        if has_names
-        else tuple(f"column {column_number}" for column_number in range(1, used_column_count + 1))
-    )
-    yield ColumnBlock(
-        column_names,
-        sample_lines_shape.sample_count,
-        partial(_read_columns, path, form, skipped_line_count, column_names, sample_lines_shape.sample_count),
-    )
+    used_names = tuple(names[:used_count] if has_names else (f"column {k}" for k in range(1, used_count + 1)))
+    columns = _Columns(path, form, skipped_count, used_names, shape.sample_count)
+    yield ColumnBlock(used_names, shape.sample_count, columns.read)
 
 
 def lines_of(path: Path, encoding: str) -> Iterator[str]:
@@ -131,159 +117,121 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
 
 def sample_lines(path: Path, form: TextForm, skipped_line_count: int) -> Iterator[tuple[int, str]]:
     """Lines that are not blank, after the skipped ones, with their numbers from 1."""
-    for line_number, line in enumerate(
-        islice(lines_of(path, form.encoding), skipped_line_count, None), start=skipped_line_count + 1
-    ):
+    lines = islice(lines_of(path, form.encoding), skipped_line_count, None)
+    for line_number, line in enumerate(lines, start=skipped_line_count + 1):
         if not line.isspace():
             yield line_number, line.rstrip("\n")
 
 
 def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _SampleLines:
     delimiter = form.delimiter
-    numbered_lines = sample_lines(path, form, skipped_line_count)
-    line_number, first_line = next(numbered_lines, (0, ""))
+    lines = sample_lines(path, form, skipped_line_count)
+    line_number, first_line = next(lines, (0, ""))
     if not first_line:
         raise RigError(f"{path}: holds no samples; export it again")
-    first_line_by_count, sample_count = {len(cells_of(first_line, delimiter)): line_number}, 1
-    trailing_empty_count = _trailing_empty_count(first_line, delimiter)
-    for line_number, line in numbered_lines:
+    first_count = len(cells_of(first_line, delimiter))
+    first_line_by_count, sample_count = {first_count: line_number}, 1
+    empty_count = _trailing_empty_count(first_line, delimiter)
+    for line_number, line in lines:
         is_plain = '"' not in line and delimiter != " "
-        cell_count = line.count(delimiter) + 1 if is_plain else len(cells_of(line, delimiter))
-        if cell_count not in first_line_by_count:
-            first_line_by_count[cell_count] = line_number
-        if trailing_empty_count:
-            trailing_empty_count = min(trailing_empty_count, _trailing_empty_count(line, delimiter))
+        count = line.count(delimiter) + 1 if is_plain else len(cells_of(line, delimiter))
+        if count not in first_line_by_count:
+            first_line_by_count[count] = line_number
+        if empty_count:
+            empty_count = min(empty_count, _trailing_empty_count(line, delimiter))
         sample_count += 1
-    filled_cell_count = len(
-        cells_of(
-            first_line.rsplit(delimiter, trailing_empty_count)[0] if trailing_empty_count else first_line, delimiter
-        )
-    )
-    empty_cell_count = next(iter(first_line_by_count)) - filled_cell_count
-    return _SampleLines(
-        filled_cell_count,
-        sample_count,
-        {cell_count - empty_cell_count: line_number for cell_count, line_number in first_line_by_count.items()},
-        trailing_empty_count,
-    )
+    filled_line = first_line.rsplit(delimiter, empty_count)[0] if empty_count else first_line
+    filled_count = len(cells_of(filled_line, delimiter))
+    first_lines = {count - first_count + filled_count: number for count, number in first_line_by_count.items()}
+    return _SampleLines(filled_count, sample_count, first_lines, empty_count)
 
 
-def _read_columns(
-    path: Path,
-    form: TextForm,
-    skipped_line_count: int,
-    column_names: Sequence[str],
-    sample_count: int,
-    column_indices: Sequence[int],
-) -> list[Column]:
-    values = np.empty((len(column_indices), sample_count))
-    read_count = 0
-    remaining_lines = sample_lines(path, form, skipped_line_count)
-    while numbered_lines := list(islice(remaining_lines, LINES_PER_BLOCK)):
-        if form.decimal != ".":
-            _check_decimal(path, form, column_names, column_indices, numbered_lines)
-        if form.cut_incomplete_end:
-            numbered_lines = _complete_lines(path, form, column_indices, numbered_lines, remaining_lines)
-        number_texts = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in numbered_lines]
-        if not number_texts:
-            continue
-        try:
-            number_rows = np.loadtxt(
-                number_texts,
-                delimiter=None if form.delimiter == " " else form.delimiter,
-                ndmin=2,
-                comments=None,
-                quotechar='"',
-                usecols=column_indices,
+NumberedLines = list[tuple[int, str]]
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Columns of a file by index, with their names, and the number of lines of samples."""
+
+    path: Path
+    form: TextForm
+    skipped_line_count: int
+    names: Sequence[str]
+    sample_count: int
+
+    def read(self, indices: Sequence[int]) -> list[Column]:
+        form, values, read_count = self.form, np.empty((len(indices), self.sample_count)), 0
+        remaining_lines = sample_lines(self.path, form, self.skipped_line_count)
+        while lines := list(islice(remaining_lines, LINES_PER_BLOCK)):
+            if form.decimal != ".":
+                self._check_decimal(indices, lines)
+            if form.cut_incomplete_end:
+                lines = self._complete_lines(indices, lines, remaining_lines)
+            texts = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
+            if not texts:
+                continue
+            delimiter = None if form.delimiter == " " else form.delimiter
+            try:
+                rows = np.loadtxt(texts, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=indices)
+            except ValueError as error:
+                raise self._no_number_error(indices, lines) from error
+            values[:, read_count : read_count + len(rows)] = rows.T
+            read_count += len(rows)
+        if not read_count:
+            raise RigError(f"{self.path}: has no line with numbers in all columns of the map; check its columns")
+        names = [self.names[index] for index in indices]
+        units = [name_and_unit(name)[1] for name in names]
+        return [
+            Column(name, row, unit if quantity_of(unit) else None)
+            for name, unit, row in zip(names, units, values[:, :read_count], strict=True)
+        ]
+
+    def _complete_lines(
+        self, indices: Sequence[int], lines: NumberedLines, remaining_lines: Iterator[tuple[int, str]]
+    ) -> NumberedLines:
+        """Lines up to the first that lacks a number in a chosen column; raises RigError if a whole line follows it."""
+
+        def is_whole(line: str) -> bool:
+            cells = cells_of(line, self.form.delimiter)
+            return len(cells) > max(indices) and all(
+                number_in(cells[k], self.form.decimal) is not None for k in indices
             )
-        except ValueError as error:
-            raise _no_number_error(path, form, column_names, column_indices, numbered_lines) from error
-        values[:, read_count : read_count + len(number_rows)] = number_rows.T
-        read_count += len(number_rows)
-    values = values[:, :read_count]
-    if not read_count:
-        raise RigError(f"{path}: has no line with numbers in all columns of the map; check its columns")
-    return [
-        Column(column_names[column_index], row, _unit_of(column_names[column_index]))
-        for column_index, row in zip(column_indices, values, strict=True)
-    ]
 
-
-def _unit_of(column_name: str) -> str | None:
-    """Unit in a column's name, if it is one of the quantities'."""
-    unit = name_and_unit(column_name)[1]
-    return unit if quantity_of(unit) else None
-
-
-def _complete_lines(
-    path: Path,
-    form: TextForm,
-    column_indices: Sequence[int],
-    numbered_lines: Sequence[tuple[int, str]],
-    remaining_lines: Iterator[tuple[int, str]],
-) -> list[tuple[int, str]]:
-    """Lines up to the first that lacks a number in a chosen column; raises RigError if a whole line follows it."""
-
-    def is_whole(line: str) -> bool:
-        cells = cells_of(line, form.delimiter)
-        return len(cells) > max(column_indices) and all(
-            number_in(cells[column_index], form.decimal) is not None for column_index in column_indices
-        )
-
-    whole_count = next(
-        (column_index for column_index, (_, line) in enumerate(numbered_lines) if not is_whole(line)),
-        len(numbered_lines),
-    )
-    if whole_count < len(numbered_lines):
-        for line_number, line in chain(numbered_lines[whole_count:], remaining_lines):
-            if is_whole(line):
-                raise RigError(
-                    f"{path}: line {numbered_lines[whole_count][0]} lacks a number, and line {line_number} has them "
-                    "all: not only the end is incomplete; repair the record or cut it there"
-                )
-    return list(numbered_lines[:whole_count])
-
-
-def _check_decimal(
-    path: Path,
-    form: TextForm,
-    column_names: Sequence[str],
-    column_indices: Sequence[int],
-    numbered_lines: Sequence[tuple[int, str]],
-) -> None:
-    """Raise RigError at a point in a number if the decimal separator is a comma: 1.500 may be 1500 or 1.5."""
-    for line_number, line in numbered_lines:
-        if "." in line:
-            cells = cells_of(line, form.delimiter)
-            for column_index in column_indices:
-                if column_index < len(cells) and "." in cells[column_index]:
+        whole_count = next((k for k, (_, line) in enumerate(lines) if not is_whole(line)), len(lines))
+        if whole_count < len(lines):
+            for line_number, line in chain(lines[whole_count:], remaining_lines):
+                if is_whole(line):
                     raise RigError(
-                        f"{path}: line {line_number} has {cells[column_index].strip()!r} in column "
-                        f"{column_names[column_index]!r}, and the "
-                        f"decimal is {form.decimal!r}; export numbers without points, or correct decimal in the map"
+                        f"{self.path}: line {lines[whole_count][0]} lacks a number, and line {line_number} has them "
+                        "all: not only the end is incomplete; repair the record or cut it there"
+                    )
+        return lines[:whole_count]
+
+    def _check_decimal(self, indices: Sequence[int], lines: NumberedLines) -> None:
+        """Raise RigError at a point in a number if the decimal separator is a comma: 1.500 may be 1500 or 1.5."""
+        for line_number, line in lines:
+            cells = cells_of(line, self.form.delimiter) if "." in line else []
+            for index in indices:
+                if index < len(cells) and "." in cells[index]:
+                    raise RigError(
+                        f"{self.path}: line {line_number} has {cells[index].strip()!r} in column "
+                        f"{self.names[index]!r}, and the decimal is {self.form.decimal!r}; export numbers without "
+                        "points, or correct decimal in the map"
                     )
 
-
-def _no_number_error(
-    path: Path,
-    form: TextForm,
-    column_names: Sequence[str],
-    column_indices: Sequence[int],
-    numbered_lines: Sequence[tuple[int, str]],
-) -> RigError:
-    for line_number, line in numbered_lines:
-        cells = cells_of(line, form.delimiter)
-        for column_index in column_indices:
-            cell = cells[column_index].strip() if column_index < len(cells) else ""
-            if not is_number(cell, form.decimal):
-                return RigError(
-                    f"{path}: line {line_number} has {cell[:50]!r} in column {column_names[column_index]!r}, which is "
-                    "no number; check encoding, delimiter, decimal and the lines skipped"
-                )
-    return RigError(
-        f"{path}: lines {numbered_lines[0][0]} to {numbered_lines[-1][0]} are not of numbers; check delimiter and "
-        "decimal"
-    )
+    def _no_number_error(self, indices: Sequence[int], lines: NumberedLines) -> RigError:
+        for line_number, line in lines:
+            cells = cells_of(line, self.form.delimiter)
+            for index in indices:
+                cell = cells[index].strip() if index < len(cells) else ""
+                if not is_number(cell, self.form.decimal):
+                    return RigError(
+                        f"{self.path}: line {line_number} has {cell[:50]!r} in column {self.names[index]!r}, which is "
+                        "no number; check encoding, delimiter, decimal and the lines skipped"
+                    )
+        return RigError(
+            f"{self.path}: lines {lines[0][0]} to {lines[-1][0]} are not of numbers; check delimiter and decimal"
+        )
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -310,16 +258,10 @@ def _trailing_empty_count(line: str, delimiter: str) -> int:
 
 def _used_column_count(path: Path, column_names: list[str], column_count: int, trailing_empty_count: int) -> int:
     """Number of leading columns with a name and values; raises RigError if any but trailing columns lack either."""
-    last_named_number = next(
-        (column_number for column_number in range(len(column_names), 0, -1) if column_names[column_number - 1]), 0
-    )
-    if (
-        column_count > len(column_names)
-        or last_named_number > column_count + trailing_empty_count
-        or not last_named_number
-    ):
-        raise RigError(f"{path}: {last_named_number} names for {column_count} columns; check the line of names")
-    return min(last_named_number, column_count)
+    last_named = max((number for number, name in enumerate(column_names, start=1) if name), default=0)
+    if column_count > len(column_names) or last_named > column_count + trailing_empty_count or not last_named:
+        raise RigError(f"{path}: {last_named} names for {column_count} columns; check the line of names")
+    return min(last_named, column_count)
 
 
 def is_number(cell: str, decimal: str) -> bool:

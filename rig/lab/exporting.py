@@ -1,19 +1,19 @@
 """Export of a recording to the files of other programs, and the map by which `rig import` reads them again."""
 
 import csv
+import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from rig.extras import needs_extra
 from rig.files import atomic_write, write_bytes
 from rig.lab.mode_shapes import mode_shapes, nodes_of
-from rig.model.description import Station, to_json
+from rig.model.description import to_json
 from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
 from rig.recording.channels import Channels
@@ -25,13 +25,11 @@ MAX_UFF_NAME_LENGTH = 80
 LINES_PER_BLOCK = 16384
 """Lines of a table written at once."""
 
+Progress = Callable[[float], None]
+
 
 def export(
-    recording: Recording,
-    file_format: str,
-    out: Path,
-    map_path: Path | None,
-    progress: Callable[[float], None] = lambda _: None,
+    recording: Recording, file_format: str, out: Path, map_path: Path | None, progress: Progress = lambda _: None
 ) -> None:
     """Write every channel in SI, and with `map_path` also the map and rig.json beside it.
 
@@ -46,61 +44,32 @@ def export(
         write_bytes(to_json(recording.rig), map_path.with_name(RIG_NAME))
 
 
-def _channel_rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarray, " samples"]]]:
-    """Group, number within it, name and samples of every channel."""
-    for group, signals in recording.signals.items():
-        for channel_number, (channel_name, samples) in enumerate(
-            zip(signals.channels.names, signals.values, strict=True), start=1
-        ):
-            yield group, channel_number, channel_name, samples
-
-
-def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
-    channel_rows = list(_channel_rows(recording))
+def _write_csv(recording: Recording, path: Path, progress: Progress) -> None:
+    names = [name for signals in recording.signals.values() for name in signals.channels.names]
+    table = np.vstack([recording.signals["force"].time_s, *(signals.values for signals in recording.signals.values())])
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *(name for _, _, name, _ in channel_rows)])
-        time_s = recording.signals["force"].time_s
-        table = np.stack([time_s, *(samples for _, _, _, samples in channel_rows)], axis=1)
-        for first_line in range(0, len(table), LINES_PER_BLOCK):
-            np.savetxt(stream, table[first_line : first_line + LINES_PER_BLOCK], fmt="%.17g", delimiter=",")
-            progress(first_line / len(table))
+        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *names])
+        for first in range(0, table.shape[1], LINES_PER_BLOCK):
+            np.savetxt(stream, table[:, first : first + LINES_PER_BLOCK].T, fmt="%.17g", delimiter=",")
+            progress(first / table.shape[1])
 
 
-def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
     """Write UFF: nodes and modes of the bodies, then every channel with its node."""
     with needs_extra("lab", f"{path}: a UFF file"):
         import pyuff
 
-    time_s = recording.signals["force"].time_s
     node_by_station = nodes_of(recording.rig)
-
-    def node_number(station: Station | None) -> int:
-        return node_by_station.get(station, 0) if station else 0  # 0: on the ground, or without a single place
-
-    datasets = [
-        *mode_shapes(recording.rig, node_by_station),
-        *(
-            {
-                "type": 58,
-                "binary": 1,
-                "id1": channel_name,
-                "func_type": 1,
-                "rsp_node": node_number(recording.signals[group].channels.stations[channel_number - 1]),
-                "rsp_dir": 3,
-                "ref_node": 0,
-                "ref_dir": 0,
-                "abscissa_spacing": 1,
-                "abscissa_spec_data_type": _UFF_TIME,
-                "abscissa_axis_units_lab": "s",
-                "ordinate_spec_data_type": _UFF_KINDS[group],
-                "ordinate_axis_units_lab": recording.signals[group].channels.unit,
-                "orddenom_spec_data_type": 0,
-                "x": time_s,
-                "data": samples,
-            }
-            for group, channel_number, channel_name, samples in _channel_rows(recording)
-        ),
-    ]
+    datasets = [*mode_shapes(recording.rig, node_by_station)]
+    time_axis = {"abscissa_spacing": 1, "abscissa_spec_data_type": _UFF_TIME, "abscissa_axis_units_lab": "s"}
+    form: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
+    form |= time_axis | {"orddenom_spec_data_type": 0, "x": recording.signals["force"].time_s}
+    for group, signals in recording.signals.items():
+        channels = signals.channels
+        kind = {"ordinate_spec_data_type": _UFF_KINDS[group], "ordinate_axis_units_lab": channels.unit}
+        for name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
+            node = node_by_station.get(station, 0) if station else 0  # 0: on the ground, or without a single place
+            datasets.append(form | kind | {"id1": name, "rsp_node": node, "data": samples})
     path.unlink(missing_ok=True)
     try:
         pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
@@ -110,7 +79,7 @@ def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> 
         raise
 
 
-def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+def _write_mat(recording: Recording, path: Path, _: Progress) -> None:
     from scipy.io import savemat
 
     variables: dict[str, object] = {"sample_rate_hz": recording.rig.sample_rate_hz}
@@ -120,7 +89,7 @@ def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> 
     savemat(path, variables, appendmat=False, do_compression=True)
 
 
-def _write_hdf5(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+def _write_hdf5(recording: Recording, path: Path, _: Progress) -> None:
     """Write HDF5: a dataset per channel (channels/0001, ...) with attributes name, unit, sample_rate_hz and group."""
     with needs_extra("lab", f"{path}: an HDF5 file"):
         import h5py
@@ -134,7 +103,7 @@ def _write_hdf5(recording: Recording, path: Path, _: Callable[[float], None]) ->
                 attributes["sample_rate_hz"] = signals.channels.sample_rate_hz
 
 
-def _write_mdf(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+def _write_mdf(recording: Recording, path: Path, _: Progress) -> None:
     """Write MDF 4.10, with all channels in one group over one time.
 
     MDF is not read: on damaged files its reader (asammdf 8.8) ends the process with a segmentation fault.
@@ -142,19 +111,19 @@ def _write_mdf(recording: Recording, path: Path, _: Callable[[float], None]) -> 
     with needs_extra("mdf", f"{path}: an MDF file"):
         from asammdf import MDF, Signal
     time_s = recording.signals["force"].time_s
-    mdf_signals = [
-        Signal(samples=samples, timestamps=time_s, name=channel_name, unit=signals.channels.unit)
+    columns = [
+        Signal(samples=samples, timestamps=time_s, name=name, unit=signals.channels.unit)
         for signals in recording.signals.values()
-        for channel_name, samples in zip(signals.channels.names, signals.values, strict=True)
+        for name, samples in zip(signals.channels.names, signals.values, strict=True)
     ]
-    mdf_buffer = BytesIO()
+    buffer = BytesIO()
     with MDF(version="4.10") as file:
-        file.append(mdf_signals)
-        file.save(mdf_buffer)
-    path.write_bytes(mdf_buffer.getvalue())
+        file.append(columns)
+        file.save(buffer)
+    path.write_bytes(buffer.getvalue())
 
 
-Writer = Callable[[Recording, Path, Callable[[float], None]], None]
+Writer = Callable[[Recording, Path, Progress], None]
 WRITERS: dict[str, Writer] = {
     "csv": _write_csv,
     "uff": _write_uff,
@@ -177,40 +146,26 @@ def import_map(channels_by_group: Mapping[str, Channels], file_format: str) -> s
 
     A column is named by its number if the format may change its name, or if the name occurs twice.
     """
-    map_lines = [f"rig = {json.dumps(RIG_NAME)}"]
-    name_counts = Counter(
-        [
-            TIME_COLUMN,
-            *(channel_name.strip() for channels in channels_by_group.values() for channel_name in channels.names),
-        ]
-    )
+    all_names = (name.strip() for channels in channels_by_group.values() for name in channels.names)
+    counts = Counter([TIME_COLUMN, *all_names])
+    clock = f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}"
     if file_format == "csv":
-        map_lines.append(
-            'time = { column = 1, unit = "s" }'
-            if name_counts[TIME_COLUMN] > 1
-            else f'time = {{ column = "{TIME_COLUMN}", unit = "s" }}'
-        )
-    else:
-        map_lines.append(f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}")
+        clock = f'time = {{ column = {1 if counts[TIME_COLUMN] > 1 else json.dumps(TIME_COLUMN)}, unit = "s" }}'
     force_entries, sensor_lines = [], []
-    column_number = 1 if file_format == "csv" else 0
+    column_numbers = itertools.count(2 if file_format == "csv" else 1)
     for group, channels in channels_by_group.items():
-        for channel_number, channel_name in enumerate(channels.names, start=1):
-            column_number += 1
-            column_key: str | int = column_number
+        for k, name in enumerate(channels.names, start=1):
+            key: str | int = next(column_numbers)
+            is_kept = counts[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME_LENGTH
             if file_format == "mat":
-                column_key = group if len(channels.names) == 1 else f"{group}[{channel_number}]"
-            elif (
-                channel_name == channel_name.strip()
-                and name_counts[channel_name] == 1
-                and channel_name.isascii()
-                and len(channel_name) <= MAX_UFF_NAME_LENGTH
-            ):
-                column_key = channel_name
-            entry = f"{{ column = {json.dumps(column_key)}, unit = {json.dumps(channels.unit)} }}"
+                key = group if len(channels.names) == 1 else f"{group}[{k}]"
+            elif is_kept and name == name.strip():
+                key = name
+            entry = f"{{ column = {json.dumps(key)}, unit = {json.dumps(channels.unit)} }}"
             if group == "force":
                 force_entries.append(entry)
             else:
-                sensor_lines.append(f"{json.dumps(channel_name, ensure_ascii=False)} = {entry}")
-    force_value = force_entries[0] if len(force_entries) == 1 else f"[{', '.join(force_entries)}]"
-    return "\n".join([*map_lines, f"force = {force_value}", "", "[sensors]", *sensor_lines, ""])
+                sensor_lines.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
+    force = force_entries[0] if len(force_entries) == 1 else f"[{', '.join(force_entries)}]"
+    rig_line = f"rig = {json.dumps(RIG_NAME)}"
+    return "\n".join([rig_line, clock, f"force = {force}", "", "[sensors]", *sensor_lines, ""])

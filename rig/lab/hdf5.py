@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, decode_text
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH
 
 NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
@@ -84,17 +84,13 @@ def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
         raise UnreadableError(
             f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
         )
-    for member_name in sorted(group):
-        link_type = group.id.links.get_info(member_name.encode("utf-8", "surrogateescape")).type
+    for name in sorted(group):
+        link_type = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
         if link_type == h5py.h5l.TYPE_EXTERNAL:
-            yield (
-                member_name,
-                Refused(
-                    f"{prefix}{member_name}", _elsewhere_sentence(f"{prefix}{member_name}", "is a link to another file")
-                ),
-            )
+            full_name = f"{prefix}{name}"
+            yield name, Refused(full_name, _elsewhere_sentence(full_name, "is a link to another file"))
         elif link_type == h5py.h5l.TYPE_HARD:
-            yield member_name, group[member_name]
+            yield name, group[name]
 
 
 def is_new(item: Any, visited_addresses: set[int]) -> bool:
@@ -110,13 +106,13 @@ def is_new(item: Any, visited_addresses: set[int]) -> bool:
     return True
 
 
-def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[ColumnBlock | Refused]:
+def dataset_blocks(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
     """
-    if sentence := elsewhere_sentence(dataset, dataset_name):
-        yield Refused(dataset_name, sentence)
+    if sentence := elsewhere_sentence(dataset, name):
+        yield Refused(name, sentence)
         return
     try:
         shape, number_type = dataset.shape, dataset.dtype
@@ -127,20 +123,12 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
     sample_axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
     column_count = math.prod(shape) // shape[sample_axis]
     if column_count > MAX_ITEMS:
-        raise UnreadableError(f"its dataset {dataset_name!r} has {column_count} columns")
-    column_names = (
-        (dataset_name,)
-        if column_count == 1
-        else tuple(f"{dataset_name}[{column_number}]" for column_number in range(1, column_count + 1))
-    )
+        raise UnreadableError(f"its dataset {name!r} has {column_count} columns")
+    names = column_names(name, column_count)
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
     working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_READ_AT_ONCE)
-    yield ColumnBlock(
-        column_names,
-        shape[sample_axis],
-        partial(_read_columns, path, dataset, sample_axis, column_names),
-        working_bytes,
-    )
+    read = partial(_read_columns, path, dataset, sample_axis, names)
+    yield ColumnBlock(names, shape[sample_axis], read, working_bytes)
 
 
 def elsewhere_sentence(dataset: Any, name: str) -> str:
@@ -160,25 +148,20 @@ def _elsewhere_sentence(name: str, reason: str) -> str:
 
 
 def _read_columns(
-    path: Path, dataset: Any, sample_axis: int, column_names: Sequence[str], column_indices: Sequence[int]
+    path: Path, dataset: Any, sample_axis: int, names: Sequence[str], indices: Sequence[int]
 ) -> list[Column]:
-    check_stored(path, dataset, column_names[column_indices[0]])
-    for attribute_name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
-        if attribute_name in dataset.attrs and dataset.attrs.get_id(attribute_name).shape not in SINGLE_VALUE_SHAPES:
-            raise UnreadableError(
-                f"its dataset {column_names[0]!r} has an attribute {attribute_name!r} of other than one value"
-            )
-    unit_text, rate_text = attribute_text(dataset, UNIT_ATTRIBUTES), attribute_text(dataset, RATE_ATTRIBUTES)
+    check_stored(path, dataset, names[indices[0]])
+    for attribute in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
+        if attribute in dataset.attrs and dataset.attrs.get_id(attribute).shape not in SINGLE_VALUE_SHAPES:
+            raise UnreadableError(f"its dataset {names[0]!r} has an attribute {attribute!r} of other than one value")
+    unit, rate_text = attribute_text(dataset, UNIT_ATTRIBUTES) or None, attribute_text(dataset, RATE_ATTRIBUTES)
     try:
         rate_hz = None if rate_text is None else float(rate_text)
     except ValueError:
-        raise UnreadableError(f"its dataset {column_names[0]!r} has the sample rate {rate_text!r}") from None
-    values = _read_rows(dataset, sample_axis, column_indices)
-    date_text = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
-    return [
-        Column(column_names[k], samples, unit_text or None, rate_hz, date_text)
-        for k, samples in zip(column_indices, values, strict=True)
-    ]
+        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate_text!r}") from None
+    rows = _read_rows(dataset, sample_axis, indices)
+    date = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
+    return [Column(names[k], row, unit, rate_hz, date) for k, row in zip(indices, rows, strict=True)]
 
 
 def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
@@ -190,11 +173,11 @@ def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) ->
     if dataset.ndim == 1:
         values[0] = dataset[()]
     elif dataset.nbytes <= BYTES_READ_AT_ONCE or (span_length and len(column_indices) > 1):
-        for first_sample in range(0, sample_count, span_length or sample_count):
-            sample_span = slice(first_sample, first_sample + (span_length or sample_count))
-            values[:, sample_span] = (
-                dataset[:, sample_span][column_indices] if sample_axis else dataset[sample_span].T[column_indices]
-            )
+        span_length = span_length or sample_count
+        for first in range(0, sample_count, span_length):
+            span = slice(first, first + span_length)
+            rows = dataset[:, span] if sample_axis else dataset[span].T
+            values[:, span] = rows[column_indices]
     else:
         for row, column_index in zip(values, column_indices, strict=True):
             row[:] = dataset[column_index] if sample_axis else dataset[:, column_index]
@@ -226,12 +209,9 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     def count_stored(chunk: Any) -> None:
         nonlocal stored_count
         axes = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        stored_count += math.prod(
-            max(0, min(chunk_length, axis_length - chunk_start)) for chunk_length, axis_length, chunk_start in axes
-        )
-        if compression_codes and chunk.size * MAX_EXPANSION[compression_codes[0]] > max(
-            UNCHECKED_CHUNK_BYTES, chunk_bytes
-        ):
+        stored_count += math.prod(max(0, min(chunk_length, length - start)) for chunk_length, length, start in axes)
+        expansion = MAX_EXPANSION[compression_codes[0]] if compression_codes else 0
+        if chunk.size * expansion > max(UNCHECKED_CHUNK_BYTES, chunk_bytes):
             doubtful_offsets.append(chunk.chunk_offset)
 
     dataset.id.chunk_iter(count_stored)

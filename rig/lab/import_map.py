@@ -94,64 +94,55 @@ def read_map(path: Path, out: Path) -> tuple[Map, Rig]:
 
 
 def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
-    force_sources = column_map.forces
-    is_placed = bool(force_sources) and all(force.station for force in force_sources)
-    if column_map.force != "none" and len(force_sources) != len(rig.forces) and not is_placed:
+    forces = column_map.forces
+    is_placed = bool(forces) and all(force.station for force in forces)
+    if column_map.force != "none" and len(forces) != len(rig.forces) and not is_placed:
         raise RigError(
-            f"{path}: force has {len(force_sources)} columns, and its rig.json {len(rig.forces)} forces; make them "
-            "agree, or give each column body and position_m"
+            f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
+            "give each column body and position_m"
         )
-    force_stations = (
-        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(force_sources))
-        or rig.forces
-    )
+    stations = tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+    stations = stations or rig.forces
     if any(source.body for source in column_map.sensors.values()):
         sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
         sensors = rig.sensors
         rig_names, map_names = {sensor.name for sensor in sensors}, set(column_map.sensors)
-        for differing_names, fault_words in (
-            (map_names - rig_names, "is no sensor of the rig"),
-            (rig_names - map_names, "is missing"),
-        ):
-            if differing_names:
-                raise RigError(
-                    f"{path}: sensor {min(differing_names)!r} {fault_words}; [sensors] needs "
-                    f"{', '.join(sorted(rig_names))}, or give each column body, position_m and quantity"
-                )
-    if sensors == rig.sensors and force_stations == rig.forces:
+        if differing := map_names - rig_names or rig_names - map_names:
+            fault = "is no sensor of the rig" if map_names - rig_names else "is missing"
+            raise RigError(
+                f"{path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(rig_names))}, or give "
+                "each column body, position_m and quantity"
+            )
+    if sensors == rig.sensors and stations == rig.forces:
         return rig
-    return replace(rig, sensors=sensors, force_at=force_stations if len(force_stations) > 1 else force_stations[0])
+    return replace(rig, sensors=sensors, force_at=stations if len(stations) > 1 else stations[0])
 
 
-def _mapped_sensor(sensor_name: str, source: Source, rig: Rig) -> Sensor:
+def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
     """Sensor of rig.json by this name, at the map's place if it gives one; or else a new one at that place.
 
     A new one has the noise that all sensors of its quantity in rig.json have in common.
     """
-    known_sensor = next((sensor for sensor in rig.sensors if sensor.name == sensor_name), None)
-    station = source.station
-    if known_sensor is not None:
-        if source.quantity not in (None, known_sensor.quantity):
+    known = next((sensor for sensor in rig.sensors if sensor.name == name), None)
+    station, quantity = source.station, source.quantity
+    if known is not None:
+        if quantity not in (None, known.quantity):
             raise RigError(
-                f"sensor {sensor_name!r} measures {known_sensor.quantity} in rig.json and {source.quantity} in the "
-                "map; give it another name here"
+                f"sensor {name!r} measures {known.quantity} in rig.json and {quantity} in the map; give it another "
+                "name here"
             )
-        return replace(known_sensor, station=station or known_sensor.station)
+        return replace(known, station=station or known.station)
     if station is None:
         raise RigError(
-            f"sensor {sensor_name!r} is no sensor of the rig{hint(sensor_name, [s.name for s in rig.sensors])}, and "
-            "has no place; give it body, position_m and quantity"
+            f"sensor {name!r} is no sensor of the rig{hint(name, [sensor.name for sensor in rig.sensors])}, and has "
+            "no place; give it body, position_m and quantity"
         )
-    if source.quantity is None:
-        raise RigError(f"sensor {sensor_name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
-    noise_densities = {sensor.noise_density for sensor in rig.sensors if sensor.quantity == source.quantity}
-    return Sensor(
-        name=sensor_name,
-        station=station,
-        quantity=source.quantity,
-        noise_density=noise_densities.pop() if len(noise_densities) == 1 else 0.0,
-    )
+    if quantity is None:
+        raise RigError(f"sensor {name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
+    densities = {sensor.noise_density for sensor in rig.sensors if sensor.quantity == quantity}
+    noise_density = densities.pop() if len(densities) == 1 else 0.0
+    return Sensor(name=name, station=station, quantity=quantity, noise_density=noise_density)
 
 
 def _check_filled(path: Path, map_values: dict[str, Any]) -> None:
@@ -160,13 +151,11 @@ def _check_filled(path: Path, map_values: dict[str, Any]) -> None:
     for entry, key in _placeholders(map_values):
         keys_by_entry.setdefault(entry, []).append(key)
     if keys_by_entry:
-        entries_text = "; ".join(
-            f"{_enumeration(keys)} of {entry}" if entry else _enumeration(keys) for entry, keys in keys_by_entry.items()
-        )
-        placeholder_count = sum(map(len, keys_by_entry.values()))
+        texts = (f"{_enumeration(keys)}{f' of {entry}' if entry else ''}" for entry, keys in keys_by_entry.items())
+        count = sum(map(len, keys_by_entry.values()))
         raise RigError(
-            f"{path}: {placeholder_count} {'value is' if placeholder_count == 1 else 'values are'} left to fill in, "
-            f"marked {PLACEHOLDER!r}: {entries_text}; a sensor that is not needed may be deleted"
+            f"{path}: {count} {'value is' if count == 1 else 'values are'} left to fill in, marked {PLACEHOLDER!r}: "
+            f"{'; '.join(texts)}; a sensor that is not needed may be deleted"
         )
 
 

@@ -27,14 +27,12 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     the data cannot be used; nothing is written then.
     """
     column_map, rig = read_map(map_path, out)
-    column_keys = [
-        entry.column for entry in (*column_map.forces, *column_map.sensors.values(), column_map.time) if entry
-    ]
-    table = read_table(source, column_map.csv, column_keys)
+    entries = (*column_map.forces, *column_map.sensors.values(), column_map.time)
+    table = read_table(source, column_map.csv, [entry.column for entry in entries if entry])
     date, date_origin = recorded_date(source, column_map.csv, [column.recorded for column in table.columns.values()])
-    provenance_origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
+    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
     table = replace(table, notes=(*table.notes, f"recorded {date} by {date_origin}"))
-    return _import(table, provenance_origin, str(source), column_map, rig, map_path, out)
+    return _import(table, origin, str(source), column_map, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
@@ -43,44 +41,32 @@ def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: 
 
 
 def _import(
-    table: Table,
-    origin: Mapping[str, str],
-    source: str,
-    column_map: Map,
-    rig: Rig,
-    map_path: Path,
-    out: Path,
+    table: Table, origin: Mapping[str, str], source: str, column_map: Map, rig: Rig, map_path: Path, out: Path
 ) -> tuple[str, ...]:
-    force_sources = column_map.forces
-    source_by_name = {name: ("force", source) for name, source in zip(rig.force_names, force_sources, strict=False)}
-    source_by_name |= {sensor.name: (sensor.quantity, column_map.sensors[sensor.name]) for sensor in rig.sensors}
+    forces = column_map.forces
+    sources = {name: ("force", force) for name, force in zip(rig.force_names, forces, strict=False)}
+    sources |= {sensor.name: (sensor.quantity, column_map.sensors[sensor.name]) for sensor in rig.sensors}
     try:
-        column_by_name, si_factors = source_columns(table, source_by_name)
+        columns, factors = source_columns(table, sources)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        sample_times = sample_times_of(table, list(column_by_name.values()), column_map.time, column_map.sample_rate_hz)
-        si_rows = rows_in_si(column_by_name, si_factors)
+        sample_times = sample_times_of(table, list(columns.values()), column_map.time, column_map.sample_rate_hz)
+        si_rows = rows_in_si(columns, factors)
         values, resampling_steps = evenly_sampled(si_rows, sample_times, rig.sample_rate_hz, column_map.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
-    history_steps = (
+    steps = (
         f"{si_rows.shape[1]} samples of {len(si_rows)} columns read from {origin['source']}",
-        "made SI: " + ", ".join(f"{n} = {si_factors[n]:.9g} x column {c.name!r}" for n, c in column_by_name.items()),
-        *(() if force_sources else ("no force was measured: its channel is zero",)),
+        "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in columns.items()),
+        *(() if forces else ("no force was measured: its channel is zero",)),
         *resampling_steps,
         *table.notes,
     )
-    provenance = {
-        "made_by": "rig import",
-        **origin,
-        "map": map_path.name,
-    }
+    provenance = with_history({"made_by": "rig import", **origin, "map": map_path.name}, *steps)
     zero_forces = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
-    _write(
-        out, rig, zero_forces | dict(zip(column_by_name, values, strict=True)), with_history(provenance, *history_steps)
-    )
-    return history_steps
+    _write(out, rig, zero_forces | dict(zip(columns, values, strict=True)), provenance)
+    return steps
 
 
 def source_columns(
@@ -90,12 +76,10 @@ def source_columns(
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
-    column_by_name = {name: table.column(source.column) for name, (_, source) in source_by_name.items()}
-    _check_columns(column_by_name)
-    return column_by_name, {
-        name: _factor_to_si(quantity, source, column_by_name[name])
-        for name, (quantity, source) in source_by_name.items()
-    }
+    columns = {name: table.column(source.column) for name, (_, source) in source_by_name.items()}
+    _check_columns(columns)
+    factors = {name: _factor_to_si(quantity, src, columns[name]) for name, (quantity, src) in source_by_name.items()}
+    return columns, factors
 
 
 def rows_in_si(
@@ -144,38 +128,34 @@ def sample_times_of(
 def _write(
     out: Path, rig: Rig, samples_by_channel: Mapping[str, Float[np.ndarray, " samples"]], provenance: Mapping[str, str]
 ) -> None:
-    channels_by_group = channel_groups(rig)
-    with writing(out, rig, channels_by_group, provenance) as recording:
-        for first_sample in range(0, next(iter(samples_by_channel.values())).size, SAMPLES_AT_ONCE):
-            sample_span = slice(first_sample, first_sample + SAMPLES_AT_ONCE)
-            recording.append_all(
-                {
-                    name: np.stack([samples_by_channel[channel_name][sample_span] for channel_name in group_name.names])
-                    for name, group_name in channels_by_group.items()
-                }
-            )
+    groups = channel_groups(rig)
+    with writing(out, rig, groups, provenance) as recording:
+        for first in range(0, next(iter(samples_by_channel.values())).size, SAMPLES_AT_ONCE):
+            span = slice(first, first + SAMPLES_AT_ONCE)
+            blocks = {
+                group: np.stack([samples_by_channel[name][span] for name in channels.names])
+                for group, channels in groups.items()
+            }
+            recording.append_all(blocks)
 
 
 def _check_columns(column_by_name: Mapping[str, Column]) -> None:
     """Raise RigError unless columns are distinct, of equal length and finite."""
-    name_by_column_id: dict[int, str] = {}
+    names_by_id: dict[int, str] = {}
     first_name, first_column = next(iter(column_by_name.items()))
-    for channel_name, column in column_by_name.items():
-        if earlier_name := name_by_column_id.get(id(column)):
-            raise RigError(
-                f"column {column.name!r} is given to both {earlier_name!r} and {channel_name!r}; each needs its own"
-            )
-        name_by_column_id[id(column)] = channel_name
+    for name, column in column_by_name.items():
+        if earlier_name := names_by_id.get(id(column)):
+            raise RigError(f"column {column.name!r} is given to both {earlier_name!r} and {name!r}; each needs its own")
+        names_by_id[id(column)] = name
         if column.values.size != first_column.values.size:
             raise RigError(
                 f"column {column.name!r} has {column.values.size} samples, the {first_name} "
                 f"{first_column.values.size}; export them over the same time"
             )
-        if not np.isfinite(column.values).all():
-            faulty_sample = int(np.argmin(np.isfinite(column.values)))
+        if not (is_finite := np.isfinite(column.values)).all():
             raise RigError(
-                f"column {column.name!r} is not a finite number at sample {faulty_sample}; repair the record or cut "
-                "it there"
+                f"column {column.name!r} is not a finite number at sample {int(np.argmin(is_finite))}; repair the "
+                "record or cut it there"
             )
 
 
@@ -183,12 +163,12 @@ def _factor_to_si(quantity: str, source: Source, column: Column) -> float:
     """Factor from a column's numbers to SI; raises RigError if file and map state different units."""
     if source.unit is None and column.unit is None:
         raise RigError(f"column {column.name!r} has no unit; add unit = ... in the map")
-    si_factor_of_unit = si_factor(quantity, source.unit or column.unit or "")
+    factor = si_factor(quantity, source.unit or column.unit or "")
     if source.unit and column.unit:
         try:
             file_factor = si_factor(quantity, column.unit)
         except RigError:  # what programs put there is often no unit at all, such as "EU"
-            file_factor = si_factor_of_unit
-        if file_factor != si_factor_of_unit:
+            file_factor = factor
+        if file_factor != factor:
             raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {source.unit!r} by the map")
-    return si_factor_of_unit * source.scale
+    return factor * source.scale

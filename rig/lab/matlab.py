@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, decode_text
 from rig.lab.hdf5 import attribute_text, check_stored, dataset_blocks, elsewhere_sentence, is_new, members, open_hdf5
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
@@ -28,6 +28,8 @@ _CELL, _STRUCT = 1, 2
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 1 << 11
+
+ReadArray = Callable[[], np.ndarray]
 
 
 def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
@@ -49,32 +51,22 @@ def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
 
 
 def _matrix_block(
-    array_name: str,
-    shape: tuple[int, ...],
-    read_array: Callable[[], np.ndarray],
-    least_values: int,
-    working_bytes: int = 0,
+    name: str, shape: tuple[int, ...], read_array: ReadArray, least_values: int, working_bytes: int = 0
 ) -> Iterator[ColumnBlock]:
     """Channels of a matrix: its rows or columns, whichever are fewer."""
     if len(shape) != 2 or math.prod(shape) < least_values:
         return
     channel_count, sample_count = sorted(shape)
     if channel_count > MAX_ITEMS:
-        raise UnreadableError(f"its array {array_name!r} has {channel_count} columns")
-    channel_names = (
-        (array_name,)
-        if channel_count == 1
-        else tuple(f"{array_name}[{channel_number}]" for channel_number in range(1, channel_count + 1))
-    )
-    yield ColumnBlock(channel_names, sample_count, partial(_read_columns, channel_names, read_array), working_bytes)
+        raise UnreadableError(f"its array {name!r} has {channel_count} columns")
+    names = column_names(name, channel_count)
+    yield ColumnBlock(names, sample_count, partial(_read_columns, names, read_array), working_bytes)
 
 
-def _read_columns(
-    channel_names: Sequence[str], read_array: Callable[[], np.ndarray], channel_indices: Sequence[int]
-) -> list[Column]:
+def _read_columns(names: Sequence[str], read_array: ReadArray, indices: Sequence[int]) -> list[Column]:
     values = read_array()
     rows = values if values.shape[0] < values.shape[1] else values.T
-    return [Column(channel_names[k], rows[k].astype(float)) for k in channel_indices]
+    return [Column(names[k], rows[k].astype(float)) for k in indices]
 
 
 @dataclass(frozen=True)
@@ -117,59 +109,48 @@ class _Version5:
         if element_type != _MATRIX or not data_length:
             return
         element_size = data_start + data_length
-        array_head = self._head(first_bytes[data_start:])
-        if array_head.is_real:
-            yield from self._numeric_blocks(
-                array_head,
-                first_bytes[data_start:],
-                array_head.name,
-                lambda: memoryview(_unpack(compressed, element_size))[data_start:],
-                element_size,
-            )
-        elif array_head.array_class in (_CELL, _STRUCT):
-            variable_label = f"{self._path}: its variable {array_head.name!r}"
-            check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), variable_label)
-            yield from self._array_blocks(memoryview(_unpack(compressed, element_size))[data_start:], "", 0)
 
-    def _array_blocks(self, array_bytes: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
+        def unpacked() -> memoryview:
+            return memoryview(_unpack(compressed, element_size))[data_start:]
+
+        head = self._head(first_bytes[data_start:])
+        if head.is_real:
+            yield from self._numeric_blocks(head, first_bytes[data_start:], head.name, unpacked, element_size)
+        elif head.array_class in (_CELL, _STRUCT):
+            label = f"{self._path}: its variable {head.name!r}"
+            check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), label)
+            yield from self._array_blocks(unpacked(), "", 0)
+
+    def _array_blocks(self, content: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
-        if not array_bytes:
+        if not content:
             return
-        array_head = self._head(array_bytes)
-        array_name = enclosing_name or array_head.name
-        if depth > MAX_DEPTH or len(array_name) > MAX_NAME_LENGTH:
+        head = self._head(content)
+        name = enclosing_name or head.name
+        if depth > MAX_DEPTH or len(name) > MAX_NAME_LENGTH:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
             )
-        if array_head.array_class == _CELL:
-            cell_names = (
-                f"{array_name}{{{k}}}" for k in range(1, self._count_elements(array_name, array_head.shape) + 1)
-            )
-            yield from self._element_blocks(array_bytes, array_head.data_offset, cell_names, depth + 1)
-        elif array_head.array_class == _STRUCT:
-            yield from self._struct_blocks(array_bytes, array_head, array_name, depth + 1)
-        elif array_head.is_real:
-            yield from self._numeric_blocks(array_head, array_bytes, array_name, lambda: array_bytes, 0)
+        if head.array_class == _CELL:
+            cell_names = (f"{name}{{{k}}}" for k in range(1, self._count_elements(name, head.shape) + 1))
+            yield from self._element_blocks(content, head.data_offset, cell_names, depth + 1)
+        elif head.array_class == _STRUCT:
+            yield from self._struct_blocks(content, head, name, depth + 1)
+        elif head.is_real:
+            yield from self._numeric_blocks(head, content, name, lambda: content, 0)
 
-    def _struct_blocks(
-        self, array_bytes: memoryview, array_head: _Head, array_name: str, depth: int
-    ) -> Iterator[ColumnBlock]:
-        _, length_bytes, offset = self._element(array_bytes, array_head.data_offset)
-        _, names_bytes, offset = self._element(array_bytes, offset)
-        (name_length,) = struct.unpack(f"{self._order}i", length_bytes)
-        if name_length < 1:
-            raise UnreadableError(f"the fields of its struct {array_name!r} have no names")
-        field_names = [
-            decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0])
-            for k in range(0, len(names_bytes), name_length)
-        ]
-        struct_count = self._count_elements(array_name, (*array_head.shape, len(field_names))) // max(
-            1, len(field_names)
-        )
-        struct_names = (array_name if struct_count == 1 else f"{array_name}({k})" for k in range(1, struct_count + 1))
-        yield from self._element_blocks(
-            array_bytes, offset, (f"{name}.{field_name}" for name in struct_names for field_name in field_names), depth
-        )
+    def _struct_blocks(self, content: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
+        _, length_bytes, offset = self._element(content, head.data_offset)
+        _, names_bytes, offset = self._element(content, offset)
+        (length,) = struct.unpack(f"{self._order}i", length_bytes)
+        if length < 1:
+            raise UnreadableError(f"the fields of its struct {name!r} have no names")
+        starts = range(0, len(names_bytes), length)
+        fields = [decode_text(bytes(names_bytes[k : k + length]).partition(b"\0")[0]) for k in starts]
+        count = self._count_elements(name, (*head.shape, len(fields))) // max(1, len(fields))
+        structs = (name if count == 1 else f"{name}({k})" for k in range(1, count + 1))
+        field_names = (f"{struct_name}.{field}" for struct_name in structs for field in fields)
+        yield from self._element_blocks(content, offset, field_names, depth)
 
     def _element_blocks(
         self, array_bytes: memoryview, offset: int, array_names: Iterator[str], depth: int
@@ -182,29 +163,20 @@ class _Version5:
             yield from self._array_blocks(element_bytes, array_name, depth)
 
     def _numeric_blocks(
-        self,
-        array_head: _Head,
-        first_bytes: memoryview,
-        array_name: str,
-        read_bytes: Callable[[], memoryview],
-        working_bytes: int,
+        self, head: _Head, first_bytes: memoryview, name: str, read_bytes: Callable[[], memoryview], working_bytes: int
     ) -> Iterator[ColumnBlock]:
         """Block of a numeric array from its first bytes; `read_bytes` returns all of it."""
-        element_type, data_length, data_start, _ = self._tag(first_bytes, array_head.data_offset)
+        element_type, length, start, _ = self._tag(first_bytes, head.data_offset)
         if element_type not in _TYPES:
-            raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
+            raise UnreadableError(f"its array {name!r} is of the unknown type {element_type}")
         number_type = np.dtype(self._order + _TYPES[element_type])
-        if min(array_head.shape, default=0) < 0 or data_length != math.prod(array_head.shape) * number_type.itemsize:
-            raise UnreadableError(
-                f"its array {array_name!r} of {array_head.shape} holds {data_length // number_type.itemsize} values"
-            )
+        if min(head.shape, default=0) < 0 or length != math.prod(head.shape) * number_type.itemsize:
+            raise UnreadableError(f"its array {name!r} of {head.shape} holds {length // number_type.itemsize} values")
 
         def read_array() -> np.ndarray:
-            return np.frombuffer(read_bytes()[data_start : data_start + data_length], number_type).reshape(
-                array_head.shape, order="F"
-            )
+            return np.frombuffer(read_bytes()[start : start + length], number_type).reshape(head.shape, order="F")
 
-        yield from _matrix_block(array_name, array_head.shape, read_array, self._least_values, working_bytes)
+        yield from _matrix_block(name, head.shape, read_array, self._least_values, working_bytes)
 
     def _head(self, array_bytes: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(array_bytes, 0)
@@ -219,12 +191,8 @@ class _Version5:
         element_type, data_length = struct.unpack_from(f"{self._order}II", content, offset)
         if element_type >> 16:  # up to four bytes, in the tag itself
             return element_type & 0xFFFF, element_type >> 16, offset + 4, offset + 8
-        return (
-            element_type,
-            data_length,
-            offset + 8,
-            offset + 8 + data_length + (-data_length % 8 if element_type != _COMPRESSED else 0),
-        )
+        padding = -data_length % 8 if element_type != _COMPRESSED else 0
+        return element_type, data_length, offset + 8, offset + 8 + data_length + padding
 
     def _element(self, content: memoryview, offset: int) -> tuple[int, memoryview, int]:
         """Type and data of an element, and offset of the next."""
@@ -294,16 +262,12 @@ class _Version73:
         if isinstance(item, Refused):
             yield item
         elif isinstance(item, h5py.Group):
-            if is_new(item, self._visited):
-                for field_name, member in members(item, f"{name}.", depth):
-                    if (
-                        isinstance(member, h5py.Dataset)
-                        and _holds_references(member)
-                        and not _has_class(member, "cell")
-                    ):
-                        yield from self._reference_blocks(member, f"{name}(", f").{field_name}", depth + 1)
-                    else:
-                        yield from self.array_blocks(f"{name}.{field_name}", member, depth + 1)
+            for field, member in members(item, f"{name}.", depth) if is_new(item, self._visited) else ():
+                has_references = isinstance(member, h5py.Dataset) and _holds_references(member)
+                if has_references and not _has_class(member, "cell"):
+                    yield from self._reference_blocks(member, f"{name}(", f").{field}", depth + 1)
+                else:
+                    yield from self.array_blocks(f"{name}.{field}", member, depth + 1)
         elif isinstance(item, h5py.Dataset) and _has_class(item, "cell"):
             yield from self._reference_blocks(item, f"{name}{{", "}", depth + 1)
         elif isinstance(item, h5py.Dataset) and not _has_class(item, "char") and not _is_empty(item):

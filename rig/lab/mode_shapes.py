@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from rig.model.description import Body, Rig, Station, stations_of
 from rig.model.modes import mode_count, modes_of
@@ -43,55 +42,35 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
     As nothing but the contacts joins the bodies, each mode moves one of them, and holds the nodes of no other.
     """
     yield {"type": 164, "units_code": 1, "temp_mode": 1, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 0.0}
-    node_numbers, zeros = np.array([*node_by_station.values()]), np.zeros(len(node_by_station))
+    nodes, zeros = np.array([*node_by_station.values()]), np.zeros(len(node_by_station))
     x_m = np.array([station.position_m for station in node_by_station])
     zero_columns = {"def_cs": zeros, "disp_cs": zeros, "color": zeros}
-    yield {"type": 15, "node_nums": node_numbers, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
+    yield {"type": 15, "node_nums": nodes, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
     for body in rig.bodies:
-        yield from _body_shapes(
-            rig, body, {s.position_m: node_number for s, node_number in node_by_station.items() if s.body == body.name}
-        )
+        body_nodes = {s.position_m: node for s, node in node_by_station.items() if s.body == body.name}
+        yield from _body_shapes(rig, body, body_nodes)
 
 
 def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
-    modes, shape_count = modes_of(rig, body), mode_count(body, MOST_MODES)
-    node_numbers = np.array([*node_by_position.values()])
-    shapes = modes.shapes(np.array([*node_by_position]), shape_count)
-    mode_rows = zip(modes.frequencies_hz(shape_count), modes.damping_ratios(shape_count), shapes.T, strict=True)
-    for mode_number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
-        yield _shape_dataset(
-            f"{body.name} mode {mode_number}",
-            mode_number,
-            float(frequency_hz),
-            float(damping_ratio),
-            node_numbers,
-            shape,
-        )
-
-
-def _shape_dataset(
-    mode_name: str,
-    mode_number: int,
-    frequency_hz: float,
-    damping_ratio: float,
-    node_numbers: np.ndarray,
-    shape: Float[np.ndarray, " nodes"],
-) -> dict[str, Any]:
-    zeros = np.zeros(shape.size)
-    return {
-        "type": 55,
-        "id1": mode_name,
-        "analysis_type": 2,  # normal mode
-        "data_ch": 2,  # translations alone
-        "spec_data_type": 8,  # displacement
-        "load_case": 0,
-        "mode_n": mode_number,
-        "freq": frequency_hz,
-        "modal_m": 1.0,
-        "modal_damp_vis": damping_ratio,
-        "modal_damp_his": 0.0,
-        "node_nums": node_numbers,
-        "r1": zeros,
-        "r2": zeros,
-        "r3": shape,
-    }
+    modes, count = modes_of(rig, body), mode_count(body, MOST_MODES)
+    shapes = modes.shapes(np.array([*node_by_position]), count)
+    mode_rows = zip(modes.frequencies_hz(count), modes.damping_ratios(count), shapes.T, strict=True)
+    zeros = np.zeros(len(node_by_position))
+    for number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
+        yield {
+            "type": 55,
+            "id1": f"{body.name} mode {number}",
+            "analysis_type": 2,  # normal mode
+            "data_ch": 2,  # translations alone
+            "spec_data_type": 8,  # displacement
+            "load_case": 0,
+            "mode_n": number,
+            "freq": float(frequency_hz),
+            "modal_m": 1.0,
+            "modal_damp_vis": float(damping_ratio),
+            "modal_damp_his": 0.0,
+            "node_nums": np.array([*node_by_position.values()]),
+            "r1": zeros,
+            "r2": zeros,
+            "r3": shape,
+        }

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 
 from rig.lab.column import decode_text
@@ -14,14 +14,8 @@ MAX_LINE_LENGTH = 500
 """Characters of a line in which a date or rate is looked for."""
 _MATLAB_HEAD_BYTES = 116
 """Bytes of the text at the beginning of a .mat file, which states when it was written."""
-_MONTH_NUMBERS = {
-    name: number
-    for number, names in enumerate(
-        ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez"),
-        start=1,
-    )
-    for name in names.split()
-}
+_MONTHS = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
+_MONTH_NUMBERS = {name: number for number, names in enumerate(_MONTHS, start=1) for name in names.split()}
 _MONTH = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
 _YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<![\d.])(?P<day>\d\d?)\.(?P<month>\d\d?)\.(?P<year>\d{4})(?!\d)")
@@ -58,13 +52,12 @@ def recorded_date(source: Path, form: TextForm, stated_dates: Iterable[str]) -> 
     date_lines = [*_header_lines(source, form), *dict.fromkeys(text for text in stated_dates if text)]
     date, doubtful_text = date_in(date_lines)
     if date is not None:
-        saved_words = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
-        return date.isoformat(), f"the file's header{saved_words}" + (
-            "" if date.tzinfo else ", which states no time zone"
-        )
-    modified_date = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
+        saved = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
+        zone = "" if date.tzinfo else ", which states no time zone"
+        return date.isoformat(), f"the file's header{saved}{zone}"
+    modified = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
     reason = f"{doubtful_text!r} in its header is two dates" if doubtful_text else "its header states no date"
-    return modified_date, f"the file's modification time, since {reason}"
+    return modified, f"the file's modification time, since {reason}"
 
 
 def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
@@ -86,29 +79,16 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
 
 def rate_in(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
     """Sampling rate, Hz, stated in the cells of a header: a rate or an interval, beside or below its label."""
-    for row_number, header_row in enumerate(header_rows):
-        for cell_index, cell in enumerate(header_row):
-            for label_pattern, factor_by_unit in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
-                if not (match := label_pattern.search(cell[:MAX_LINE_LENGTH])):
+    for row, next_row in zip_longest(header_rows, header_rows[1:], fillvalue=()):
+        for k, cell in enumerate(row):
+            for label, factors in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
+                if not (match := label.search(cell[:MAX_LINE_LENGTH])):
                     continue
-                cells_below = (
-                    [header_rows[row_number + 1][cell_index]]
-                    if row_number + 1 < len(header_rows) and cell_index < len(header_rows[row_number + 1])
-                    else []
-                )
-                for text in (
-                    cell[match.end() : MAX_LINE_LENGTH],
-                    *header_row[cell_index + 1 : cell_index + 3],
-                    *cells_below,
-                ):
-                    value = _quantity_in(
-                        text,
-                        f"{cell[match.end() :]} {' '.join(header_row[cell_index + 1 : cell_index + 3])}",
-                        factor_by_unit,
-                        decimal,
-                    )
+                rest, beside, below = cell[match.end() :], row[k + 1 : k + 3], next_row[k : k + 1]
+                for text in (cell[match.end() : MAX_LINE_LENGTH], *beside, *below):
+                    value = _quantity_in(text, f"{rest} {' '.join(beside)}", factors, decimal)
                     if value is not None and 0 < value < 1e12:
-                        return value if factor_by_unit is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
+                        return value if factors is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
     return None
 
 
@@ -121,9 +101,8 @@ def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], de
     if value is None:
         value = number_in(match[0].replace(",", "."), ".")
     words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE_LENGTH].lower())
-    return (
-        None if value is None else value * next((factor_by_unit[word] for word in words if word in factor_by_unit), 1.0)
-    )
+    factor = next((factor_by_unit[word] for word in words if word in factor_by_unit), 1.0)
+    return None if value is None else value * factor
 
 
 def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
@@ -137,15 +116,11 @@ def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
             if _is_date(year_month_day):
                 return year_month_day, ""
     if match := _EITHER_ORDER.search(line):
-        first_number, second_number, year = int(match["first"]), int(match["second"]), int(match["year"])
-        possible_days = {
-            year_month_day
-            for year_month_day in ((year, first_number, second_number), (year, second_number, first_number))
-            if _is_date(year_month_day)
-        }
-        if len(possible_days) == 1:
-            return possible_days.pop(), ""
-        return None, match[0] if possible_days else ""
+        first, second, year = int(match["first"]), int(match["second"]), int(match["year"])
+        days = set(filter(_is_date, ((year, first, second), (year, second, first))))
+        if len(days) == 1:
+            return days.pop(), ""
+        return None, match[0] if days else ""
     return None, ""
 
 

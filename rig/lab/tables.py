@@ -41,15 +41,13 @@ class Table:
             if not 1 <= column_key <= len(self.names):
                 raise RigError(f"there is no column {column_key}; the file has 1 to {len(self.names)}")
             return self.columns[column_key - 1]
-        matching_indices = [index for index, name in enumerate(self.names) if name == column_key]
-        if len(matching_indices) > 1:
-            raise RigError(
-                f"{len(matching_indices)} columns are named {column_key!r}; give the number of the one meant"
-            )
-        if not matching_indices:
+        matches = [index for index, name in enumerate(self.names) if name == column_key]
+        if len(matches) > 1:
+            raise RigError(f"{len(matches)} columns are named {column_key!r}; give the number of the one meant")
+        if not matches:
             names_text = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
             raise RigError(f"there is no column {column_key!r}; the file has {names_text}")
-        return self.columns[matching_indices[0]]
+        return self.columns[matches[0]]
 
 
 def read_table(path: Path, text_form: TextForm, column_keys: Collection[Key] | None = None) -> Table:
@@ -93,37 +91,36 @@ def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Res
 
 
 def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[Key] | None) -> Table:
-    column_names: list[str] = []
-    column_by_index: dict[int, Column] = {}
+    names: list[str] = []
+    columns: dict[int, Column] = {}
     notes: tuple[str, ...] = ()
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
     for block in blocks:
-        first_index = len(column_names)
+        first = len(names)
         if isinstance(block, Refused):
-            if _may_select(block, first_index, column_keys):
+            if _may_select(block, first, column_keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
-        column_names += block.names
-        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME_LENGTH:
+        names += block.names
+        if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME_LENGTH:
             raise UnreadableError(
                 f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME_LENGTH} characters"
             )
-        chosen_indices = [
+        chosen = [
             k
-            for k, column_name in enumerate(block.names)
-            if column_keys is None or column_name in column_keys or first_index + k + 1 in column_keys
+            for k, name in enumerate(block.names)
+            if column_keys is None or name in column_keys or first + k + 1 in column_keys
         ]
-        if chosen_indices:
-            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen_indices)
-            other_count = len(column_by_index) + len(chosen_indices) - 1
-            content_label = f"{path}: column {block.names[chosen_indices[-1]]!r}" + (
-                f" with {other_count} more" if other_count else ""
-            )
-            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content_label)
-            column_by_index |= zip((first_index + k for k in chosen_indices), block.read(chosen_indices), strict=True)
-            if missing_count := block.sample_count - column_by_index[first_index + chosen_indices[0]].values.size:
+        if chosen:
+            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen)
+            other_count = len(columns) + len(chosen) - 1
+            others = f" with {other_count} more" if other_count else ""
+            label = f"{path}: column {block.names[chosen[-1]]!r}{others}"
+            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, label)
+            columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
+            if missing_count := block.sample_count - columns[first + chosen[0]].values.size:
                 notes = (f"the last {missing_count} lines are incomplete and were left out",)
-    return Table(tuple(column_names), column_by_index, notes)
+    return Table(tuple(names), columns, notes)
 
 
 def _may_select(refused: Refused, column_count: int, column_keys: Collection[Key] | None) -> bool:

@@ -166,21 +166,17 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
         stop=dataset.stop,
         date_text=" ".join(line[:80].strip() for line in (header_lines[2], header_lines[1], *header_lines[3:5])),
     )
-    number_bytes = (
-        (4 if type_code == SINGLE else 8) if dataset.is_binary else min(NUMBER_WIDTHS[type_code, history.is_even])
-    )
-    number_count = (dataset.stop - numbers_offset) // number_bytes
-    if history.point_count < 0 or (
-        number_count != history.value_count if dataset.is_binary else number_count < history.value_count
-    ):
-        raise _wrong_length_error(name, number_count, history.is_even, history.point_count)
-    column_names = (name,) if history.is_even else (f"{name} time", name)
-    return ColumnBlock(
-        column_names,
-        history.point_count,
-        partial(_read_columns, content, history),
-        0 if history.is_even else 16 * history.point_count,
-    )
+    number_bytes = min(NUMBER_WIDTHS[type_code, history.is_even])
+    if dataset.is_binary:
+        number_bytes = 4 if type_code == SINGLE else 8
+    count = (dataset.stop - numbers_offset) // number_bytes
+    is_wrong = count != history.value_count if dataset.is_binary else count < history.value_count
+    if history.point_count < 0 or is_wrong:
+        raise _wrong_length_error(name, count, history.is_even, history.point_count)
+    read = partial(_read_columns, content, history)
+    if history.is_even:
+        return ColumnBlock((name,), history.point_count, read)
+    return ColumnBlock((f"{name} time", name), history.point_count, read, 16 * history.point_count)
 
 
 def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequence[int]) -> list[Column]:
@@ -201,18 +197,16 @@ def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, 
 
 
 def _text_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
-    cell_spans = list(pairwise(accumulate(NUMBER_WIDTHS[history.type_code, history.is_even], initial=0)))
-    values, number_count = np.empty(history.value_count), 0
-    number_lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start, history.stop))
-    while line_batch := list(islice(number_lines, LINES_PER_BLOCK)):
-        numbers = [
-            float(cell) for line in line_batch for first, last in cell_spans if (cell := line[first:last].strip())
-        ]
-        if number_count + len(numbers) <= values.size:
-            values[number_count : number_count + len(numbers)] = numbers
-        number_count += len(numbers)
-    if number_count != values.size:
-        raise _wrong_length_error(history.name, number_count, history.is_even, history.point_count)
+    spans = list(pairwise(accumulate(NUMBER_WIDTHS[history.type_code, history.is_even], initial=0)))
+    values, count = np.empty(history.value_count), 0
+    lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start, history.stop))
+    while batch := list(islice(lines, LINES_PER_BLOCK)):
+        numbers = [float(cell) for line in batch for first, last in spans if (cell := line[first:last].strip())]
+        if count + len(numbers) <= values.size:
+            values[count : count + len(numbers)] = numbers
+        count += len(numbers)
+    if count != values.size:
+        raise _wrong_length_error(history.name, count, history.is_even, history.point_count)
     return values
 
 

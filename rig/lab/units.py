@@ -120,11 +120,8 @@ def name_and_unit(header: str, guess: bool = False) -> tuple[str, str | None]:
         unit = header[match.end() :].strip()
         if match.start() and is_unit(unit) and not unit.isdigit():
             return header[: match.start()], unit
-    if (
-        guess
-        and (match := _UNIT_AFTER_UNDERSCORE.match(header))
-        and is_unit(match["unit"])
-        and not match["unit"].isdigit()
-    ):
-        return match["name"], match["unit"]
+    if guess and (match := _UNIT_AFTER_UNDERSCORE.match(header)):
+        unit = match["unit"]
+        if is_unit(unit) and not unit.isdigit():
+            return match["name"], unit
     return header, None

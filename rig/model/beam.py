@@ -136,9 +136,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def scale_mass(self, factor: float) -> "Beam":
         """Beam with the mass times a factor, at the same frequencies: density and Young's modulus."""
         return msgspec.structs.replace(
-            self,
-            density_kg_per_m3=self.density_kg_per_m3 * factor,
-            youngs_modulus_pa=self.youngs_modulus_pa * factor,
+            self, density_kg_per_m3=self.density_kg_per_m3 * factor, youngs_modulus_pa=self.youngs_modulus_pa * factor
         )
 
     def shapes(

@@ -19,12 +19,9 @@ MAX_PER_KIND = 1000
 def check_components(rig: "Rig") -> None:
     """Raise RigError if a name, place or direction is wrong, or nothing could hold or drive a body so."""
     check_name("rig", rig.name)
-    for kind, names in (
-        ("body", [body.name for body in rig.bodies]),
-        ("contact", [contact.name for contact in rig.contacts]),
-        ("sensor", [sensor.name for sensor in rig.sensors]),
-    ):
-        _check_names(f"rig {rig.name!r}", kind, names)
+    _check_names(f"rig {rig.name!r}", "body", [body.name for body in rig.bodies])
+    _check_names(f"rig {rig.name!r}", "contact", [contact.name for contact in rig.contacts])
+    _check_names(f"rig {rig.name!r}", "sensor", [sensor.name for sensor in rig.sensors])
     _check_forces(rig)
     for sensor in rig.sensors:
         _check_sensor(rig, sensor)

@@ -43,10 +43,8 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     """
     if rig.in_space:
         driven_axes = {station.direction for station in rig.forces}
-        level_by_axis = [
-            rattling_level(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven_axes
-        ]
-        return max(level_by_axis, key=lambda level: level.rms_n)
+        planes = (plane for axis, plane in plane_rigs(rig).items() if axis in driven_axes)
+        return max((rattling_level(plane, low_hz, high_hz) for plane in planes), key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
     mean_squares = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
     levels_n: list[tuple[float, str, float]] = []
@@ -58,19 +56,18 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     if not np.isfinite(highest_level_n):
         reason = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
         return ForceLevel(1.0, reason if rig.contacts else "as there is no contact")
-    least_moved_note = ", which moves least," if len(levels_n) > 1 else ""
-    motion_note = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
-    return ForceLevel(
-        float(f"{highest_level_n:.1g}"), f"by which {contact_name!r}{least_moved_note} would move by {motion_note}"
-    )
+    least_moved = ", which moves least," if len(levels_n) > 1 else ""
+    motion = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
+    reason = f"by which {contact_name!r}{least_moved} would move by {motion}"
+    return ForceLevel(float(f"{highest_level_n:.1g}"), reason)
 
 
 def reachable_clearance_m(law: ContactLaw) -> float:
     """Mean clearance, m, of the stops of a contact that a laboratory's force can reach; zero if there are none."""
     clearances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-    farthest_m = min(
-        [FARTHEST_STOP_M, *(FAR_STOP_RATIO * clearance_m for clearance_m in clearances_m[:1] if clearance_m)]
-    )
+    farthest_m = FARTHEST_STOP_M
+    if clearances_m and clearances_m[0]:
+        farthest_m = min(farthest_m, FAR_STOP_RATIO * clearances_m[0])
     reachable_m = [clearance_m for clearance_m in clearances_m if clearance_m <= farthest_m]
     return sum(reachable_m) / len(reachable_m) if reachable_m else 0.0
 
@@ -96,14 +93,12 @@ def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"
                     shapes[i] += sign * modes.shapes(np.array([station.position_m]), taken_count)[0]
         modal_receptances = 1 / (natural_rad_per_s**2 - omega**2 + 2j * ratios * natural_rad_per_s * omega)
         receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal_receptances)
-    spring_rows = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
-    eta_by_force, eta_by_springs = receptances[1:, 0], receptances[1:][:, spring_rows]
-    if spring_rows:
-        laws = [rig.contacts[spring - 1].law for spring in spring_rows]
-        spring_stiffness = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
-        feedback = eta_by_springs[[spring - 1 for spring in spring_rows]] * spring_stiffness
-        spring_eta = np.linalg.solve(
-            np.eye(len(spring_rows)) + feedback.transpose(2, 0, 1), receptances[spring_rows, 0].T[..., None]
-        )
-        eta_by_force = eta_by_force - np.einsum("csl,sl,ls->cl", eta_by_springs, spring_stiffness, spring_eta[..., 0])
-    return np.asarray(np.mean(np.abs(eta_by_force) ** 2, axis=1))
+    springs = [j for j, contact in enumerate(rig.contacts) if not contact.law.has_stops]
+    by_force, by_springs = receptances[1:, 0], receptances[1:, 1:][:, springs]
+    if springs:
+        laws = [rig.contacts[spring].law for spring in springs]
+        stiffness = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
+        feedback = np.eye(len(springs)) + (by_springs[springs] * stiffness).transpose(2, 0, 1)
+        spring_eta = np.linalg.solve(feedback, by_force[springs].T[..., None])
+        by_force = by_force - np.einsum("csl,sl,ls->cl", by_springs, stiffness, spring_eta[..., 0])
+    return np.asarray(np.mean(np.abs(by_force) ** 2, axis=1))

@@ -19,22 +19,15 @@ def in_plane(rig: Rig, direction: Direction) -> Rig:
         return rig
     forces = tuple(station_in_y(station) for station in rig.forces if station.direction == direction)
     forces = forces or (station_in_y(rig.forces[0]),)
-    components_by_field = {
-        field: tuple(
-            replace(component, station=station_in_y(component.station))
-            for component in getattr(rig, field)
-            if component.station.direction == direction
-        )
-        for field in ("sensors", "springs", "loads", "dampers", "tones")
-    }
+    components_by_field = {}
+    for field in ("sensors", "springs", "loads", "dampers", "tones"):
+        components = (c for c in getattr(rig, field) if c.station.direction == direction)
+        components_by_field[field] = tuple(replace(c, station=station_in_y(c.station)) for c in components)
+    contacts = (contact for contact in rig.contacts if contact.law.spatial or contact.at.direction == direction)
     return replace(
         rig,
         bodies=tuple(body.bending_in_z if direction == "z" and isinstance(body, Beam) else body for body in rig.bodies),
-        contacts=tuple(
-            _plane_contact(contact)
-            for contact in rig.contacts
-            if contact.law.spatial or contact.at.direction == direction
-        ),
+        contacts=tuple(map(_plane_contact, contacts)),
         force_at=forces if len(forces) > 1 else forces[0],
         gravity_m_per_s2=rig.gravity_m_per_s2 if direction == "y" else 0.0,
         **components_by_field,

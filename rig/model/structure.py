@@ -146,15 +146,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
-        sqrt_factor = float(np.sqrt(factor))
-        rows = (
-            msgspec.structs.replace(row, values=tuple(value / sqrt_factor for value in row.values)) for row in self.rows
-        )
-        return msgspec.structs.replace(
-            self,
-            rows=tuple(rows),
-            participations=tuple(sqrt_factor * participation for participation in self.participations),
-        )
+        root, replace = float(np.sqrt(factor)), msgspec.structs.replace
+        rows = tuple(replace(row, values=tuple(value / root for value in row.values)) for row in self.rows)
+        return replace(self, rows=rows, participations=tuple(root * share for share in self.participations))
 
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
@@ -233,17 +227,13 @@ def structure_of(
     nodes: Sequence[str | None] = (),
 ) -> Structure:
     """Structure from arrays of a finite-element model or a modal analysis, with the names of its nodes if given."""
+    rows = zip(positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True)
     return Structure(
         name=name,
         length_m=float(length_m),
         natural_hz=tuple(frequencies_hz.tolist()),
         ratios=tuple(damping_ratios.tolist()),
-        rows=tuple(
-            ShapeRow(float(position_m), tuple(values), node)
-            for position_m, values, node in zip(
-                positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True
-            )
-        ),
+        rows=tuple(ShapeRow(float(position_m), tuple(values), node) for position_m, values, node in rows),
     )
 
 

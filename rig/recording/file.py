@@ -158,13 +158,8 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
     channels_by_group = {"force": _force_channels(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
-        channels_by_group[quantity] = Channels(
-            quantity,
-            UNITS[quantity],
-            tuple(sensor.name for sensor in sensors),
-            tuple(sensor.station for sensor in sensors),
-            rig.sample_rate_hz,
-        )
+        names, stations = tuple(sensor.name for sensor in sensors), tuple(sensor.station for sensor in sensors)
+        channels_by_group[quantity] = Channels(quantity, UNITS[quantity], names, stations, rig.sample_rate_hz)
     return channels_by_group
 
 
@@ -191,9 +186,8 @@ def read(path: Path) -> Recording:
     """
     recording = _load(path)
     check_shapes_known(recording.rig, f"{path}: {RIG_NAME}")
-    check_channels(
-        path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
-    )
+    channels_by_group = {group: signals.channels for group, signals in recording.signals.items()}
+    check_channels(path, recording.rig, channels_by_group, channel_groups(recording.rig))
     return recording
 
 
@@ -242,11 +236,8 @@ def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Itera
     channel_by_id: dict[int, ChannelRecord] = {}
     clock = TimeStampCheck()
     for record in records:
-        if (
-            isinstance(record, ChannelRecord)
-            and (earlier_record := channel_by_id.setdefault(record.id, record)) != record
-        ):
-            raise ValueError(f"channel {record.id} is described in two ways: {earlier_record.topic} and {record.topic}")
+        if isinstance(record, ChannelRecord) and (earlier := channel_by_id.setdefault(record.id, record)) != record:
+            raise ValueError(f"channel {record.id} is described in two ways: {earlier.topic} and {record.topic}")
         if isinstance(record, Attachment):
             if record.name in contents.attachments:
                 raise RigError(f"more than one attachment is named {record.name!r}; keep the one that is meant")
@@ -281,23 +272,21 @@ def _load(path: Path) -> Recording:
     contents, assemblies = FileContents(), dict[str, SampleAssembly]()
     with container.open_recording(path) as file:
         max_values = path.stat().st_size // 8
-        for group_name, block in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, holds_blocks), contents)
-        ):
-            if group_name not in assemblies:
-                capacity = max_values // sum(len(channels.names) for channels in contents.channels_by_group.values())
-                assemblies[group_name] = SampleAssembly(
-                    path, group_name, contents.channels_by_group[group_name], capacity=capacity
-                )
-            assemblies[group_name].add(block)
+        blocks = group_blocks(container.read_complete(file, holds_blocks), contents)
+        for group, block in container.with_path_in_error(path, blocks):
+            if group not in assemblies:
+                groups = contents.channels_by_group
+                capacity = max_values // sum(len(channels.names) for channels in groups.values())
+                assemblies[group] = SampleAssembly(path, group, groups[group], capacity=capacity)
+            assemblies[group].add(block)
     rig = rig_of(path, contents)
     signals = {
-        group_name: Signals(channels, *assemblies.get(group_name, SampleAssembly(path, group_name, channels)).finish())
-        for group_name, channels in contents.channels_by_group.items()
+        group: Signals(channels, *assemblies.get(group, SampleAssembly(path, group, channels)).finish())
+        for group, channels in contents.channels_by_group.items()
     }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
-    samples_by_group = {group_name: s.values.shape[1] for group_name, s in signals.items()}
+    samples_by_group = {group: s.values.shape[1] for group, s in signals.items()}
     if len(set(samples_by_group.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({samples_by_group}); every group needs the same samples")
     return Recording(rig, signals, contents.provenance)

@@ -46,44 +46,31 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
     contents, foreign, blocks_by_group = FileContents(), ForeignRecords(), defaultdict[str, list[Block]](list)
     with container.open_recording(damaged_path) as file:
         try:
-            for group_name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
-                blocks_by_group[group_name].append(block.with_copied_values())
+            for group, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
+                blocks_by_group[group].append(block.with_copied_values())
         except RigError as error:
             raise RigError(f"{damaged_path}: {error}") from error
         except container.DAMAGE as error:
-            raise RigError(
-                f"{damaged_path}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
-            ) from error
-    rig = rig_of(damaged_path, contents)
-    block_by_start = {
-        group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.channels_by_group
-    }
-    kept_count = min(map(_unbroken_count, block_by_start.values()), default=0)
+            reason = container.reason_of(error)
+            raise RigError(f"{damaged_path}: cannot be recovered ({reason}); restore it from a copy") from error
+    rig, groups = rig_of(damaged_path, contents), contents.channels_by_group
+    blocks = {group: _undisputed_blocks(blocks_by_group[group]) for group in groups}
+    kept_count = min(map(_unbroken_count, blocks.values()), default=0)
     if not kept_count:
         raise RigError(
             f"{damaged_path}: holds no complete chunk of every group with its checksum; there is nothing to recover"
         )
     requested_s = _requested_duration_s(contents.provenance)
-    losses = tuple(
-        _loss(channels, block_by_start[group_name], kept_count, requested_s)
-        for group_name, channels in contents.channels_by_group.items()
-    )
-    signals = {
-        group_name: assemble(
-            damaged_path,
-            group_name,
-            channels,
-            [b for first, b in block_by_start[group_name].items() if first < kept_count],
-        )
-        for group_name, channels in contents.channels_by_group.items()
-    }
-    if set(signals) != set(truth_groups(rig)):
-        check_channels(damaged_path, rig, contents.channels_by_group, channel_groups(rig))
-    new_provenance = with_history(
-        contents.provenance, f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
-    )
-    with writing(target_path, rig, contents.channels_by_group, new_provenance, foreign) as recording:
-        recording.append_all({group_name: values[:, :kept_count] for group_name, values in signals.items()})
+    losses = tuple(_loss(channels, blocks[group], kept_count, requested_s) for group, channels in groups.items())
+    values = {}
+    for group, channels in groups.items():
+        kept_blocks = [block for first, block in blocks[group].items() if first < kept_count]
+        values[group] = assemble(damaged_path, group, channels, kept_blocks)[:, :kept_count]
+    if set(values) != set(truth_groups(rig)):
+        check_channels(damaged_path, rig, groups, channel_groups(rig))
+    step = f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
+    with writing(target_path, rig, groups, with_history(contents.provenance, step), foreign) as recording:
+        recording.append_all(values)
     return losses
 
 

@@ -81,20 +81,16 @@ class RecordingWriter:
         earlier_values = self._pending_values[group]
         pending_values = np.concatenate([earlier_values, values], axis=1) if earlier_values.size else values
         full_count = pending_values.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
-        for first_sample in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
-            self._write(
-                group,
-                pending_values[:, first_sample : min(first_sample + SAMPLES_AT_ONCE, full_count)],
-                BLOCK_SAMPLES,
-            )
+        for first in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
+            self._write(group, pending_values[:, first : min(first + SAMPLES_AT_ONCE, full_count)], BLOCK_SAMPLES)
         self._pending_values[group] = pending_values[:, full_count:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
         """Append samples of every group, interleaved in the file, so that it can be read segment by segment."""
-        for first_sample in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
-            for group_name, group_values in values.items():
-                self.append(group_name, group_values[:, first_sample : first_sample + SAMPLES_AT_ONCE])
+        for first in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
+            for group, group_values in values.items():
+                self.append(group, group_values[:, first : first + SAMPLES_AT_ONCE])
 
     def finish(self) -> None:
         """Write the remaining samples and the index, which completes the file."""
@@ -109,16 +105,10 @@ class RecordingWriter:
         block_id, preview_ids = self._channel_ids[group_name]
         channel_count, sample_count = values.shape
         for offset in range(0, sample_count, block_samples):
-            time_ns = round((first_sample + offset) / rate_hz * 1e9)
-            block_head = messages.block_head(time_ns, first_sample + offset, rate_hz, (channel_count, block_samples))
-            log_ns = self._start_date_ns + time_ns
-            self._writer.chunk.add(
-                block_id,
-                log_ns,
-                (first_sample + offset) // BLOCK_SAMPLES,
-                block_head,
-                values[:, offset : offset + block_samples],
-            )
+            first, block = first_sample + offset, values[:, offset : offset + block_samples]
+            time_ns = round(first / rate_hz * 1e9)
+            head = messages.block_head(time_ns, first, rate_hz, (channel_count, block_samples))
+            self._writer.chunk.add(block_id, self._start_date_ns + time_ns, first // BLOCK_SAMPLES, head, block)
             self._write_full_chunk()
         part_starts, part_extremes = previews(values, rate_hz, block_samples)
         times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
@@ -134,13 +124,8 @@ class RecordingWriter:
 def _channel_records(
     group_name: str, channels: Channels, block_id: int, preview_ids: Sequence[int]
 ) -> Iterator[ChannelRecord]:
-    yield ChannelRecord(
-        id=block_id,
-        topic=f"/rig/{group_name}/block",
-        message_encoding="protobuf",
-        schema_id=1,
-        metadata=to_metadata(channels),
-    )
+    topic, metadata = f"/rig/{group_name}/block", to_metadata(channels)
+    yield ChannelRecord(id=block_id, topic=topic, message_encoding="protobuf", schema_id=1, metadata=metadata)
     for preview_id, channel_name in zip(preview_ids, channels.names, strict=True):
         yield preview_record(preview_id, group_name, channel_name, channels.unit)
 
@@ -210,6 +195,5 @@ def previews(
 
 @lru_cache(maxsize=16)
 def _part_starts(sample_count: int, block_samples: int, part_samples: int) -> Int[np.ndarray, " parts"]:
-    return np.concatenate(
-        [np.arange(block, block + block_samples, part_samples) for block in range(0, sample_count, block_samples)]
-    )
+    blocks = range(0, sample_count, block_samples)
+    return np.concatenate([np.arange(block, block + block_samples, part_samples) for block in blocks])

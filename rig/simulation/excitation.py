@@ -51,9 +51,8 @@ class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        return _scale_to_rms(
-            _unscaled_noise(sample_count, step_s, self) * _rise_window(sample_count, step_s), self.rms_n
-        )
+        noise = _unscaled_noise(sample_count, step_s, self)
+        return _scale_to_rms(noise * _rise_window(sample_count, step_s), self.rms_n)
 
 
 class BurstRandom(_Band, frozen=True, tag="burst"):
@@ -79,9 +78,8 @@ class Sweep(_Band, frozen=True, tag="sweep"):
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
         time_s = np.arange(sample_count) * step_s
-        return _scale_to_rms(
-            scipy.signal.chirp(time_s, self.low_hz, sample_count * step_s, self.high_hz, phi=-90), self.rms_n
-        )
+        chirp = scipy.signal.chirp(time_s, self.low_hz, sample_count * step_s, self.high_hz, phi=-90)
+        return _scale_to_rms(chirp, self.rms_n)
 
 
 class Multisine(_Band, frozen=True, tag="multisine"):
@@ -148,11 +146,8 @@ class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
         step_of_sample = np.minimum((time_s / dwell_s).astype(int), self.steps - 1)
         frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
         turns_at_step = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * dwell_s)])
-        phase = (
-            2
-            * np.pi
-            * (turns_at_step[step_of_sample] + frequency_hz[step_of_sample] * (time_s - step_of_sample * dwell_s))
-        )
+        turns_in_step = frequency_hz[step_of_sample] * (time_s - step_of_sample * dwell_s)
+        phase = 2 * np.pi * (turns_at_step[step_of_sample] + turns_in_step)
         return _scale_to_rms(np.sin(phase) * _rise_window(sample_count, step_s), self.rms_n)
 
 
@@ -198,20 +193,14 @@ class LongForce:
         return self.samples
 
     def __getitem__(self, sample_span: slice) -> Float[np.ndarray, " some"]:
-        first_sample, end_sample, _ = sample_span.indices(self.samples)
-        quiet_count, hop_samples = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
-        force_n = np.zeros(max(0, end_sample - first_sample))
-        for segment_number in range(
-            (max(first_sample, quiet_count) - quiet_count) // hop_samples,
-            (end_sample - 1 - quiet_count) // hop_samples + 2,
-        ):
-            segment_start = quiet_count + (segment_number - 1) * hop_samples
-            overlap = slice(
-                max(first_sample, segment_start, quiet_count), min(end_sample, segment_start + 2 * hop_samples)
-            )
-            force_n[overlap.start - first_sample : overlap.stop - first_sample] += self._segment(segment_number)[
-                overlap.start - segment_start : overlap.stop - segment_start
-            ]
+        first, end, _ = sample_span.indices(self.samples)
+        quiet, hop = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
+        force_n = np.zeros(max(0, end - first))
+        for number in range((max(first, quiet) - quiet) // hop, (end - 1 - quiet) // hop + 2):
+            segment_start = quiet + (number - 1) * hop
+            start, stop = max(first, segment_start, quiet), min(end, segment_start + 2 * hop)
+            segment_n = self._segment(number)[start - segment_start : stop - segment_start]
+            force_n[start - first : stop - first] += segment_n
         return force_n
 
     @cached_property
@@ -257,11 +246,8 @@ def _segment(band: BandLimitedGaussian, step_s: float, segment_number: int) -> F
     sample_count = 2 * round(SEGMENT_S / 2 / step_s)
     spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, segment_number))
     unscaled_rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / sample_count
-    force_n = (
-        np.fft.irfft(spectrum, sample_count)
-        * (band.rms_n / unscaled_rms)
-        * np.sin(np.pi * np.arange(sample_count) / sample_count)
-    )
+    window = np.sin(np.pi * np.arange(sample_count) / sample_count)
+    force_n = np.fft.irfft(spectrum, sample_count) * (band.rms_n / unscaled_rms) * window
     if segment_number < 2:
         rise_start = (1 - segment_number) * sample_count // 2
         force_n[rise_start:] *= _rise_window(sample_count - rise_start, step_s)

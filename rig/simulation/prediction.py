@@ -39,37 +39,27 @@ def modal(
     step_s = step_s_of(rig, MIN_STEP_RATE_HZ)
     steps_per_sample = round(1 / (rig.sample_rate_hz * step_s))
     step_count = (sample_count - 1) * steps_per_sample
-    rig_without_base = replace(rig, base_motion=None)
+    rig = replace(rig, base_motion=None)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
-    base_signals = shaken_base(rig_without_base, step_forces, step_s)
-    model = model_of(rig_without_base, bool(base_signals), MODE_COUNT)
-    step_constants, body_modes = constants_of(model, step_s), body_modes_of(rig_without_base, MODE_COUNT)
+    base_signals = shaken_base(rig, step_forces, step_s)
+    model = model_of(rig, bool(base_signals), MODE_COUNT)
+    constants, body_modes = constants_of(model, step_s), body_modes_of(rig, MODE_COUNT)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
     inverse_shapes = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
-    predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
+    predicted = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory = np.empty((step_count + 1, 2 * model.omega.size))
-    forces_and_bends_n = np.empty((2, len(model.eta_rows), step_count))
+    contact_forces = np.empty((2, len(model.eta_rows), step_count))  # and their bends
     with threadpool_limits(1):  # the matrices are small
-        for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
-            start_step = first_sample * steps_per_sample
-            inputs, input_bends = applied_inputs(
-                rig_without_base, step_forces, base_signals, step_s, slice(start_step + 1, start_step + 1 + step_count)
-            )
+        for window, first_sample, state in zip(predicted, first_samples.tolist(), states, strict=True):
+            start = first_sample * steps_per_sample
+            span = slice(start + 1, start + 1 + step_count)
+            inputs = applied_inputs(rig, step_forces, base_signals, step_s, span)
             trajectory[0] = (state @ inverse_shapes.T).ravel()
-            contact_state = contact_state_at(model, trajectory[0], start_step * step_s)
-            advance(
-                trajectory,
-                contact_state,
-                *forces_and_bends_n,
-                inputs,
-                input_bends,
-                *step_constants,
-                start_step + 1,
-                step_s,
-            )
-            sampled_coordinates = trajectory[::steps_per_sample].T.reshape(2, model.omega.size, sample_count)
-            np.matmul(shapes, sampled_coordinates, out=window_states)
-    return predicted_states
+            contact_state = contact_state_at(model, trajectory[0], start * step_s)
+            advance(trajectory, contact_state, *contact_forces, *inputs, *constants, span.start, step_s)
+            coordinates = trajectory[::steps_per_sample].T.reshape(2, model.omega.size, sample_count)
+            np.matmul(shapes, coordinates, out=window)
+    return predicted
 
 
 def modal_inverse(
@@ -81,12 +71,10 @@ def modal_inverse(
     """
     inverse_shapes, first_mode = np.zeros(shapes.T.shape), 0
     for body_name, mode_count in mode_counts:
-        station_indices = [i for i, station in enumerate(stations) if station.body == body_name]
-        mode_indices = range(first_mode, first_mode + min(len(station_indices), mode_count))
-        if station_indices:
-            inverse_shapes[np.ix_(mode_indices, station_indices)] = np.linalg.pinv(
-                shapes[np.ix_(station_indices, mode_indices)]
-            )
+        rows = [i for i, station in enumerate(stations) if station.body == body_name]
+        modes = range(first_mode, first_mode + min(len(rows), mode_count))
+        if rows:
+            inverse_shapes[np.ix_(modes, rows)] = np.linalg.pinv(shapes[np.ix_(rows, modes)])
         first_mode += mode_count
     return inverse_shapes
 

@@ -69,11 +69,10 @@ def record(
     if isinstance(excitation, Excitation):
         excitation = [_with_own_seed(excitation, force_number) for force_number in range(len(rig.forces))]
     force = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
-    plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
         RECORDED: datetime.now(UTC).isoformat(timespec="seconds"),
-        "plant": plant_name,
+        "plant": getattr(plant, "__module__", "").rsplit(".", 1)[-1],
         "step_s": repr(step_s),
         "asked_duration_s": repr(duration_s),
         "excitation": ", ".join(map(repr, excitation)),
@@ -90,15 +89,12 @@ def record(
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
         for block in digitise(actual, plant(actual, force, step_s, progress), rng):
-            kept_samples = slice(0, sample_count - written_count)
+            kept = slice(0, sample_count - written_count)
             _check_finite(block)
-            for writer in (recording, truth):
-                writer.append("force", block.forces_n[:, kept_samples])
-            for quantity, values in block.sensed.items():
-                recording.append(quantity, values[:, kept_samples])
-            for group_name, values in block.truth.items():
-                truth.append(group_name, values[:, kept_samples])
-            written_count += block.forces_n[:, kept_samples].shape[1]
+            for writer, groups in ((recording, block.sensed), (truth, block.truth)):
+                for group, values in {"force": block.forces_n, **groups}.items():
+                    writer.append(group, values[:, kept])
+            written_count += block.forces_n[:, kept].shape[1]
             check_interrupt()
 
 

@@ -48,9 +48,8 @@ class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def force(self) -> Excitation:
         """Exciting force of these settings."""
-        return excitation_of(
-            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
-        )
+        band = {"low_hz": self.low_hz, "high_hz": self.high_hz}
+        return excitation_of(self.excitation, rms_n=self.rms_n, seed=self.seed, **band)
 
 
 class Sdof(_Settings, frozen=True, kw_only=True):
@@ -81,22 +80,17 @@ class Sdof(_Settings, frozen=True, kw_only=True):
 
     def rig(self) -> Rig:
         """Rig of these settings."""
-        mass_station = Station("mass")
-        quantities = _quantities(self.sensors)
+        mass = Station("mass")
+        body = Oscillator(
+            name="mass", mass_kg=self.mass_kg, frequency_hz=self.frequency_hz, damping_ratio=self.damping_ratio
+        )
         law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
         return Rig(
             name="sdof",
-            bodies=(
-                Oscillator(
-                    name="mass",
-                    mass_kg=self.mass_kg,
-                    frequency_hz=self.frequency_hz,
-                    damping_ratio=self.damping_ratio,
-                ),
-            ),
-            contacts=(Contact(name="stop", at=mass_station, against=None, law=law),),
-            force_at=mass_station,
-            sensors=tuple(named_sensor(mass_station, quantity, self.noise_density) for quantity in quantities),
+            bodies=(body,),
+            contacts=(Contact(name="stop", at=mass, against=None, law=law),),
+            force_at=mass,
+            sensors=tuple(named_sensor(mass, name, self.noise_density) for name in _quantities(self.sensors)),
             sample_rate_hz=self.sample_rate_hz,
         )
 
@@ -123,42 +117,30 @@ class BarrelCradle(_Settings, frozen=True, kw_only=True):
 
     def rig(self) -> Rig:
         """Rig of these settings."""
-        beams = tuple(
-            Beam(
-                name=name,
-                ends=end_condition,
-                length_m=self.length_m,
-                width_m=0.05,
-                thickness_m=0.01,
-                damping_ratio=self.damping_ratio,
-            )
-            for name, end_condition in _END_CONDITIONS
+        beam_of = partial(
+            Beam, length_m=self.length_m, width_m=0.05, thickness_m=0.01, damping_ratio=self.damping_ratio
         )
-        quantities = _quantities(self.sensors)
         return Rig(
             name="barrel_cradle",
-            bodies=beams,
+            bodies=tuple(beam_of(name=name, ends=ends) for name, ends in _END_CONDITIONS),
             contacts=_barrel_contacts(self, partial(equal_sides, damping_n_s_per_m=self.contact_damping_n_s_per_m)),
             force_at=Station("barrel", self.length_m),
             sensors=tuple(
-                named_sensor(Station(beam_name, position_m), quantity, self.noise_density)
-                for quantity in quantities
-                for beam_name, positions_m in self._positions(self.length_m - self.overlap_start_m)
-                for position_m in positions_m
+                named_sensor(station, quantity, self.noise_density)
+                for quantity in _quantities(self.sensors)
+                for station in self._stations()
             ),
             sample_rate_hz=self.sample_rate_hz,
         )
 
-    def _positions(self, barrel_overlap_m: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """Station positions by beam: the contacts and those that condition the modal transformation best."""
-        cradle_shares, barrel_shares = _STATION_SHARES[self.stations]
-        return (
-            (
-                "cradle",
-                tuple(sorted({self.overlap_start_m, self.length_m, *(p * self.length_m for p in cradle_shares)})),
-            ),
-            ("barrel", tuple(sorted({0.0, barrel_overlap_m, *(p * self.length_m for p in barrel_shares)}))),
-        )
+    def _stations(self) -> list[Station]:
+        """Stations of the sensors: the contacts and those that condition the modal transformation best."""
+        cradle_m, barrel_m = ({share * self.length_m for share in shares} for shares in _STATION_SHARES[self.stations])
+        cradle_m |= {self.overlap_start_m, self.length_m}
+        barrel_m |= {0.0, self.length_m - self.overlap_start_m}
+        return [
+            Station(name, x_m) for name, all_m in (("cradle", cradle_m), ("barrel", barrel_m)) for x_m in sorted(all_m)
+        ]
 
 
 class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
@@ -202,27 +184,23 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
             "cradle": (0.25 * self.length_m, self.overlap_start_m, 0.75 * self.length_m, self.length_m),
             "barrel": (0.0, 0.25 * self.length_m, barrel_overlap_m, self.length_m),
         }
+        tubes = (
+            Beam(
+                name=name,
+                ends=ends,
+                length_m=self.length_m,
+                damping_ratio=self.damping_ratio,
+                outer_diameter_m=getattr(self, f"{name}_outer_diameter_m"),
+                inner_diameter_m=getattr(self, f"{name}_inner_diameter_m"),
+            )
+            for name, ends in _END_CONDITIONS
+        )
+        damping, friction = self.contact_damping_n_s_per_m, self.friction_coefficient
+        law_of = partial(Annular, damping_n_s_per_m=damping, friction_coefficient=friction)
         return Rig(
             name="barrel_cradle_annular",
-            bodies=tuple(
-                Beam(
-                    name=name,
-                    ends=end_condition,
-                    length_m=self.length_m,
-                    damping_ratio=self.damping_ratio,
-                    outer_diameter_m=getattr(self, f"{name}_outer_diameter_m"),
-                    inner_diameter_m=getattr(self, f"{name}_inner_diameter_m"),
-                )
-                for name, end_condition in _END_CONDITIONS
-            ),
-            contacts=_barrel_contacts(
-                self,
-                partial(
-                    Annular,
-                    damping_n_s_per_m=self.contact_damping_n_s_per_m,
-                    friction_coefficient=self.friction_coefficient,
-                ),
-            ),
+            bodies=tuple(tubes),
+            contacts=_barrel_contacts(self, law_of),
             force_at=tuple(Station("barrel", self.length_m, direction) for direction in DIRECTIONS),
             sensors=tuple(
                 named_sensor(Station(body, position_m, direction), quantity, self.noise_density)
@@ -287,12 +265,9 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
     if scenario not in REFERENCES:
         raise RigError(f"no scenario {scenario!r}; there are {', '.join(REFERENCES)}")
     settings_type = REFERENCES[scenario]
-    setting_names = [field.name for field in settings_in_order(settings_type)]
-    if unknown_settings := sorted(set(settings) - set(setting_names)):
-        raise RigError(
-            f"{scenario} has no setting {unknown_settings[0]!r}{hint(unknown_settings[0], setting_names)}; it has "
-            f"{', '.join(setting_names)}"
-        )
+    names = [field.name for field in settings_in_order(settings_type)]
+    if unknown := sorted(set(settings) - set(names)):
+        raise RigError(f"{scenario} has no setting {unknown[0]!r}{hint(unknown[0], names)}; it has {', '.join(names)}")
     try:
         return msgspec.convert(settings, settings_type, strict=False)
     except msgspec.ValidationError as error:
@@ -301,9 +276,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
 
 def _quantities(sensors: str) -> list[QuantityName]:
     """Quantities from a text that joins them by +; "both" stands for displacement and acceleration."""
-    quantity_names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
-    if unknown_quantities := sorted(set(quantity_names) - set(QUANTITIES)):
-        raise RigError(
-            f"sensors is {sensors!r}: no quantity {unknown_quantities[0]!r}; join any of {', '.join(QUANTITIES)} by +"
-        )
-    return quantity_names
+    names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
+    if unknown := sorted(set(names) - set(QUANTITIES)):
+        raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")
+    return names

@@ -40,11 +40,10 @@ def forces_at_steps(
     forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, step_count: int
 ) -> Forces:
     """Forces at a plant's steps, by cubic splines through their samples; constant after the last one."""
-    sample_count = forces_n.shape[1]
-    splines = (scipy.interpolate.CubicSpline(np.arange(sample_count) / sample_rate_hz, samples) for samples in forces_n)
-    return Forces(
-        tuple(_SplineForce(spline, (sample_count - 1) / sample_rate_hz, step_s, step_count) for spline in splines)
-    )
+    count = forces_n.shape[1]
+    splines = (scipy.interpolate.CubicSpline(np.arange(count) / sample_rate_hz, samples) for samples in forces_n)
+    last_s = (count - 1) / sample_rate_hz
+    return Forces(tuple(_SplineForce(spline, last_s, step_s, step_count) for spline in splines))
 
 
 def replayed_recording(
@@ -62,9 +61,8 @@ def replayed_recording(
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
     rate_hz, sample_count, forces_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
-    step_forces = forces_at_steps(
-        forces_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
-    )
+    step_count = round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
+    step_forces = forces_at_steps(forces_n, rate_hz, step_s, step_count)
     with threadpool_limits(1):  # the matrices are small
         motion_blocks = _sensors_only(plant(actual_rig, step_forces, step_s, progress))
         sample_blocks = list(digitise(actual_rig, motion_blocks, np.random.default_rng([seed, 1])))
@@ -93,7 +91,7 @@ def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces
 
 
 def step_s_of(rig: Rig, min_rate_hz: float) -> float:
-    """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below least_hz."""
+    """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below min_rate_hz."""
     return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(min_rate_hz / rig.sample_rate_hz))))
 
 

@@ -45,33 +45,29 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
 
     Zero taps at either end cost nothing.
     """
-    nonzero_taps = np.flatnonzero(taps[::-1])
-    first_tap = int(nonzero_taps[0]) if nonzero_taps.size else 0
-    nonzero_response = taps[::-1][first_tap : int(nonzero_taps[-1]) + 1] if nonzero_taps.size else np.zeros(1)
+    nonzero = np.flatnonzero(taps[::-1])
+    first_tap = int(nonzero[0]) if nonzero.size else 0
+    response = taps[::-1][first_tap : int(nonzero[-1]) + 1] if nonzero.size else np.zeros(1)
     block_inputs = factor * BLOCK_OUTPUTS
-    piece_count = -(-(block_inputs - factor + nonzero_response.size) // block_inputs)
-    toeplitz_matrix = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
+    piece_count = -(-(block_inputs - factor + response.size) // block_inputs)
+    toeplitz = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
     for output in range(BLOCK_OUTPUTS):
-        toeplitz_matrix[output * factor : output * factor + nonzero_response.size, output] = nonzero_response
-    return Decimator(first_tap, np.concatenate(np.split(toeplitz_matrix, piece_count), axis=1))
+        toeplitz[output * factor : output * factor + response.size, output] = response
+    return Decimator(first_tap, np.concatenate(np.split(toeplitz, piece_count), axis=1))
 
 
 def decimate(
     delay_filter: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
 ) -> Float[np.ndarray, "rows samples"]:
     """First `output_count` filtered samples of every row; rows hold at least `delay_filter.reach(output_count)`."""
-    row_count, piece_count = len(signals), delay_filter.piece_count
-    input_blocks = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(
-        row_count, -1, len(delay_filter.toeplitz_pieces)
-    )
-    products = (input_blocks @ delay_filter.toeplitz_pieces).reshape(
-        row_count, input_blocks.shape[1], piece_count, BLOCK_OUTPUTS
-    )
-    output_block_count = input_blocks.shape[1] - piece_count + 1
-    filtered_blocks = products[:, :output_block_count, 0].copy()
+    row_count, piece_count, pieces = len(signals), delay_filter.piece_count, delay_filter.toeplitz_pieces
+    inputs = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(row_count, -1, len(pieces))
+    products = (inputs @ pieces).reshape(row_count, inputs.shape[1], piece_count, BLOCK_OUTPUTS)
+    block_count = inputs.shape[1] - piece_count + 1
+    outputs = products[:, :block_count, 0].copy()
     for piece in range(1, piece_count):
-        filtered_blocks += products[:, piece : output_block_count + piece, piece]
-    return filtered_blocks.reshape(row_count, -1)[:, :output_count]
+        outputs += products[:, piece : block_count + piece, piece]
+    return outputs.reshape(row_count, -1)[:, :output_count]
 
 
 @dataclass(frozen=True)
@@ -125,12 +121,8 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
         }
         queued_count = waiting_steps.shape[1] + block_step_count
         new_sample_count = max(0, (queued_count - 2 * reach_steps - 1) // steps_per_sample + 1)
-        step_queue = np.empty(
-            (
-                len(waiting_steps),
-                max(queued_count, *(delay_filter.reach(new_sample_count) for _, delay_filter in delay_filters)),
-            )
-        )
+        reached_count = max(delay_filter.reach(new_sample_count) for _, delay_filter in delay_filters)
+        step_queue = np.empty((len(waiting_steps), max(queued_count, reached_count)))
         step_queue[:, : waiting_steps.shape[1]] = waiting_steps
         step_queue[:force_count, waiting_steps.shape[1] : queued_count] = block.forces_n
         step_queue[force_count:, waiting_steps.shape[1] : queued_count] = block.sensed
@@ -145,11 +137,8 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
                 quantity: _sensor_outputs(rig, quantity, filtered_rows[force_count:], noise_streams)
                 for quantity in quantities_of(rig)
             }
-            yield Samples(
-                filtered_rows[:force_count],
-                sensor_values,
-                {name: rows[:, :new_sample_count] for name, rows in truth_values.items()},
-            )
+            truth = {name: rows[:, :new_sample_count] for name, rows in truth_values.items()}
+            yield Samples(filtered_rows[:force_count], sensor_values, truth)
             truth_values = {name: rows[:, new_sample_count:] for name, rows in truth_values.items()}
 
 
@@ -165,9 +154,8 @@ class _HighPass:
     def of(cls, sensor: Sensor, sample_rate_hz: float) -> "_HighPass | None":
         if not sensor.high_pass_hz:
             return None
-        numerator, denominator = scipy.signal.bilinear(
-            [1.0, 0.0], [1.0, 2 * np.pi * sensor.high_pass_hz], sample_rate_hz
-        )
+        corner_rad_per_s = 2 * np.pi * sensor.high_pass_hz
+        numerator, denominator = scipy.signal.bilinear([1.0, 0.0], [1.0, corner_rad_per_s], sample_rate_hz)
         return cls(numerator, denominator, np.zeros(1))
 
     def high_passed(self, samples: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
@@ -178,16 +166,12 @@ class _HighPass:
 def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tuple[list[int], Decimator]]:
     """Filters by delay, each with the rows that have this delay: forces (none), then sensors."""
     delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
-    delay_filters = []
+    filters = []
     for delay_s in dict.fromkeys(delays_s):
-        row_indices = [row for row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
-        delay_filters.append(
-            (
-                row_indices,
-                decimator(_sinc_taps(steps_per_sample, reach_steps, delay_s * rig.sample_rate_hz), steps_per_sample),
-            )
-        )
-    return delay_filters
+        rows = [row for row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
+        taps = _sinc_taps(steps_per_sample, reach_steps, delay_s * rig.sample_rate_hz)
+        filters.append((rows, decimator(taps, steps_per_sample)))
+    return filters
 
 
 def _apply_filters(
@@ -195,34 +179,29 @@ def _apply_filters(
 ) -> Float[np.ndarray, "rows samples"]:
     if len(delay_filters) == 1:
         return decimate(delay_filters[0][1], step_queue, sample_count)
-    filtered_rows = np.empty((len(step_queue), sample_count))
-    for row_indices, delay_filter in delay_filters:
-        filtered_rows[row_indices] = decimate(delay_filter, step_queue[row_indices], sample_count)
-    return filtered_rows
+    filtered = np.empty((len(step_queue), sample_count))
+    for rows, delay_filter in delay_filters:
+        filtered[rows] = decimate(delay_filter, step_queue[rows], sample_count)
+    return filtered
 
 
 def _sensor_outputs(
-    rig: Rig,
-    quantity: QuantityName,
-    filtered_rows: Float[np.ndarray, "sensors samples"],
-    noise_streams: list[np.random.Generator],
+    rig: Rig, quantity: QuantityName, rows: Float[np.ndarray, "sensors samples"], streams: list[np.random.Generator]
 ) -> Float[np.ndarray, "some samples"]:
-    return np.stack(
-        [
-            _sensor_output(sensor, samples, rig.sample_rate_hz, noise_stream)
-            for sensor, samples, noise_stream in zip(rig.sensors, filtered_rows, noise_streams, strict=True)
-            if sensor.quantity == quantity
-        ]
-    )
+    outputs = [
+        _sensor_output(sensor, row, rig.sample_rate_hz, stream)
+        for sensor, row, stream in zip(rig.sensors, rows, streams, strict=True)
+        if sensor.quantity == quantity
+    ]
+    return np.stack(outputs)
 
 
 def _sensor_output(
     sensor: Sensor, true_values: Float[np.ndarray, " samples"], sample_rate_hz: float, noise_stream: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
     noise_rms = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
-    values = sensor.gain * true_values + (
-        noise_rms * noise_stream.standard_normal(true_values.size) if noise_rms else 0.0
-    )
+    noise = noise_rms * noise_stream.standard_normal(true_values.size) if noise_rms else 0.0
+    values = sensor.gain * true_values + noise
     if sensor.measuring_range is not None:
         values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
         if sensor.bits is not None:
@@ -233,17 +212,15 @@ def _sensor_output(
 
 def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
     """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
-    time_samples = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
-    half_width_samples = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
-    in_window = np.abs(time_samples) < half_width_samples
-    window_weights = np.zeros(time_samples.size)
-    window_times = np.linspace(-half_width_samples, half_width_samples, 4096)
-    window_weights[in_window] = np.interp(
-        time_samples[in_window], window_times, scipy.signal.windows.kaiser(window_times.size, 10.0)
-    )
-    taps = window_weights * np.sinc(time_samples)
+    times = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
     if steps_per_sample == 1 and delay_samples == 0:
-        return (time_samples == 0).astype(float)
+        return (times == 0).astype(float)
+    half_width = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
+    in_window, weights = np.abs(times) < half_width, np.zeros(times.size)
+    window_times = np.linspace(-half_width, half_width, 4096)
+    kaiser = scipy.signal.windows.kaiser(window_times.size, 10.0)
+    weights[in_window] = np.interp(times[in_window], window_times, kaiser)
+    taps = weights * np.sinc(times)
     return taps / taps.sum()
 
 

@@ -43,25 +43,19 @@ class Axes:
         The viewer draws labels below their points: the label of y is below the end of its line.
         """
         x_ticks, y_ticks = (decades(*ends) if self.is_logarithmic else tick_values(*ends) for ends in (self.x, self.y))
-        x_tick_points = self.points(x_ticks, np.full(x_ticks.size, self.y[0])).tolist()
-        y_tick_points = self.points(np.full(y_ticks.size, self.x[0]), y_ticks).tolist()
-        grid_lines = [[[tick_x, 0], [tick_x, -HEIGHT]] for tick_x, _ in x_tick_points] + [
-            [[-0.25, tick_y], [WIDTH, tick_y]] for _, tick_y in y_tick_points
-        ]
-        frame_line = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
-        colours = [GRID] * len(grid_lines) + [STEEL]
-        send_static(
-            stream, f"{path}/grid", rr.LineStrips2D([*grid_lines, frame_line], colors=colours, radii=pixels(0.5))
-        )
-        label_positions = [[tick_x, 0.5 * LABEL_HALF_HEIGHT] for tick_x, _ in x_tick_points] + [
-            [-0.15, tick_y] for _, tick_y in y_tick_points
-        ]
-        label_positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
-        label_texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
-        send_labels(stream, f"{path}/figures", label_positions, label_texts, STEEL)
-        for legend_row, (name, colour) in enumerate(colour_by_name.items()):
-            name_position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * legend_row]
-            send_labels(stream, f"{path}/legend/{legend_row}", [name_position], [name], colour)
+        xs = self.points(x_ticks, np.full(x_ticks.size, self.y[0]))[:, 0].tolist()
+        ys = self.points(np.full(y_ticks.size, self.x[0]), y_ticks)[:, 1].tolist()
+        grid = [[[x, 0], [x, -HEIGHT]] for x in xs] + [[[-0.25, y], [WIDTH, y]] for y in ys]
+        frame = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
+        colours = [GRID] * len(grid) + [STEEL]
+        send_static(stream, f"{path}/grid", rr.LineStrips2D([*grid, frame], colors=colours, radii=pixels(0.5)))
+        positions = [[x, 0.5 * LABEL_HALF_HEIGHT] for x in xs] + [[-0.15, y] for y in ys]
+        positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
+        texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
+        send_labels(stream, f"{path}/figures", positions, texts, STEEL)
+        for row, (name, colour) in enumerate(colour_by_name.items()):
+            position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * row]
+            send_labels(stream, f"{path}/legend/{row}", [position], [name], colour)
 
 
 def axes_view(
@@ -74,12 +68,10 @@ def axes_view(
 
 def tick_values(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
-    power_of_ten = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICKS))
-    tick_step = power_of_ten * next(
-        multiple for multiple in (1, 2, 5, 10, 20) if multiple * power_of_ten * (MAX_TICKS - 1) >= highest - lowest
-    )
-    first_step = np.ceil(lowest / tick_step - 1e-9) + 0.0  # not -0
-    return tick_step * np.arange(first_step, np.floor(highest / tick_step + 1e-9) + 1)
+    power, span = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICKS)), highest - lowest
+    step = power * next(multiple for multiple in (1, 2, 5, 10, 20) if multiple * power * (MAX_TICKS - 1) >= span)
+    first = np.ceil(lowest / step - 1e-9) + 0.0  # not -0
+    return step * np.arange(first, np.floor(highest / step + 1e-9) + 1)
 
 
 def decades(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:

@@ -11,16 +11,7 @@ from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
-from rig.viewer.drawing import (
-    DIAGNOSIS,
-    GAP_OVER_TIME,
-    KEY,
-    LEGEND_ROWS,
-    PREDICTION,
-    TIMELINE,
-    entity,
-    legend_of,
-)
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROWS, PREDICTION, TIMELINE, entity, legend_of
 from rig.viewer.palette import MEANINGS
 from rig.viewer.spectra import ShownSpectra
 
@@ -181,36 +172,19 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
         )
         for contact in layout.rig.contacts
     ]
-    force_plots, force_source = [], layout.contact_force
-    if force_source is not None:
-        force_plots = [
-            _plot_view(layout, "contact_force", f"{force_source.capitalize()} contact force, N", thinning_note)
-        ]
-    phase_views = [_phase_view(layout, contact) for contact in layout.rig.contacts]
-    name = "Force over displacement" if force_plots else "Histograms"
-    are_many = len(phase_views) > MAX_SIDE_BY_SIDE
-    law_views = (
-        [rrb.Tabs(*phase_views, name=name) if are_many else rrb.Horizontal(*phase_views, name=name)]
-        if phase_views
-        else []
-    )
-    time_column = rrb.encodings.TimelineColumn(TIMELINE)
-    body_column = rrb.encodings.TextLogColumn("Body")
-    events_view = rrb.TextLogView(
-        origin="/events",
-        name="Closings and openings",
-        columns=rrb.TextLogColumns(timeline_columns=[time_column], text_log_columns=[body_column]),
-    )
-    force_view = _plot_view(layout, "exciting_force", "Exciting force, N")
-    diagnosis_views = _diagnosis_views() if layout.has_diagnosis else []
-    tabs = [
-        *diagnosis_views,
-        *law_views,
-        *force_plots,
-        *([events_view] if displacement_plots else []),
-        force_view,
-        *sensor_plots,
-    ]
+    tabs: list[rrb.View | rrb.Container] = [*_diagnosis_views()] if layout.has_diagnosis else []
+    if phase_views := [_phase_view(layout, contact) for contact in layout.rig.contacts]:
+        container = rrb.Tabs if len(phase_views) > MAX_SIDE_BY_SIDE else rrb.Horizontal
+        tabs.append(container(*phase_views, name="Force over displacement" if layout.contact_force else "Histograms"))
+    if layout.contact_force is not None:
+        title = f"{layout.contact_force.capitalize()} contact force, N"
+        tabs.append(_plot_view(layout, "contact_force", title, thinning_note))
+    if displacement_plots:
+        time_column = rrb.encodings.TimelineColumn(TIMELINE)
+        body_column = rrb.encodings.TextLogColumn("Body")
+        columns = rrb.TextLogColumns(timeline_columns=[time_column], text_log_columns=[body_column])
+        tabs.append(rrb.TextLogView(origin="/events", name="Closings and openings", columns=columns))
+    tabs += [_plot_view(layout, "exciting_force", "Exciting force, N"), *sensor_plots]
     return [*displacement_plots, rrb.Tabs(*tabs, active_tab=0)]
 
 
@@ -225,17 +199,13 @@ def _plot_view(
     layout: Layout, origin: str, plot_name: str, thinning_note: str = "", value_range: tuple[float, float] | None = None
 ) -> rrb.Horizontal:
     """View of a time series with its legend beside it."""
+    start, end = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-WINDOW_S, WINDOW_S))
     plot = rrb.TimeSeriesView(
         origin=origin,
         name=plot_name + (f" (1 of {layout.stride} samples{thinning_note})" if layout.stride > 1 else ""),
         plot_legend=rrb.PlotLegend(visible=False),
         axis_y=None if value_range is None else rrb.ScalarAxis(range=value_range),
-        axis_x=rrb.TimeAxis(
-            view_range=rr.TimeRange(
-                start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
-                end=rr.TimeRangeBoundary.cursor_relative(seconds=WINDOW_S),
-            )
-        ),
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
     )
     bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROWS])
     legend = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=bounds)

@@ -84,10 +84,8 @@ class ContactMotion:
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
         law, largest_m = self.contact.law, float(np.abs(self.eta_m).max())
-        wall_distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-        reached_m = [
-            wall_m for wall_m in wall_distances_m if wall_m <= MAX_REACH_RATIO * max(wall_distances_m[0], largest_m)
-        ]
+        distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+        reached_m = (wall_m for wall_m in distances_m if wall_m <= MAX_REACH_RATIO * max(distances_m[0], largest_m))
         return 1.2e3 * max([largest_m, *reached_m]) or 1.0
 
     @property
@@ -118,12 +116,8 @@ class ContactMotion:
         is_plotted = maximum_filter1d(self.is_closed.view(np.uint8), 2 * reach_samples + 1, mode="constant").view(bool)
         is_plotted[:: self.stride] = True
         is_plotted[self.frame_samples] = True
-        plotted_samples = np.flatnonzero(is_plotted)
-        return (
-            plotted_samples[:: -(-plotted_samples.size // MAX_PLOTTED_SAMPLES)]
-            if plotted_samples.size
-            else plotted_samples
-        )
+        samples = np.flatnonzero(is_plotted)
+        return samples[:: max(1, -(-samples.size // MAX_PLOTTED_SAMPLES))]
 
     @property
     def frame_colours(self) -> UInt8[np.ndarray, "frames 3"]:
@@ -136,80 +130,54 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
     of labels: right, left and before the trail.
     """
-    entity_path = entity("close_up", motion.contact.name)
-    law = motion.contact.law
-    half_width_mm = 1.1 * motion.reach_mm
+    path = entity("close_up", motion.contact.name)
+    law, frames = motion.contact.law, motion.frame_samples
+    half_mm = 1.1 * motion.reach_mm
+    time_s, now_x_mm = motion.time_s[frames], 0.15 * half_mm
+    offsets = np.linspace(-TRAIL_S * motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
+    trail_samples = np.maximum(frames[:, None] + offsets, 0)
     if motion.orbit is None:
-        _send_walls(stream, entity_path, motion, half_width_mm)
+        _send_walls(stream, path, motion, half_mm)
+        points = np.empty((frames.size, TRAIL_POINTS, 2))
+        points[..., 0] = now_x_mm + (half_mm + now_x_mm) * offsets / -offsets[0]
+        points[..., 1] = -1e3 * motion.eta_m[trail_samples]
     else:
-        send_rings(stream, entity_path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
-    time_s = motion.time_s[motion.frame_samples]
-    now_x_mm = 0.15 * half_width_mm
-    trail_offsets = np.linspace(-TRAIL_S * motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
-    trail_samples = np.maximum(motion.frame_samples[:, None] + trail_offsets, 0)
-    if motion.orbit is None:
-        trail_points = np.empty((motion.frame_samples.size, TRAIL_POINTS, 2))
-        trail_points[..., 0] = now_x_mm + (half_width_mm + now_x_mm) * trail_offsets / -trail_offsets[0]
-        trail_points[..., 1] = -1e3 * motion.eta_m[trail_samples]
-    else:
-        trail_points = motion.orbit.points_mm[trail_samples]
-    send_static(
-        stream, f"{entity_path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)])
-    )
-    send(stream, f"{entity_path}/trail", time_s, rr.LineStrips2D, strips=trail_points)
-    send_static(stream, f"{entity_path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
-    send(
-        stream, f"{entity_path}/point", time_s, rr.Points2D, positions=trail_points[:, -1], colors=motion.frame_colours
-    )
+        send_rings(stream, path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
+        points = motion.orbit.points_mm[trail_samples]
+    colours, texts = motion.frame_colours, _reading_texts(motion)
+    send_static(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)]))
+    send(stream, f"{path}/trail", time_s, rr.LineStrips2D, strips=points)
+    send_static(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
+    send(stream, f"{path}/point", time_s, rr.Points2D, positions=points[:, -1], colors=colours)
     reading_position = [[0, -1.5 * motion.reach_mm]]
-    send_static(stream, f"{entity_path}/reading", rr.Points2D.from_fields(positions=reading_position, radii=[0]))
-    send(
-        stream,
-        f"{entity_path}/reading",
-        time_s,
-        rr.Points2D,
-        labels=_reading_texts(motion),
-        colors=motion.frame_colours,
-    )
+    send_static(stream, f"{path}/reading", rr.Points2D.from_fields(positions=reading_position, radii=[0]))
+    send(stream, f"{path}/reading", time_s, rr.Points2D, labels=texts, colors=colours)
     if motion.until_s is not None:
         stream.set_time(TIMELINE, duration=motion.until_s)
-        for part_name in ("trail", "point"):
-            stream.log(f"{entity_path}/{part_name}", rr.Clear(recursive=False))
-        stream.log(f"{entity_path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
+        for part in ("trail", "point"):
+            stream.log(f"{path}/{part}", rr.Clear(recursive=False))
+        stream.log(f"{path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
 
 
-def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMotion, half_width_mm: float) -> None:
+def _send_walls(stream: rr.RecordingStream, path: str, motion: ContactMotion, half_mm: float) -> None:
     """Send the walls with their hatching and labels, those of overlaid laws dashed, and the middle."""
-    law = motion.contact.law
-    hatch_ends, wall_colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
-    for wall_y_mm, outward in _wall_levels(law):
-        hatch_lines = [
-            [[hatch_x_mm, wall_y_mm], [hatch_x_mm - 0.05 * half_width_mm, wall_y_mm + outward * 0.05 * half_width_mm]]
-            for hatch_x_mm in hatch_ends[1:]
-        ]
-        wall_lines = [[[-half_width_mm, wall_y_mm], [half_width_mm, wall_y_mm]], *hatch_lines]
-        send_static(
-            stream,
-            f"{entity_path}/{SIDE_NAMES[outward]}",
-            rr.LineStrips2D(wall_lines, colors=[wall_colour], radii=pixels(1.5)),
-        )
-    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_TO_REACH[0], wall_colour)
-    for label_x_to_reach, (law_source, overlaid_law) in zip(
-        LABEL_X_TO_REACH[1:], motion.overlaid_laws.items(), strict=False
-    ):
-        dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
-        dash_lines = [
-            [[dash_start_mm, wall_y_mm], [dash_end_mm, wall_y_mm]]
-            for wall_y_mm, _ in _wall_levels(overlaid_law)
-            for dash_start_mm, dash_end_mm in dash_ends
-        ]
-        dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
-        send_static(stream, f"{entity_path}/{law_source}", dash_strips)
-        _send_wall_labels(
-            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_x_to_reach, SOURCES[law_source]
-        )
-    zero_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
-    send_static(stream, f"{entity_path}/middle", zero_line)
+    law, colour = motion.contact.law, SOURCES[motion.wall_source]
+    slope_mm = 0.05 * half_mm
+    for y_mm, outward in _wall_levels(law):
+        hatch_x_mm = np.linspace(-half_mm, half_mm, HATCH_COUNT + 1)[1:]
+        hatching = [[[x_mm, y_mm], [x_mm - slope_mm, y_mm + outward * slope_mm]] for x_mm in hatch_x_mm]
+        strips = rr.LineStrips2D([[[-half_mm, y_mm], [half_mm, y_mm]], *hatching], colors=[colour], radii=pixels(1.5))
+        send_static(stream, f"{path}/{SIDE_NAMES[outward]}", strips)
+    _send_wall_labels(stream, f"{path}/{motion.wall_source}", motion, law, LABEL_X_TO_REACH[0], colour)
+    dashes_mm = np.linspace(-half_mm, half_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
+    for x_to_reach, (source, overlaid) in zip(LABEL_X_TO_REACH[1:], motion.overlaid_laws.items(), strict=False):
+        colour = SOURCES[source]
+        lines = [[[start, y_mm], [end, y_mm]] for y_mm, _ in _wall_levels(overlaid) for start, end in dashes_mm]
+        strips = rr.LineStrips2D(lines, colors=[colour], radii=pixels(1.25), draw_order=40.0)
+        send_static(stream, f"{path}/{source}", strips)
+        _send_wall_labels(stream, f"{path}/{source}", motion, overlaid, x_to_reach, colour)
+    zero_line = rr.LineStrips2D([[[-half_mm, 0], [half_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
+    send_static(stream, f"{path}/middle", zero_line)
 
 
 def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
@@ -218,83 +186,50 @@ def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
 
 
 def _send_wall_labels(
-    stream: rr.RecordingStream,
-    entity_path: str,
-    motion: ContactMotion,
-    law: ContactLaw,
-    label_x_to_reach: float,
-    colour: Colour,
+    stream: rr.RecordingStream, path: str, motion: ContactMotion, law: ContactLaw, x_to_reach: float, colour: Colour
 ) -> None:
-    law_source = entity_path.rpartition("/")[2]
-    for wall_y_mm, outward in _wall_levels(law):
-        label_position = [label_x_to_reach * motion.reach_mm, wall_y_mm - 0.28 * motion.reach_mm * (outward < 0)]
-        send_labels(
-            stream,
-            f"{entity_path}/{SIDE_NAMES[outward]}",
-            [label_position],
-            [f"{law_source} {-wall_y_mm:+.4g} mm"],
-            colour,
-        )
+    source = path.rpartition("/")[2]
+    for y_mm, outward in _wall_levels(law):
+        position = [x_to_reach * motion.reach_mm, y_mm - 0.28 * motion.reach_mm * (outward < 0)]
+        send_labels(stream, f"{path}/{SIDE_NAMES[outward]}", [position], [f"{source} {-y_mm:+.4g} mm"], colour)
 
 
 def _reading_texts(motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
-    reading_texts, sign_format = [], "+" if motion.orbit is None else ""
-    for frame_sample in motion.frame_samples:
-        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:{sign_format}.1f} N"
-        depth_text = (
-            f"{1e3 * abs(motion.depth_m[frame_sample]):.2f} mm deep{force_text}, closed"
-            if motion.is_closed[frame_sample]
-            else "free"
-        )
-        reading_texts.append(f"{motion.in_mm(motion.eta_m[frame_sample], '.2f')} mm, {depth_text}")
-    return reading_texts
+    texts, sign_format = [], "+" if motion.orbit is None else ""
+    for sample in motion.frame_samples:
+        state = "free"
+        if motion.is_closed[sample]:
+            force = "" if motion.force_n is None else f", {motion.force_n[sample]:{sign_format}.1f} N"
+            state = f"{1e3 * abs(motion.depth_m[sample]):.2f} mm deep{force}, closed"
+        texts.append(f"{motion.in_mm(motion.eta_m[sample], '.2f')} mm, {state}")
+    return texts
 
 
 def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
-    entity_path, end_times_s = (entity("relative_displacement", motion.contact.name), motion.time_s[[0, -1]])
+    path, end_times_s = entity("relative_displacement", motion.contact.name), motion.time_s[[0, -1]]
     legend = [(motion.contact.name, motion.colour)]
-    law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
-    for layer, (law_source, law) in enumerate(law_by_source.items()):  # the viewer draws in the order of the paths
-        wall_positions_m = [wall_m for wall_m, _ in walls_m(law)]
-        wall_texts = [motion.in_mm(wall_m, ".4g") for wall_m in wall_positions_m]
-        send_lines(
-            stream,
-            f"{entity_path}/{layer}_{law_source}",
-            end_times_s,
-            np.tile(1e3 * np.array(wall_positions_m)[:, None], 2),
-            [f"{law_source} {wall_text} mm" for wall_text in wall_texts],
-            (SOURCES[law_source],),
-            LAYER_WIDTHS_PX[min(layer, 1)],
-        )
-        unsigned_texts = {wall_text.lstrip("+-") for wall_text in wall_texts}
-        if len(unsigned_texts) < len(wall_texts):
-            wall_texts = [f"\u00b1{unsigned_texts.pop()}"]
-        legend += [(f"{law_source} {wall_text}", SOURCES[law_source]) for wall_text in wall_texts]
-    displacement_mm = 1e3 * motion.eta_m[None, motion.plotted_samples]
-    send_lines(
-        stream,
-        f"{entity_path}/value",
-        motion.time_s[motion.plotted_samples],
-        displacement_mm,
-        [motion.contact.name],
-        (motion.colour,),
-    )
-    for (change_name, marker_shape, mark_sign), change_samples in zip(
-        CHANGE_MARKS, _change_samples(motion), strict=True
-    ):
-        mark_style = rr.SeriesPoints(colors=[CLOSED], names=[change_name], markers=[marker_shape], marker_sizes=[4.0])
-        send_static(stream, f"{entity_path}/{change_name}", mark_style)
-        send(
-            stream,
-            f"{entity_path}/{change_name}",
-            motion.time_s[change_samples],
-            rr.Scalars,
-            scalars=1e3 * motion.eta_m[change_samples],
-        )
-        legend.append((f"{mark_sign} {change_name}", CLOSED))
-    send_legend(stream, entity_path, legend)
+    laws = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
+    for layer, (source, law) in enumerate(laws.items()):  # the viewer draws in the order of the paths
+        positions_m = [wall_m for wall_m, _ in walls_m(law)]
+        texts, colour = [motion.in_mm(wall_m, ".4g") for wall_m in positions_m], SOURCES[source]
+        levels_mm, names = np.tile(1e3 * np.array(positions_m)[:, None], 2), [f"{source} {text} mm" for text in texts]
+        width_px = LAYER_WIDTHS_PX[min(layer, 1)]
+        send_lines(stream, f"{path}/{layer}_{source}", end_times_s, levels_mm, names, (colour,), width_px)
+        unsigned = {text.lstrip("+-") for text in texts}
+        if len(unsigned) < len(texts):
+            texts = [f"\u00b1{unsigned.pop()}"]
+        legend += [(f"{source} {text}", colour) for text in texts]
+    time_s, eta_mm = motion.time_s[motion.plotted_samples], 1e3 * motion.eta_m[None, motion.plotted_samples]
+    send_lines(stream, f"{path}/value", time_s, eta_mm, [motion.contact.name], (motion.colour,))
+    for (change, shape, sign), samples in zip(CHANGE_MARKS, _change_samples(motion), strict=True):
+        style = rr.SeriesPoints(colors=[CLOSED], names=[change], markers=[shape], marker_sizes=[4.0])
+        send_static(stream, f"{path}/{change}", style)
+        eta_mm = 1e3 * motion.eta_m[samples]
+        send(stream, f"{path}/{change}", motion.time_s[samples], rr.Scalars, scalars=eta_mm)
+        legend.append((f"{sign} {change}", CLOSED))
+    send_legend(stream, path, legend)
 
 
 def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:

@@ -35,17 +35,14 @@ class Deflection:
 
         Zero in a direction without stations.
         """
-        station_rows = [
-            i for i, station in enumerate(self.stations) if (station.body, station.direction) == (body.name, direction)
-        ]
-        if not station_rows:
+        rows = [k for k, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
+        if not rows:
             return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
-        stations_m = np.array([self.stations[row].position_m for row in station_rows])
-        mode_count = min(len(station_rows), body.max_modes)
+        stations_m = np.array([self.stations[row].position_m for row in rows])
+        mode_count = min(len(rows), body.max_modes)
         inverse_shapes = np.linalg.pinv(body.shapes(stations_m, mode_count), rcond=1e-3)
-        return np.asarray(
-            body.shapes(positions_m, mode_count) @ inverse_shapes @ self.displacement_m[station_rows][:, samples]
-        )
+        displacement_m = self.displacement_m[rows][:, samples]
+        return np.asarray(body.shapes(positions_m, mode_count) @ inverse_shapes @ displacement_m)
 
     def displacement_at(self, station: Station) -> Float[np.ndarray, " samples"]:
         """Displacement at a station, m: as measured there, else from the body's modes."""

@@ -36,13 +36,11 @@ def send_static(stream: rr.RecordingStream, path: str, components: rr.AsComponen
 def send(
     stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], archetype: Any, **columns: Any
 ) -> None:
-    """Send columns of an archetype over time, in batches of ROWS."""
-    for first_row in range(0, time_s.size, ROWS_PER_BATCH):
-        batch_rows = slice(first_row, first_row + ROWS_PER_BATCH)
-        time_column = rr.TimeColumn(TIMELINE, duration=time_s[batch_rows])
-        stream.send_columns(
-            path, [time_column], archetype.columns(**{name: values[batch_rows] for name, values in columns.items()})
-        )
+    """Send columns of an archetype over time, in batches of ROWS_PER_BATCH."""
+    for first in range(0, time_s.size, ROWS_PER_BATCH):
+        rows = slice(first, first + ROWS_PER_BATCH)
+        values = archetype.columns(**{name: column[rows] for name, column in columns.items()})
+        stream.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time_s[rows])], values)
 
 
 def send_lines(
@@ -77,11 +75,9 @@ def send_legend(stream: rr.RecordingStream, origin: str, name_colours: Sequence[
     column_count = 1 if len(name_colours) <= LEGEND_ROWS else 2
     row_count = max(LEGEND_ROWS, -(-len(name_colours) // column_count))
     for index, (name, colour) in enumerate(name_colours):
-        label_position = [
-            1.2 * (2 * (index % column_count) - column_count + 1),
-            LEGEND_ROWS / row_count * (index // column_count),
-        ]
-        send_labels(stream, f"{legend_of(origin)}/{index}", [label_position], [name], colour)
+        row, column = divmod(index, column_count)
+        position = [1.2 * (2 * column - column_count + 1), LEGEND_ROWS / row_count * row]
+        send_labels(stream, f"{legend_of(origin)}/{index}", [position], [name], colour)
 
 
 def pixels(radius_px: float) -> float:

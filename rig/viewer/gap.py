@@ -115,28 +115,21 @@ def read_corrected(path: Path, rig: Rig) -> Rig | None:
     if not rig_path.exists():
         return None
     corrected_rig = read_rig(rig_path)
-    part_names = [
-        (
-            [body.name for body in compared_rig.bodies],
-            [contact.name for contact in compared_rig.contacts],
-            compared_rig.forces,
-        )
-        for compared_rig in (corrected_rig, rig)
-    ]
-    if part_names[0] != part_names[1] or corrected_rig.sample_rate_hz != rig.sample_rate_hz:
+
+    def parts_of(compared: Rig) -> tuple[object, ...]:
+        names = [body.name for body in compared.bodies], [contact.name for contact in compared.contacts]
+        return *names, compared.forces, compared.sample_rate_hz
+
+    if parts_of(corrected_rig) != parts_of(rig):
         raise RigError(f"{rig_path}: is of another rig than the recording; take the folder of its own diagnosis")
     return corrected_rig
 
 
 def _decode_gap(gap_path: Path) -> _Gap:
     report = decoded_result(contents(gap_path), _Gap, str(gap_path), "gap.json", "make one by `identify gap`")
-    attribution = report.attribution
-    station_shares = (
-        share for share_by_position in attribution.positions_m.values() for share in share_by_position.values()
-    )
-    if not all(
-        0 <= share <= 1.001 for share in (*station_shares, *(interval.share for interval in attribution.time_s))
-    ):
+    shares = [interval.share for interval in report.attribution.time_s]
+    shares += [share for shares_of_body in report.attribution.positions_m.values() for share in shares_of_body.values()]
+    if not all(0 <= share <= 1.001 for share in shares):
         raise RigError(f"{gap_path}: is no gap.json (a share is not within 0 to 1); make one by `identify gap`")
     return report
 
@@ -186,16 +179,10 @@ def _force_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
 
 def _markdown_text(report: _Gap) -> str:
     """Markdown text: verdict, its sentence, that of the unmeasured force, and the mismatch by contact state."""
-    states_text = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
-    return "\n\n".join(
-        [
-            f"**{report.verdict.replace('_', ' ').capitalize()}**",
-            report.sentence,
-            *([report.unknown.sentence] if report.unknown else []),
-            *(
-                [f"Share of the gap by the state of the contacts: {states_text}."]
-                if states_text and report.verdict not in UNLOCATED_VERDICTS
-                else []
-            ),
-        ]
-    )
+    paragraphs = [f"**{report.verdict.replace('_', ' ').capitalize()}**", report.sentence]
+    if report.unknown:
+        paragraphs.append(report.unknown.sentence)
+    states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
+    if states and report.verdict not in UNLOCATED_VERDICTS:
+        paragraphs.append(f"Share of the gap by the state of the contacts: {states}.")
+    return "\n\n".join(paragraphs)

@@ -23,31 +23,22 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
     """
     send_static(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
     for index, (station, share) in enumerate(gap.share_by_station.items()):
-        share_label = [f"{100 * share:.0f} %"] if share >= MIN_LABELLED_SHARE else None
+        labels = [f"{100 * share:.0f} %"] if share >= MIN_LABELLED_SHARE else None
         radius_px = 2.0 + 6.0 * float(np.sqrt(share / max(gap.share_by_station.values(), default=1.0)))
-        entity_path = f"model/gap/share_{index}"
-        send_static(
-            stream,
-            entity_path,
-            rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius_px)], labels=share_label),
-        )
-        send(stream, entity_path, scene.time_s, rr.Points3D, positions=scene.point(station))
+        path = f"model/gap/share_{index}"
+        style = rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius_px)], labels=labels)
+        send_static(stream, path, style)
+        send(stream, path, scene.time_s, rr.Points3D, positions=scene.point(station))
     for index, mark in enumerate(gap.marks):
-        entity_path, positions = f"model/gap/mark_{index}", scene.point(mark.station)
+        path, positions = f"model/gap/mark_{index}", scene.point(mark.station)
         strengths = _strengths(mark, gap, scene.time_s, _closed_frames(scene, contact_motions))
-        negative_radii_px = -14.0 * strengths  # negative: pixels
-        send_static(stream, entity_path, rr.Points3D.from_fields(colors=[GAP]))
-        send(stream, entity_path, scene.time_s, rr.Points3D, positions=positions, radii=negative_radii_px)
-        send_static(stream, f"{entity_path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
-        label_positions = positions + np.array([0, 0, (0.12 + 0.07 * index) * scene.extent_m])
-        send(
-            stream,
-            f"{entity_path}/words",
-            scene.time_s,
-            rr.Points3D,
-            positions=label_positions,
-            labels=np.where(strengths > 0, mark.words, ""),
-        )
+        radii_px = -14.0 * strengths  # negative: pixels
+        send_static(stream, path, rr.Points3D.from_fields(colors=[GAP]))
+        send(stream, path, scene.time_s, rr.Points3D, positions=positions, radii=radii_px)
+        send_static(stream, f"{path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
+        above = positions + np.array([0, 0, (0.12 + 0.07 * index) * scene.extent_m])
+        words = np.where(strengths > 0, mark.words, "")
+        send(stream, f"{path}/words", scene.time_s, rr.Points3D, positions=above, labels=words)
     edges_s = np.array([edge_s for start_s, end_s, _ in gap.share_spans for edge_s in (start_s, end_s - 1e-6)])
     share_percent = np.array([100 * share for _, _, share in gap.share_spans for _ in range(2)])
     send_lines(stream, GAP_OVER_TIME, edges_s, share_percent[None], ["share of the gap"], (GAP,))
@@ -56,10 +47,9 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
 def _closed_frames(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bool[np.ndarray, " frames"]:
     """Frames at which a contact is closed."""
     is_closed = np.zeros(scene.time_s.size, dtype=bool)
-    for contact_motion in contact_motions:
-        is_closed[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frame_samples] - 1e-9)] |= (
-            contact_motion.is_closed[contact_motion.frame_samples]
-        )
+    for motion in contact_motions:
+        frames = np.searchsorted(scene.time_s, motion.time_s[motion.frame_samples] - 1e-9)
+        is_closed[frames] |= motion.is_closed[motion.frame_samples]
     return is_closed
 
 

@@ -50,9 +50,8 @@ class Curves:
 
     def interpolate(self, time_s: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "2 contacts samples"]:
         """Relative displacements and forces at other times within the curves, by cubic splines."""
-        return np.asarray(
-            CubicSpline(self.time_s, np.stack([self.relative_displacement_m, self.force_n]), axis=2)(time_s)
-        )
+        spline = CubicSpline(self.time_s, np.stack([self.relative_displacement_m, self.force_n]), axis=2)
+        return np.asarray(spline(time_s))
 
     def covered_samples(self, time_s: Float[np.ndarray, " samples"]) -> slice:
         """Samples within the time of the curves."""
@@ -78,12 +77,9 @@ def read_identified(path: Path, rig: Rig, duration_s: float) -> IdentifiedContac
     """
     report_path = path / "contact.json" if path.is_dir() else path
     laws = identified_laws(report_path, rig)
-    curve_files = [
-        candidate
-        for candidate in (report_path.with_name("motion.parquet"), report_path.with_name("motion.csv"))
-        if candidate.exists()
-    ]
-    return IdentifiedContacts(laws, _curves(curve_files[0], rig, duration_s) if curve_files else None)
+    candidates = (report_path.with_name(name) for name in ("motion.parquet", "motion.csv"))
+    curves_path = next((path for path in candidates if path.exists()), None)
+    return IdentifiedContacts(laws, _curves(curves_path, rig, duration_s) if curves_path else None)
 
 
 def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:

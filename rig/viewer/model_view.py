@@ -52,9 +52,8 @@ def _send_body(stream: rr.RecordingStream, scene: Stage, body: Body, colour: Col
         block_style = rr.Boxes3D.from_fields(half_sizes=[scene.half_sizes(body)], colors=[colour], fill_mode="solid")
         send_static(stream, entity_path, block_style)
         send(stream, entity_path, scene.time_s, rr.Boxes3D, centers=scene.centre(body))
-    send_static(
-        stream, f"{entity_path}/rest", rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75))
-    )
+    rest = rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75))
+    send_static(stream, f"{entity_path}/rest", rest)
     if (support := scene.support(body)) is not None:
         send_static(stream, f"{entity_path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
     name_style = rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name], show_labels=True)

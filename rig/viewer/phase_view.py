@@ -23,31 +23,24 @@ def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """
     if motion.force_n is None:
         return
-    entity_path = entity("phase", motion.contact.name)
+    path = entity("phase", motion.contact.name)
     largest_n = 1.1 * float(np.abs(motion.force_n).max()) or 1.0
     lowest_n, eta_name = (-largest_n, DISPLACEMENT) if motion.orbit is None else (0.0, DISTANCE)
     axes = Axes(motion.range_mm, (lowest_n, largest_n), f"{eta_name}, mm", "force, N")
-    law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
-    axes.send(
-        stream,
-        entity_path,
-        {"force": FORCE} | {f"{law_source} law": SOURCES[law_source] for law_source in law_by_source},
-    )
+    laws = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
+    axes.send(stream, path, {"force": FORCE} | {f"{source} law": SOURCES[source] for source in laws})
     eta_m = np.linspace(motion.eta_m.min(), motion.eta_m.max(), 401)
-    for layer, (law_source, law) in enumerate(law_by_source.items()):
-        law_line = axes.points(1e3 * eta_m, law.force_n(eta_m, np.zeros(eta_m.size)))
-        law_style = {
-            "colors": [SOURCES[law_source]],
-            "radii": pixels(1.0 if layer else 2.25),
-            "draw_order": 10.0 + layer,
-        }
-        send_static(stream, f"{entity_path}/{law_source}", rr.LineStrips2D([law_line], **law_style))
-    line_style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
-    send_static(stream, f"{entity_path}/seen", line_style)
-    force_points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
-    frame_positions = np.searchsorted(motion.plotted_samples, motion.frame_samples)
-    force_strips = [force_points[start_index : stop_index + 1] for start_index, stop_index in pairwise(frame_positions)]
-    send(stream, f"{entity_path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=force_strips)
+    for layer, (source, law) in enumerate(laws.items()):
+        line = axes.points(1e3 * eta_m, law.force_n(eta_m, np.zeros(eta_m.size)))
+        radius = pixels(1.0 if layer else 2.25)
+        strips = rr.LineStrips2D([line], colors=[SOURCES[source]], radii=radius, draw_order=10.0 + layer)
+        send_static(stream, f"{path}/{source}", strips)
+    style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
+    send_static(stream, f"{path}/seen", style)
+    points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
+    frames = np.searchsorted(motion.plotted_samples, motion.frame_samples)
+    strips = [points[start : stop + 1] for start, stop in pairwise(frames)]
+    send(stream, f"{path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=strips)
 
 
 def send_histogram(stream: rr.RecordingStream, motion: ContactMotion) -> None:

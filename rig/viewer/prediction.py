@@ -78,18 +78,17 @@ def predicted_motion(
     window_starts = np.arange(first_sample, end_sample - window_samples + 1, window_samples)
     if not window_starts.size:
         return None
+    displacement_m = motion.displacement_m
     velocity_m_per_s = savgol_filter(
-        motion.displacement_m, SMOOTHED_SAMPLES, POLYNOMIAL_ORDER, deriv=1, delta=1 / rate_hz, axis=1
+        displacement_m, SMOOTHED_SAMPLES, POLYNOMIAL_ORDER, deriv=1, delta=1 / rate_hz, axis=1
     )
-    window_states = np.stack([motion.displacement_m[:, window_starts], velocity_m_per_s[:, window_starts]]).transpose(
-        2, 0, 1
-    )
+    states = np.stack([displacement_m[:, window_starts], velocity_m_per_s[:, window_starts]]).transpose(2, 0, 1)
     forces_n = recording.forces_n[:, : int(window_starts[-1]) + window_samples]
     believed_m, corrected_m = (
-        _join_windows(predict(rig, forces_n, window_starts, window_samples, motion.stations, window_states)[:, 0])
+        _join_windows(predict(rig, forces_n, window_starts, window_samples, motion.stations, states)[:, 0])
         for rig in (recording.rig, corrected_rig)
     )
-    measured_m = motion.displacement_m[:, first_sample : first_sample + window_starts.size * window_samples]
+    measured_m = displacement_m[:, first_sample : first_sample + window_starts.size * window_samples]
     station_errors_m = np.nan_to_num(believed_m - measured_m).std(axis=1)
     shown_row = int(np.argmax(station_errors_m)) if chosen_row is None else chosen_row
     return PredictedMotion(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -22,28 +23,26 @@ VIEW_WORDS = {"y": ", seen from the side, y up", "z": ", seen from below, z up"}
 SLOT_PX, MASS_HALF_PX = 95.0, 34.0
 LETTERS = {"acceleration": "a", "velocity": "v", "displacement": "x", "strain": "\u03b5"}
 
+DrawShape = Callable[[float, float, float], None]
+"""Drawing of a shape at x, from its top to its bottom, px."""
+
 
 def draw(rig: Rig, path: Path) -> None:
     """Draw a rig as SVG, to scale along the bodies; clearances and thicknesses are not to scale.
 
-    Items on a mass are drawn side by side. A rig in space is drawn from the side, and from above below that. Raises
+    Items on a mass are drawn side by side. A rig in space is drawn from the side, and under that from below. Raises
     RigError if the file cannot be written.
     """
     drawing = Drawing()
     for direction, plane in plane_rigs(rig).items():
-        law_by_contact = {contact.name: contact.law for contact in rig.contacts}
-        contacts = tuple(replace(contact, law=law_by_contact[contact.name]) for contact in plane.contacts)
-        force_numbers = [
-            force_number for force_number, station in enumerate(rig.forces, start=1) if station.direction == direction
-        ]
+        laws = {contact.name: contact.law for contact in rig.contacts}
+        contacts = tuple(replace(contact, law=laws[contact.name]) for contact in plane.contacts)
+        numbers = [number for number, force in enumerate(rig.forces, start=1) if force.direction == direction]
         lowest_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
         layout = _layout(replace(plane, contacts=contacts), lowest_px + VIEW_GAP_PX)
         drawing.text(0.0, layout.title_px, f"{rig.name}{VIEW_WORDS[direction] if rig.in_space else ''}", size=16)
-        _draw_view(
-            drawing,
-            layout,
-            [f"F{force_number}" if len(rig.forces) > 1 else "force F" for force_number in force_numbers],
-        )
+        names = [f"F{number}" if len(rig.forces) > 1 else "force F" for number in numbers]
+        _draw_view(drawing, layout, names)
     drawing.write(path)
 
 
@@ -62,11 +61,9 @@ def _draw_view(drawing: Drawing, layout: "_SchematicLayout", force_names: Sequen
     if rig.gravity_m_per_s2:
         drawing.text(0.0, layout.title_px + 38, f"gravity {rig.gravity_m_per_s2:g} m/s\u00b2 downwards", GREY)
     if rig.base_motion:
-        base = rig.base_motion
-        base_words = (
-            f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
-        )
-        drawing.text(0.0, layout.level_px[rig.bodies[0].name] + ATTACHED_PX + 90, base_words, FORCE_INK)
+        base, y_px = rig.base_motion, layout.level_px[rig.bodies[0].name] + ATTACHED_PX + 90
+        words = f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
+        drawing.text(0.0, y_px, words, FORCE_INK)
 
 
 @dataclass(frozen=True)
@@ -111,36 +108,33 @@ def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
 def _items_on(rig: Rig, body: Body) -> Iterator[object]:
     """Items on a mass from left to right, beginning with its own spring."""
     yield body
-    yield from (
-        contact
-        for contact in rig.contacts
-        if body.name in (contact.at.body, contact.against.body if contact.against else "")
-    )
+    for contact in rig.contacts:
+        if body.name in [station.body for station in contact_stations(contact)]:
+            yield contact
     yield from (station for station in dict.fromkeys(rig.forces) if station.body == body.name)
     if any(sensor.station.body == body.name for sensor in rig.sensors):
         yield rig.sensors
-    for components in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
-        yield from (drawn_item for drawn_item in components if drawn_item.station.body == body.name)
+    yield from (component for component in _attachments(rig) if component.station.body == body.name)
+
+
+def _attachments(rig: Rig) -> tuple[Any, ...]:
+    """Components at stations, in the order in which they are drawn on a mass."""
+    return (*rig.masses, *rig.springs, *rig.supports, *rig.dampers, *rig.loads, *rig.tones)
 
 
 def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     level_px, left_px = layout.level_px[body.name], layout.left_px[body.name]
     items = layout.slot_items.get(body.name)
-    width_px = layout.px_per_m * body.length_m if items is None else SLOT_PX * len(items)
-    drawing.box(
-        left_px,
-        layout.top_px(body.name),
-        left_px + width_px,
-        layout.bottom_px(body.name),
-        dashed=bool(len(body.positions_m)),
-    )
+    right_px = left_px + (layout.px_per_m * body.length_m if items is None else SLOT_PX * len(items))
+    top_px, bottom_px = layout.top_px(body.name), layout.bottom_px(body.name)
+    drawing.box(left_px, top_px, right_px, bottom_px, dashed=bool(len(body.positions_m)))
     for x_m in body.positions_m:
         drawing.dot(left_px + layout.px_per_m * float(x_m), level_px, GREY, 2.0)
     if body.clamped:
         drawing.wall(left_px, level_px, 30.0)
     if items is not None:
         drawing.text(left_px + 8, level_px + 4, f"{body.name}: {body.mass_kg:g} kg")
-        x_px, bottom_px = layout.x_px(Station(body.name), body), layout.bottom_px(body.name)
+        x_px = layout.x_px(Station(body.name), body)
         drawing.spring(x_px - 12, bottom_px, bottom_px + ATTACHED_PX)
         drawing.damper(x_px + 14, bottom_px, bottom_px + ATTACHED_PX)
         drawing.ground(x_px, bottom_px + ATTACHED_PX, 60.0)
@@ -151,32 +145,24 @@ def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     size_text = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
     if beam and beam.outer_diameter_m:
         size_text = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
-    drawing.text(
-        left_px, layout.top_px(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size_text}", size=13
-    )
+    drawing.text(left_px, top_px - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size_text}", size=13)
     _draw_ruler(drawing, layout, body)
 
 
 def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
-    rig, left_px, ruler_y_px = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
-    stations = [*rig.forces, *(s for contact in rig.contacts for s in (contact.at, contact.against) if s is not None)]
-    stations += [
-        component.station
-        for components in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
-        for component in components
-    ]
-    labelled_positions_m = sorted(
-        {0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)}
-    )
-    drawing.line((left_px, ruler_y_px), (left_px + layout.px_per_m * body.length_m, ruler_y_px), colour=GREY, width=1.0)
-    labelled_x_px = -1e9
-    for x_m in labelled_positions_m:
+    rig, left_px, y_px = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
+    stations = [*rig.forces, *(station for contact in rig.contacts for station in contact_stations(contact))]
+    stations += [component.station for component in _attachments(rig)]
+    positions_m = {0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)}
+    drawing.line((left_px, y_px), (left_px + layout.px_per_m * body.length_m, y_px), colour=GREY, width=1.0)
+    labelled_px = -1e9
+    for x_m in sorted(positions_m):
         x_px = left_px + layout.px_per_m * x_m
-        drawing.line((x_px, ruler_y_px - 5), (x_px, ruler_y_px + 5), colour=GREY, width=1.0)
-        is_lowered = x_px - labelled_x_px < 48  # beside the one before there is no room
-        drawing.text(x_px, ruler_y_px + (30 if is_lowered else 18), f"{x_m:g} m", GREY, "middle", size=11)
-        labelled_x_px = -1e9 if is_lowered else x_px
+        drawing.line((x_px, y_px - 5), (x_px, y_px + 5), colour=GREY, width=1.0)
+        is_lowered = x_px - labelled_px < 48  # beside the one before there is no room
+        drawing.text(x_px, y_px + (30 if is_lowered else 18), f"{x_m:g} m", GREY, "middle", size=11)
+        labelled_px = -1e9 if is_lowered else x_px
 
 
 def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
@@ -267,30 +253,18 @@ def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
         if layout.rig.is_on_ground(station):
             continue
         x_px, top_px = layout.x_px(station, layout.rig.sensors), layout.top_px(station.body)
-        drawing.line(
-            (x_px - 5, top_px - 9), (x_px + 5, top_px - 9), (x_px, top_px - 1), colour=SENSOR_INK, fill=SENSOR_INK
-        )
-        place_text = (
-            ""
-            if station.body in layout.slot_items
-            else f"  {place_name(layout.rig.body(station.body), station.position_m)}"
-        )
-        drawing.text(
-            x_px + 4,
-            top_px - GAP_PX - 10,
-            ", ".join(dict.fromkeys(letters)) + place_text,
-            SENSOR_INK,
-            rotation_deg=-60,
-            size=11,
-        )
+        corners = (x_px - 5, top_px - 9), (x_px + 5, top_px - 9), (x_px, top_px - 1)
+        drawing.line(*corners, colour=SENSOR_INK, fill=SENSOR_INK)
+        words = ", ".join(dict.fromkeys(letters))
+        if station.body not in layout.slot_items:
+            words += f"  {place_name(layout.rig.body(station.body), station.position_m)}"
+        drawing.text(x_px + 4, top_px - GAP_PX - 10, words, SENSOR_INK, rotation_deg=-60, size=11)
     if letters_by_station:
-        used_quantities = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
-        letters_key = ", ".join(f"{LETTERS.get(quantity, quantity)} {quantity}" for quantity in used_quantities)
-        if layout.rig.base_sensors:
-            letters_key += "; on the ground: " + ", ".join(
-                LETTERS.get(s.quantity, s.quantity) for s in layout.rig.base_sensors
-            )
-        drawing.text(0.0, layout.title_px + 20, f"sensors: {letters_key}", SENSOR_INK)
+        quantities = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
+        key = ", ".join(f"{LETTERS.get(quantity, quantity)} {quantity}" for quantity in quantities)
+        if base_sensors := layout.rig.base_sensors:
+            key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in base_sensors)
+        drawing.text(0.0, layout.title_px + 20, f"sensors: {key}", SENSOR_INK)
 
 
 def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
@@ -300,15 +274,14 @@ def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
         drawing.box(x_px - 9, top_px - 18, x_px + 9, top_px, fill=INK)
         drawing.text(x_px - 12, top_px - 6, f"{mass.mass_kg:g} kg", anchor="end", size=11)
     for spring in rig.springs:
-        cubic_value, rotational_value = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
-        values_and_units = [(spring.stiffness_n_per_m, "N/m"), cubic_value, rotational_value]
-        _draw_grounded(drawing, layout, spring.station, spring, drawing.spring, values_and_units)
+        cubic, rotational = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
+        values = [(spring.stiffness_n_per_m, "N/m"), cubic, rotational]
+        _draw_grounded(drawing, layout, spring, drawing.spring, values)
     for support in rig.supports:
-        values_and_units = [(support.stiffness_n_per_m or 0.0, "N/m")]
-        _draw_grounded(drawing, layout, support.station, support, drawing.pin, values_and_units)
+        _draw_grounded(drawing, layout, support, drawing.pin, [(support.stiffness_n_per_m or 0.0, "N/m")])
     for damper in rig.dampers:
-        values_and_units = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
-        _draw_grounded(drawing, layout, damper.station, damper, drawing.damper, values_and_units)
+        values = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
+        _draw_grounded(drawing, layout, damper, drawing.damper, values)
     for clamp in rig.clamps:
         x_px, y_px = layout.left_px[clamp.body], layout.level_px[clamp.body]
         drawing.dot(x_px, y_px, BELIEVED_INK, 6.0)
@@ -325,16 +298,11 @@ def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
 
 
 def _draw_grounded(
-    drawing: Drawing,
-    layout: _SchematicLayout,
-    station: Station,
-    drawn_item: object,
-    draw_shape: Callable[[float, float, float], None],
-    values_and_units: list[tuple[float, str]],
+    drawing: Drawing, layout: _SchematicLayout, item: Any, draw_shape: DrawShape, values: list[tuple[float, str]]
 ) -> None:
     """Draw a spring, support or damper under a body, with its non-zero values."""
-    x_px, bottom_px = layout.x_px(station, drawn_item), layout.bottom_px(station.body)
+    x_px, bottom_px = layout.x_px(item.station, item), layout.bottom_px(item.station.body)
     draw_shape(x_px, bottom_px, bottom_px + ATTACHED_PX)
     drawing.ground(x_px, bottom_px + ATTACHED_PX)
-    for line_number, words in enumerate(f"{value:g} {unit}" for value, unit in values_and_units if value):
+    for line_number, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
         drawing.text(x_px + 12, bottom_px + ATTACHED_PX - 8 - 14 * line_number, words, size=11)

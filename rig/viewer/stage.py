@@ -28,6 +28,9 @@ JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
 """Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
+Nodes = Float[np.ndarray, "frames nodes"]
+
+
 @dataclass(frozen=True)
 class Stage:
     """Geometry in metres: x along the bodies, y in depth, z is the deflection times the magnification.
@@ -61,29 +64,21 @@ class Stage:
 
     @property
     def frame_rate_hz(self) -> float:
-        return self.sample_rate_hz / float(
-            self.frame_samples[1] - self.frame_samples[0] if self.frame_samples.size > 1 else 1
-        )
+        step = self.frame_samples[1] - self.frame_samples[0] if self.frame_samples.size > 1 else 1
+        return self.sample_rate_hz / float(step)
 
     @cached_property
     def time_s(self) -> Float[np.ndarray, " frames"]:
         return self.frame_samples / self.sample_rate_hz
 
     def depth_m(self, body_name: str) -> float:
-        return (
-            0.0
-            if self.masses_alone
-            else -0.1 * self.extent_m * [body.name for body in self.rig.bodies].index(body_name)
-        )
+        row = [body.name for body in self.rig.bodies].index(body_name)
+        return 0.0 if self.masses_alone else -0.1 * self.extent_m * row
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        displacements_m = [
-            self.deflection.displacement_at(replace(station, direction=direction)) for direction in DIRECTIONS
-        ]
-        up_m, towards_eye_m = (
-            self.magnification * displacement_m[self.frame_samples, None] for displacement_m in displacements_m
-        )
+        moved_m = (self.deflection.displacement_at(replace(station, direction=d)) for d in DIRECTIONS)
+        up_m, towards_eye_m = (self.magnification * x_m[self.frame_samples, None] for x_m in moved_m)
         return self._points_on_body(np.full(up_m.shape, station.position_m), station.body, up_m, towards_eye_m)[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
@@ -94,23 +89,17 @@ class Stage:
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
         """Outline of a body: the neutral line of a beam, the square of a mass."""
+        frames = self.frame_samples
         if body.length_m:
-            node_x_m, outline_z_m = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
-            deflection_m = self.deflection.of_body(body, node_x_m, self.frame_samples).T
-            towards_eye_m = self.deflection.of_body(body, node_x_m, self.frame_samples, "z").T
+            x_m, z_m = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
+            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frames, d).T for d in DIRECTIONS)
         else:
-            node_x_m, outline_z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            deflection_m, towards_eye_m = (
-                self.deflection.displacement_at(Station(body.name, 0.0, direction))[self.frame_samples, None]
-                for direction in DIRECTIONS
-            )
-        node_x_m = np.broadcast_to(node_x_m, (self.frame_samples.size, node_x_m.size))
-        return self._points_on_body(
-            node_x_m,
-            body.name,
-            outline_z_m + self.magnification * deflection_m,
-            self.magnification * towards_eye_m + 0 * node_x_m,
-        )
+            x_m, z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+            moved_m = (self.deflection.displacement_at(Station(body.name, 0.0, d)) for d in DIRECTIONS)
+            up_m, towards_eye_m = (moved[frames, None] for moved in moved_m)
+        x_m = np.broadcast_to(x_m, (frames.size, x_m.size))
+        up_m, towards_eye_m = z_m + self.magnification * up_m, self.magnification * towards_eye_m + 0 * x_m
+        return self._points_on_body(x_m, body.name, up_m, towards_eye_m)
 
     def centre(self, body: Body) -> Float[np.ndarray, "frames 3"]:
         """Moving centre of a mass."""
@@ -141,10 +130,9 @@ class Stage:
         """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None
-        corner_depth_m, corner_height_m = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
-        return np.stack(
-            [np.full(5, self.left_ends_m[body.name]), self.depth_m(body.name) + corner_depth_m, corner_height_m], axis=1
-        )
+        depth_m, height_m = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
+        x_m = np.full(5, self.left_ends_m[body.name])
+        return np.stack([x_m, self.depth_m(body.name) + depth_m, height_m], axis=1)
 
     def stands_beside(self, contact: Contact) -> bool:
         """True for a contact of two masses side by side: a tongue of one between two stops of the other."""
@@ -155,40 +143,29 @@ class Stage:
 
         Several contacts of two masses share the gap between them.
         """
-        tip_points = self.point(contact.at)
+        points = self.point(contact.at)
         if self.is_annular(contact):
-            return tip_points
+            return points
         if contact.against is None:
             _, half_depth_m, half_height_m = self.half_sizes(self.rig.body(contact.at.body))
-            tip_points += np.stack(
-                [
-                    0 * tip_points[:, 2],
-                    np.full(len(tip_points), -half_depth_m),
-                    half_height_m * np.sign(tip_points[:, 2]),
-                ],
-                axis=1,
-            )
+            points[:, 1] -= half_depth_m
+            points[:, 2] += half_height_m * np.sign(points[:, 2])
         if contact.against is not None and self.masses_alone:
-            body_names = {contact.at.body, contact.against.body}
-            sharing_contacts = [
-                other_contact.name
-                for other_contact in self.rig.contacts
-                if other_contact.against and {other_contact.at.body, other_contact.against.body} == body_names
-            ]
-            gap_share = (sharing_contacts.index(contact.name) + 1) / (len(sharing_contacts) + 1)
+            bodies = {contact.at.body, contact.against.body}
+            sharing = [c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == bodies]
+            gap_share = (sharing.index(contact.name) + 1) / (len(sharing) + 1)
             facing_side_x_m, gap_width_m = self._between(contact.at.body, contact.against.body)
-            tip_points[:, 0] = facing_side_x_m + gap_share * gap_width_m
-        return tip_points
+            points[:, 0] = facing_side_x_m + gap_share * gap_width_m
+        return points
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
         """Fork with the stops of a contact, fixed to the opposite body or to the ground."""
         tip_points, half_size_m = self.tip(contact), self._half_size_m(self.rig.body(contact.at.body))
         jaw_points = np.repeat(tip_points[:, None], 4, axis=1)
         if contact.against is None:
-            open_direction = (
-                -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0
-            )  # towards the other masses
-            jaw_points[..., 0] += open_direction * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            # open towards the other masses
+            direction = -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0
+            jaw_points[..., 0] += direction * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
             carrier_z_m = np.zeros(self.frame_samples.size)
         else:
             carrier_z_m = self.point(contact.against)[:, 2]
@@ -239,11 +216,7 @@ class Stage:
         return 0.0 if body.length_m else 0.12 * self.extent_m
 
     def _points_on_body(
-        self,
-        x_m: Float[np.ndarray, "frames nodes"],
-        body_name: str,
-        z_m: Float[np.ndarray, "frames nodes"],
-        towards_eye_m: Float[np.ndarray, "frames nodes"] | float = 0.0,
+        self, x_m: Nodes, body_name: str, z_m: Nodes, towards_eye_m: Nodes | float = 0.0
     ) -> Float[np.ndarray, "frames nodes 3"]:
         depth_m = np.full(z_m.shape, self.depth_m(body_name)) - towards_eye_m
         return np.stack([self.left_ends_m[body_name] + x_m, depth_m, z_m], axis=2)
@@ -265,10 +238,8 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     if magnification is None:
         magnification = _round_down(LARGEST_DEFLECTION * extent_m / largest_m) if largest_m > 0 else 1.0
     sample_count = deflection.displacement_m.shape[1]
-    frame_rate_hz = min(
-        np.clip(USUAL_FRAME_COUNT * sample_rate_hz / sample_count, *FRAME_RATES_HZ),
-        MAX_FRAMES * sample_rate_hz / sample_count,
-    )
+    usual_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAMES))
+    frame_rate_hz = min(np.clip(usual_hz, *FRAME_RATES_HZ), most_hz)
     frame_samples = np.arange(0, sample_count, max(1, round(sample_rate_hz / frame_rate_hz)))
     return Stage(deflection, left_ends_m, extent_m, magnification, sample_rate_hz, frame_samples)
 
@@ -279,7 +250,5 @@ def _masses_alone(rig: Rig) -> bool:
 
 def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
-    power_of_ten = 10.0 ** np.floor(np.log10(value))
-    return float(
-        power_of_ten * max(multiple for multiple in (1, 2, 5) if multiple * power_of_ten <= value * (1 + 1e-9))
-    )
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(multiple for multiple in (1, 2, 5) if multiple * power <= value * (1 + 1e-9)))

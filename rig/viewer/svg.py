@@ -37,17 +37,13 @@ class Drawing:
         rotation_deg: int = 0,
         size: int = 12,
     ) -> None:
-        text_length = 0.6 * size * len(words)  # of a letter, about
-        offset = {"start": 0.0, "middle": -text_length / 2, "end": -text_length}[anchor]
-        self.corners += (
-            [(x, y - text_length), (x + text_length, y)]
-            if rotation_deg
-            else [(x + offset, y - size), (x + offset + text_length, y)]
-        )
-        rotation_attribute = f' transform="rotate({rotation_deg} {x:.1f} {y:.1f})"' if rotation_deg else ""
-        text_attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{rotation_attribute}'
-        halo_attributes = 'paint-order="stroke" stroke="white" stroke-width="3"'
-        self.elements.append(f'<text {text_attributes} fill="{colour}" {halo_attributes}>{escape(words)}</text>')
+        length = 0.6 * size * len(words)  # of a letter, about
+        left = x + {"start": 0.0, "middle": -length / 2, "end": -length}[anchor]
+        self.corners += [(x, y - length), (x + length, y)] if rotation_deg else [(left, y - size), (left + length, y)]
+        rotation = f' transform="rotate({rotation_deg} {x:.1f} {y:.1f})"' if rotation_deg else ""
+        attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{rotation}'
+        halo = 'paint-order="stroke" stroke="white" stroke-width="3"'
+        self.elements.append(f'<text {attributes} fill="{colour}" {halo}>{escape(words)}</text>')
 
     def box(
         self, left: float, top: float, right: float, bottom: float, fill: str = STEEL, dashed: bool = False

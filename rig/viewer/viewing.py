@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -19,13 +20,7 @@ from rig.model.description import Rig, Station
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
 from rig.viewer.blueprint import Layout, blueprint, plotted_quantities
-from rig.viewer.contact_view import (
-    ContactMotion,
-    LawSource,
-    send_close_up,
-    send_events,
-    send_over_time,
-)
+from rig.viewer.contact_view import ContactMotion, LawSource, send_close_up, send_events, send_over_time
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import entity, send_legend, send_lines
 from rig.viewer.gap import ShownGap
@@ -75,30 +70,19 @@ def write_rrd(
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
     stride = max(1, -(-_series_scalars(recording, truth) // MAX_SCALARS))
     contact_motions = _contact_motions(recording, truth, motion, identified_contacts, scene.frame_samples, stride)
+    forces_n = {contact.contact.name: contact.force_n for contact in contact_motions if contact.force_n is not None}
+    force_source: Literal["separated", "true"] = "separated" if truth is None else "true"
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
-        contact_force=None
-        if not contact_motions or contact_motions[0].force_n is None
-        else "separated"
-        if truth is None
-        else "true",
+        contact_force=force_source if forces_n else None,
         magnification=scene.magnification,
         is_approximate=motion.is_approximate,
         stride=stride,
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
-        reach_mm={contact_motion.contact.name: contact_motion.reach_mm for contact_motion in contact_motions},
-        spectra=tuple(
-            spectra_of(
-                recording,
-                {
-                    other_motion.contact.name: other_motion.force_n
-                    for other_motion in contact_motions
-                    if other_motion.force_n is not None
-                },
-            )
-        ),
+        reach_mm={contact.contact.name: contact.reach_mm for contact in contact_motions},
+        spectra=tuple(spectra_of(recording, forces_n)),
         has_diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
         predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_row])
@@ -150,58 +134,47 @@ def _contact_motions(
     stride: int,
 ) -> list[ContactMotion]:
     """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
-    time_s = recording.signals["force"].time_s
-    relative_displacement_m, force_n = motion.relative_displacement_m(), None
+    time_s, curves = recording.signals["force"].time_s, identified_contacts.curves
+    relative_m, force_n, known = motion.relative_displacement_m(), None, slice(0, time_s.size)
     if truth is not None:
-        relative_displacement_m, force_n = (
-            truth.signals[source_name].values for source_name in ("relative_displacement", "contact_force")
-        )
-    known_samples = slice(0, time_s.size)
-    if truth is None and identified_contacts.curves is not None:
-        known_samples = identified_contacts.curves.covered_samples(time_s)
-        relative_displacement_m, force_n = identified_contacts.curves.interpolate(time_s[known_samples])
-    contact_motions, first_row = [], 0
-    for index, believed_contact in enumerate(recording.rig.contacts):
-        is_annular = believed_contact.law.spatial
+        relative_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
+    elif curves is not None:
+        known = curves.covered_samples(time_s)
+        relative_m, force_n = curves.interpolate(time_s[known])
+    known_frames = frame_samples[(frame_samples >= known.start) & (frame_samples < known.stop)] - known.start
+    motions, first_row = [], 0
+    for index, believed in enumerate(recording.rig.contacts):
+        is_annular = believed.law.spatial
         rows = slice(first_row, first_row + 1 + is_annular)
         first_row = rows.stop
-        law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
-        law_by_source |= (
-            {"identified": identified_contacts.laws[believed_contact.name]}
-            if believed_contact.name in identified_contacts.laws
-            else {}
-        )
-        law_by_source["believed"] = believed_contact.law
-        wall_source = next(iter(law_by_source))
-        eta_m, contact_n = relative_displacement_m[rows], None if force_n is None else force_n[rows]
-        orbit = Orbit(eta_m - _centre_of(law_by_source[wall_source], believed_contact.law)) if is_annular else None
+        laws: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
+        if believed.name in identified_contacts.laws:
+            laws["identified"] = identified_contacts.laws[believed.name]
+        laws["believed"] = believed.law
+        wall_source = next(iter(laws))
+        eta_m, contact_n = relative_m[rows], None if force_n is None else force_n[rows]
+        orbit = Orbit(eta_m - _centre_of(laws[wall_source], believed.law)) if is_annular else None
         if is_annular:
-            law_by_source = {source_name: _radial_law(law) for source_name, law in law_by_source.items()}
-        overlaid_laws = {
-            source_name: contact_law
-            for source_name, contact_law in law_by_source.items()
-            if source_name == "identified" or contact_law != law_by_source[wall_source]
+            laws = {source: _radial_law(law) for source, law in laws.items()}
+        wall_law = laws.pop(wall_source)
+        overlaid: dict[LawSource, ContactLaw] = {
+            source: law for source, law in laws.items() if source == "identified" or law != wall_law
         }
         contact_motion = ContactMotion(
-            contact=replace(believed_contact, law=law_by_source[wall_source]),
+            contact=replace(believed, law=wall_law),
             wall_source=wall_source,
-            overlaid_laws={
-                source_name: contact_law
-                for source_name, contact_law in overlaid_laws.items()
-                if source_name != wall_source
-            },
-            time_s=time_s[known_samples],
-            until_s=float(time_s[known_samples.stop]) if known_samples.stop < time_s.size else None,
+            overlaid_laws=overlaid,
+            time_s=time_s[known],
+            until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
             eta_m=eta_m[0] if orbit is None else orbit.radius_m,
             force_n=None if contact_n is None else np.hypot(*contact_n) if is_annular else contact_n[0],
-            frame_samples=frame_samples[(frame_samples >= known_samples.start) & (frame_samples < known_samples.stop)]
-            - known_samples.start,
+            frame_samples=known_frames,
             stride=stride,
-            is_identified=truth is None and identified_contacts.curves is not None,
+            is_identified=truth is None and curves is not None,
             orbit=orbit,
         )
-        contact_motions.append(contact_motion)
-    return contact_motions
+        motions.append(contact_motion)
+    return motions
 
 
 def _centre_of(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
@@ -233,11 +206,9 @@ def station_words(rig: Rig, station: Station) -> str:
 
 
 def _belongs_to(truth: Recording, recording: Recording) -> bool:
-    contact_names = [
-        [contact.name for contact in compared_recording.rig.contacts] for compared_recording in (truth, recording)
-    ]
+    true_names, names = ([contact.name for contact in record.rig.contacts] for record in (truth, recording))
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
-    return has_truth and truth.samples == recording.samples and contact_names[0] == contact_names[1]
+    return has_truth and truth.samples == recording.samples and true_names == names
 
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
@@ -250,33 +221,25 @@ def _series_scalars(recording: Recording, truth: Recording | None) -> int:
 def _send_series(
     stream: rr.RecordingStream, recording: Recording, contact_motions: Sequence[ContactMotion], stride: int
 ) -> None:
-    time_s = recording.signals["force"].time_s
-    force_names = recording.rig.force_names
-    colours = shades(FORCE, len(force_names))
-    send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], force_names, colours)
-    send_legend(stream, "exciting_force", list(zip(force_names, colours, strict=True)))
+    time_s = recording.signals["force"].time_s[::stride]
+
+    def send_plot(path: str, values: Float[np.ndarray, "channels plotted"], names: Sequence[str], hue: Colour) -> None:
+        colours = shades(hue, len(names))
+        send_lines(stream, path, time_s, values, names, colours)
+        send_legend(stream, path, list(zip(names, colours, strict=True)))
+
+    send_plot("exciting_force", recording.forces_n[:, ::stride], recording.rig.force_names, FORCE)
     legend: list[tuple[str, Colour]] = []
-    for contact_motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
-        if contact_motion.force_n is not None:
-            contact_name, plotted_samples = contact_motion.contact.name, contact_motion.plotted_samples
-            plotted_time_s = contact_motion.time_s[plotted_samples]
-            force_n = contact_motion.force_n[None, plotted_samples]
-            send_lines(
-                stream, entity("contact_force", contact_name), plotted_time_s, force_n, [contact_name], (colour,)
-            )
-            legend.append((contact_name, colour))
+    for motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
+        if motion.force_n is not None:
+            name, plotted = motion.contact.name, motion.plotted_samples
+            force_n = motion.force_n[None, plotted]
+            send_lines(stream, entity("contact_force", name), motion.time_s[plotted], force_n, [name], (colour,))
+            legend.append((name, colour))
     send_legend(stream, "contact_force", legend)
     for quantity in plotted_quantities(recording.rig):
         signals = recording.signals[quantity]
         for body in recording.rig.bodies:
-            channel_stations = [
-                (i, station)
-                for i, station in enumerate(signals.channels.stations)
-                if station is not None and station.body == body.name
-            ]
-            values = signals.values[[i for i, _ in channel_stations], ::stride]
-            station_names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations]
-            entity_path = entity(quantity, body.name)
-            colours = shades(SENSOR, len(station_names))
-            send_lines(stream, entity_path, time_s[::stride], values, station_names, colours)
-            send_legend(stream, entity_path, list(zip(station_names, colours, strict=True)))
+            stations = {k: s for k, s in enumerate(signals.channels.stations) if s and s.body == body.name}
+            names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for s in stations.values()]
+            send_plot(entity(quantity, body.name), signals.values[[*stations], ::stride], names, SENSOR)

@@ -16,16 +16,7 @@ from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.model.description import Rig, Sensor, Station
 from rig.model.structure import structure_of
 from rig.model.tolerances import Tolerances
-from scenarios.f16 import (
-    FILE,
-    PERIOD_SAMPLES,
-    PLACES_M,
-    RATE_HZ,
-    LevelDiagnosis,
-    accelerations,
-    app,
-    errors_percent,
-)
+from scenarios.f16 import FILE, PERIOD_SAMPLES, PLACES_M, RATE_HZ, LevelDiagnosis, accelerations, app, errors_percent
 from scenarios.measured_data import SIMULATOR, simulated
 
 DATA = Path(os.environ.get("F16", "f16"))

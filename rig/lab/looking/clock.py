@@ -38,62 +38,50 @@ def clock_in(file: FileSummary, channels: Sequence[ColumnSummary], rig_rate_hz: 
     stated_hz = file.rate_hz
     time_column = _time_column([column for column in file.columns if column.sample_count == sample_count])
     if time_column is None:
-        rate_note = (
-            f"{stated_hz:.9g} Hz by {file.rate_origin}"
-            if stated_hz
-            else "the file states neither time nor sampling rate"
-        )
-        return ClockProposal(None, None, stated_hz, rate_note)
+        note = "the file states neither time nor sampling rate"
+        if stated_hz:
+            note = f"{stated_hz:.9g} Hz by {file.rate_origin}"
+        return ClockProposal(None, None, stated_hz, note)
     unit = "s" if time_column.is_date else _unit_of_time(time_column, stated_hz or rig_rate_hz)
     unit_s = FACTORS["time"][unit or "s"]
     stamps_s = unit_s * (np.zeros(0) if time_column.stamps is None else time_column.stamps)
-    column_label = f"column {time_column.name or time_column.number!r}"
+    label = f"column {time_column.name or time_column.number!r}"
     interval_s = float(stamps_s[-1] - stamps_s[0]) / (len(stamps_s) - 1)
     last_digit_s = time_column.last_digit * unit_s
     deviation_s = float(np.abs(stamps_s - stamps_s[0] - interval_s * np.arange(len(stamps_s))).max())
     is_rounded = last_digit_s > 0 and deviation_s <= 1.01 * last_digit_s
     if time_column.is_date or (is_rounded and deviation_s > MAX_JITTER_INTERVALS * interval_s):
         if not is_rounded:
-            return ClockProposal(
-                None, None, None, f"{column_label} has dates that are not even; export the time in seconds"
-            )
+            return ClockProposal(None, None, None, f"{label} has dates that are not even; export the time in seconds")
         relative_doubt = last_digit_s / (interval_s * (len(stamps_s) - 1))
         rate_hz = _rounded_rate(1 / interval_s, relative_doubt, [hz for hz in (stated_hz, rig_rate_hz) if hz])
         reason = "dates" if time_column.is_date else f"stamps written to {last_digit_s:g} s"
-        return ClockProposal(None, None, rate_hz, f"{rate_hz:.9g} Hz by {column_label}, {reason}")
+        return ClockProposal(None, None, rate_hz, f"{rate_hz:.9g} Hz by {label}, {reason}")
     try:
         sample_times = SampleTimes.of_stamps(stamps_s)
     except RigError as error:
         return ClockProposal(time_column, unit, None, str(error), "its stamps cannot be repaired")
-    rate_note = f"{sample_times.rate_hz:.6g} Hz by {column_label}" + ("" if unit else ", if that is in seconds")
+    note = f"{sample_times.rate_hz:.6g} Hz by {label}" + ("" if unit else ", if that is in seconds")
     if time_column.unit is None and unit and not time_column.is_date:
-        rate_note += f"; the file states no unit of it, and {unit} is taken"
+        note += f"; the file states no unit of it, and {unit} is taken"
     if stated_hz and unit and abs(sample_times.rate_hz / stated_hz - 1) > 10 * RATE_TOLERANCE:
-        rate_note += f"; {file.rate_origin} states {stated_hz:g} Hz"
-    return ClockProposal(time_column, unit, sample_times.rate_hz if unit else None, rate_note, sample_times.fault)
+        note += f"; {file.rate_origin} states {stated_hz:g} Hz"
+    return ClockProposal(time_column, unit, sample_times.rate_hz if unit else None, note, sample_times.fault)
 
 
 def is_time(column: ColumnSummary) -> bool:
     """True if the name or unit of a column is one of time."""
-    return quantity_of(column.unit) == "time" or bool(
-        TIME_NAME_PATTERN.search(name_and_unit(column.name, guess=True)[0])
-    )
+    name, _ = name_and_unit(column.name, guess=True)
+    return quantity_of(column.unit) == "time" or TIME_NAME_PATTERN.search(name) is not None
 
 
 def _time_column(columns: Sequence[ColumnSummary]) -> ColumnSummary | None:
     """Column that says by name or unit that it is the time and increases; else the first that increases evenly."""
-    rising_columns = [column for column in columns if column.stamps is not None]
-    time_columns = [
-        column
-        for column in rising_columns
-        if (column.is_date or is_time(column)) and not (column.is_counter and quantity_of(column.unit) != "time")
-    ]
-    if time_columns:
-        return min(time_columns, key=lambda c: (c.is_date, quantity_of(c.unit) != "time"))
-    return next(
-        (column for column in rising_columns if column.unit is None and not column.is_counter and _is_even(column)),
-        None,
-    )
+    rising = [c for c in columns if c.stamps is not None and not (c.is_counter and quantity_of(c.unit) != "time")]
+    times = [column for column in rising if column.is_date or is_time(column)]
+    if times:
+        return min(times, key=lambda column: (column.is_date, quantity_of(column.unit) != "time"))
+    return next((column for column in rising if column.unit is None and _is_even(column)), None)
 
 
 def _is_even(column: ColumnSummary) -> bool:
@@ -109,12 +97,9 @@ def _unit_of_time(column: ColumnSummary, rate_hz: float | None) -> str | None:
     if stamps is None:
         return None
     samples_per_unit = (len(stamps) - 1) / float(stamps[-1] - stamps[0])
-    if rate_hz:
-        fitting_units = [
-            unit for unit, factor in FACTORS["time"].items() if abs(samples_per_unit / factor / rate_hz - 1) < 1e-2
-        ]
-        if fitting_units:
-            return fitting_units[0]
+    for unit, factor in FACTORS["time"].items():
+        if rate_hz and abs(samples_per_unit / factor / rate_hz - 1) < 1e-2:
+            return unit
     return "s" if samples_per_unit >= SLOWEST_HZ else None
 
 

@@ -59,18 +59,14 @@ def column_summary(
 ) -> ColumnSummary:
     """Column with its range and, if they never decrease, its values."""
     values = column.values
-    finite_values = values[np.isfinite(values)]
-    if not fault and finite_values.size < values.size:
-        fault = (
-            f"it has no finite number at sample {int(np.argmin(np.isfinite(values)))}"
-            if finite_values.size
-            else "it has no numbers"
-        )
+    finite = values[np.isfinite(values)]
+    if not fault and not finite.size and values.size:
+        fault = "it has no numbers"
+    elif not fault and finite.size < values.size:
+        fault = f"it has no finite number at sample {int(np.argmin(np.isfinite(values)))}"
     is_increasing = not fault and values.size > 1 and values[-1] > values[0] and bool((np.diff(values) >= 0).all())
-    lowest, highest = (
-        (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (np.nan, np.nan)
-    )
-    distinct_count = 1 + (highest > lowest) + bool(((finite_values > lowest) & (finite_values < highest)).any())
+    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
+    distinct_count = 1 + (highest > lowest) + bool(((finite > lowest) & (finite < highest)).any())
     return ColumnSummary(
         number=column_number,
         name=column.name,

@@ -36,106 +36,78 @@ def summary_of_csv(path: Path) -> FileSummary:
     """Columns of a CSV file; raises RigError with a sentence if no map can import it."""
     dialect = dialect_of(path)
     line_numbers, values, last_digits, is_date = _column_values(path, dialect)
-    form = dialect.form
-    end_rows = [
-        int(np.flatnonzero(np.isfinite(column_values))[-1]) + 1 if np.isfinite(column_values).any() else 0
-        for column_values in values
-    ]
-    first_rows = [int(np.argmax(np.isfinite(column_values))) for column_values in values]
-    filled_shares = [
-        float(np.isfinite(column_values[first_row:last_row]).mean()) if last_row > first_row else 0.0
-        for column_values, first_row, last_row in zip(values, first_rows, end_rows, strict=True)
-    ]
-    line_count = values.shape[1]
-    _check_one_block(path, line_numbers, values[:, : max(end_rows)])
-    is_whole = [
-        filled_share >= LEAST_FILLED_SHARE
-        and end_row >= LEAST_LENGTH_SHARE * max(end_rows)
-        and start_row <= MOST_SKIPPED_SHARE * line_count
-        for filled_share, start_row, end_row in zip(filled_shares, first_rows, end_rows, strict=True)
-    ]
-    if not any(is_whole):
+    form, line_count, is_finite = dialect.form, values.shape[1], np.isfinite(values)
+    first_rows, counts = is_finite.argmax(axis=1), is_finite.sum(axis=1)
+    end_rows = np.where(counts > 0, line_count - is_finite[:, ::-1].argmax(axis=1), 0)
+    _check_one_block(path, line_numbers, values[:, : end_rows.max()])
+    is_whole = (
+        (counts / np.maximum(end_rows - first_rows, 1) >= LEAST_FILLED_SHARE)
+        & (end_rows >= LEAST_LENGTH_SHARE * end_rows.max())
+        & (first_rows <= MOST_SKIPPED_SHARE * line_count)
+    )
+    if not is_whole.any():
         raise RigError(
             f"{path}: none of its {len(values)} columns has numbers throughout; export the channels at one rate"
         )
-    start_row = max(row for row, is_column_finite in zip(first_rows, is_whole, strict=True) if is_column_finite)
-    end_row = min(row for row, is_column_finite in zip(end_rows, is_whole, strict=True) if is_column_finite)
-    facts = [_reading_sentence(dialect), *_placing_sentences(dialect)]
-    if start_row:
-        skipped_count = line_numbers[start_row] - line_numbers[0]
-        form = _form_skipping(dialect, skipped_count)
-        facts.append(f"lines {line_numbers[0]} to {line_numbers[start_row] - 1} lack numbers, and are skipped")
-    if end_row < line_count:
+    start, end = int(first_rows[is_whole].max()), int(end_rows[is_whole].min())
+    facts = [_reading_sentence(dialect), _placing_sentence(dialect)]
+    if start:
+        form = _form_skipping(dialect, line_numbers[start] - line_numbers[0])
+        facts.append(f"lines {line_numbers[0]} to {line_numbers[start] - 1} lack numbers, and are skipped")
+    if end < line_count:
         form = replace(form, cut_incomplete_end=True)
         facts.append(
-            f"the last {line_count - end_row} lines, from line {line_numbers[end_row]} on, are incomplete and left out"
+            f"the last {line_count - end} lines, from line {line_numbers[end]} on, are incomplete and left out"
         )
-    column_summaries = []
-    for column_index, column_values in enumerate(values):
-        name, unit = _name_and_unit(dialect, column_index)
+    columns = []
+    for k, samples in enumerate(values[:, start:end]):
+        name, unit = _name_and_unit(dialect, k)
         fault = ""
-        if not is_whole[column_index]:
-            filled_count = int(np.isfinite(column_values).sum())
-            fault = f"it has numbers in {filled_count} of {line_count} lines" if filled_count else "it has no numbers"
-        elif not (is_finite := np.isfinite(column_values[start_row:end_row])).all():
-            fault = f"it has no number in line {line_numbers[start_row + int(np.argmin(is_finite))]}"
-        column_summaries.append(
-            column_summary(
-                column_index + 1,
-                Column(name, column_values[start_row:end_row], unit),
-                last_digits[column_index],
-                is_date[column_index],
-                fault,
-            )
-        )
-    return FileSummary(
-        path, tuple(_without_unused_end(column_summaries)), tuple(facts), form, rate_in(dialect.header, form.decimal)
-    )
+        if not is_whole[k]:
+            fault = f"it has numbers in {counts[k]} of {line_count} lines" if counts[k] else "it has no numbers"
+        elif not is_finite[k, start:end].all():
+            fault = f"it has no number in line {line_numbers[start + int(np.argmin(is_finite[k, start:end]))]}"
+        columns.append(column_summary(k + 1, Column(name, samples, unit), last_digits[k], is_date[k], fault))
+    rate_hz = rate_in(dialect.header, form.decimal)
+    return FileSummary(path, tuple(_without_unused_end(columns)), tuple(facts), form, rate_hz)
 
 
 def _column_values(
     path: Path, dialect: CsvDialect
 ) -> tuple[list[int], Float[np.ndarray, "columns lines"], list[float], list[bool]]:
     """Line numbers, values (NaN where there is no number; dates as seconds), last digits, and which are dates."""
-    column_count, form = dialect.column_count, dialect.form
+    count, form = dialect.column_count, dialect.form
     line_numbers: list[int] = []
-    columns = [array("d") for _ in range(column_count)]
-    cell_kinds = ""
-    first_date_by_column: dict[int, datetime] = {}
+    columns = [array("d") for _ in range(count)]
+    kinds = ""
+    first_dates: dict[int, datetime] = {}
     last_lines: deque[str] = deque(maxlen=LINES_FOR_DIGITS)
     file_bytes = path.stat().st_size
     numbered_lines = sample_lines(path, form, dialect.first_line - 1)
-    while line_batch := list(islice(numbered_lines, LINES_PER_BLOCK)):
-        cell_kinds = (
-            cell_kinds
-            or cell_kinds_of(cells_of(line_batch[0][1], form.delimiter), form.decimal).ljust(column_count, "e")[
-                :column_count
-            ]
-        )
-        line_numbers += [line_number for line_number, _ in line_batch]
-        needed_bytes = PROGRAM_BYTES + WORKING_BYTES_PER_CELL * column_count * len(line_numbers)
-        check_decoded_size(needed_bytes, file_bytes, f"{path}: its {column_count} columns")
-        lines = [line for _, line in line_batch]
+    while batch := list(islice(numbered_lines, LINES_PER_BLOCK)):
+        lines = [line for _, line in batch]
+        kinds = kinds or cell_kinds_of(cells_of(lines[0], form.delimiter), form.decimal).ljust(count, "e")[:count]
+        line_numbers += [line_number for line_number, _ in batch]
+        needed_bytes = PROGRAM_BYTES + WORKING_BYTES_PER_CELL * count * len(line_numbers)
+        check_decoded_size(needed_bytes, file_bytes, f"{path}: its {count} columns")
         last_lines.extend(lines[-LINES_FOR_DIGITS:])
-        number_table = _number_table(lines, form, column_count) if set(cell_kinds) == {"n"} else None
-        if number_table is not None:
-            for column, row in zip(columns, number_table.T, strict=True):
+        table = _number_table(lines, form, count) if set(kinds) == {"n"} else None
+        if table is not None:
+            for column, row in zip(columns, table.T, strict=True):
                 column.frombytes(row.tobytes())
             continue
         for line in lines:
-            for column_index, (column, cell) in enumerate(
-                zip(columns, _padded_cells(line, form, column_count), strict=True)
-            ):
-                if cell_kinds[column_index] == "d":
-                    column.append(_seconds_since_first(cell, column_index, first_date_by_column))
+            for k, cell in enumerate(_padded_cells(line, form, count)):
+                if kinds[k] == "d":
+                    columns[k].append(_seconds_since_first(cell, k, first_dates))
                 else:
                     value = number_in(cell, form.decimal)
-                    column.append(np.nan if value is None else value)
-    is_date = [cell_kind == "d" for cell_kind in cell_kinds]
-    last_rows = [_padded_cells(line, form, column_count) for line in last_lines]
+                    columns[k].append(np.nan if value is None else value)
+    is_date = [kind == "d" for kind in kinds]
+    cells_by_column = zip(*(_padded_cells(line, form, count) for line in last_lines), strict=True)
     last_digits = [
-        min(_last_digit(row[column_index], form.decimal, is_date[column_index]) for row in last_rows)
-        for column_index in range(column_count)
+        min(_last_digit(cell, form.decimal, is_column_of_dates) for cell in cells)
+        for cells, is_column_of_dates in zip(cells_by_column, is_date, strict=True)
     ]
     return line_numbers, np.array([np.frombuffer(column) for column in columns]), last_digits, is_date
 
@@ -153,10 +125,10 @@ def _number_table(lines: list[str], form: TextForm, column_count: int) -> Float[
         lines = [line.replace(form.decimal, ".") for line in lines]
     try:
         delimiter = None if form.delimiter == " " else form.delimiter
-        number_table = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"')
+        table = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"')
     except ValueError:
         return None
-    return number_table if number_table.shape[1] == column_count and np.isfinite(number_table).all() else None
+    return table if table.shape[1] == column_count and np.isfinite(table).all() else None
 
 
 def _seconds_since_first(cell: str, column_index: int, first_date_by_column: dict[int, datetime]) -> float:
@@ -228,19 +200,13 @@ def _without_unused_end(columns: list[ColumnSummary]) -> list[ColumnSummary]:
 
 def _reading_sentence(dialect: CsvDialect) -> str:
     form = dialect.form
-    encoding_name = {"utf-8-sig": "UTF-8"}.get(form.encoding, form.encoding)
-    delimiter_words = _DELIMITER_WORDS.get(form.delimiter, repr(form.delimiter))
-    return (
-        f"text in {encoding_name}, {delimiter_words} between columns, decimal "
-        f"{'comma' if form.decimal == ',' else 'point'}"
-    )
+    encoding = {"utf-8-sig": "UTF-8"}.get(form.encoding, form.encoding)
+    delimiter = _DELIMITER_WORDS.get(form.delimiter, repr(form.delimiter))
+    return f"text in {encoding}, {delimiter} between columns, decimal {'comma' if form.decimal == ',' else 'point'}"
 
 
-def _placing_sentences(dialect: CsvDialect) -> list[str]:
-    form = dialect.form
+def _placing_sentence(dialect: CsvDialect) -> str:
     units_line = next((k for k, row in enumerate(dialect.header, 1) if dialect.units and row == dialect.units), None)
-    names_words = f"names in line {form.lines_before_names + 1}" if dialect.names else "no names"
-    return [
-        f"{names_words}, {f'units in line {units_line}' if units_line else 'no line of units'}, samples from line "
-        f"{dialect.first_line}"
-    ]
+    names = f"names in line {dialect.form.lines_before_names + 1}" if dialect.names else "no names"
+    units = f"units in line {units_line}" if units_line else "no line of units"
+    return f"{names}, {units}, samples from line {dialect.first_line}"

@@ -13,17 +13,7 @@ from rig.lab.csv_text import TextForm, cells_of, is_number, lines_of, names_in
 from rig.lab.recorded import MAX_HEADER_LINES
 from rig.lab.units import is_unit
 
-DIALECTS = (
-    ("\t", "."),
-    ("\t", ","),
-    (";", "."),
-    (";", ","),
-    (",", "."),
-    ("|", "."),
-    ("|", ","),
-    (" ", "."),
-    (" ", ","),
-)
+DIALECTS = [(delimiter, decimal) for delimiter in "\t;,| " for decimal in ".," if delimiter != decimal]
 """Delimiters and decimal separators, of which the first of equally good ones is taken."""
 BYTES_AT_ONCE = 1 << 20
 HEADER_LINE_COUNT = 12
@@ -59,45 +49,35 @@ def dialect_of(path: Path) -> CsvDialect:
     """Dialect of a CSV file; raises RigError if no lines of numbers are found in it."""
     encoding = _text_encoding(path)
     lines = [line.rstrip("\r\n") for line in islice(lines_of(path, encoding), MAX_HEADER_LINES)]
-    best_reading: tuple[int, int, int, tuple[str, str]] | None = None
-    for delimiter, decimal in DIALECTS:
-        reading_score, first_sample, last_sample = _samples_in(lines, delimiter, decimal)
-        if best_reading is None or reading_score > best_reading[0]:
-            best_reading = reading_score, first_sample, last_sample, (delimiter, decimal)
-    if best_reading is None or best_reading[0] <= 0:
+    readings = [(*_samples_in(lines, *dialect), *dialect) for dialect in DIALECTS]
+    score, first, last, delimiter, decimal = max(readings, key=lambda reading: reading[0])
+    if score <= 0:
         _check_no_quoted_commas(path, lines)
         raise RigError(
             f"{path}: no lines of numbers are found in its first {len(lines)}, as text in {encoding}, with tab, "
             "semicolon, comma or spaces between and point or comma as decimal; export the samples as text, a line for "
             "each time"
         )
-    _, first_sample, last_sample, (delimiter, decimal) = best_reading
-    sample_cells = [cells_of(line, delimiter) for line in lines[first_sample : last_sample + 1] if line.strip()]
-    column_count = max(map(len, sample_cells))
+    sample_cells = [cells_of(line, delimiter) for line in lines[first : last + 1] if line.strip()]
     if delimiter == ",":
-        _check_no_quoted_commas(path, lines[first_sample : last_sample + 1])
-    first_sample = _first_sample_line(lines, first_sample, delimiter, decimal)
-    header = [names_in(line, delimiter) for line in lines[:first_sample]]
-    names_line, units_line = _names_and_units_lines(header, sample_cells, decimal)
+        _check_no_quoted_commas(path, lines[first : last + 1])
+    first = _first_sample_line(lines, first, delimiter, decimal)
+    header = [tuple(names_in(line, delimiter)) for line in lines[: first + 1]]
+    names_line, units_line = _names_and_units_lines(header[:first], sample_cells, decimal)
     has_names = names_line is not None
-    lines_before_names = first_sample if names_line is None else names_line
-    is_numeric = all(is_number(cell, decimal) for cell in names_in(lines[first_sample], delimiter) if cell)
+    lines_before_names = first if names_line is None else names_line
+    is_numeric = all(is_number(cell, decimal) for cell in header[first] if cell)
     form = TextForm(
         encoding=encoding,
         delimiter=delimiter,
         decimal=decimal,
         lines_before_names=lines_before_names,
-        lines_after_names=first_sample - lines_before_names - 1 if has_names else 0,
+        lines_after_names=first - lines_before_names - 1 if has_names else 0,
         names=None if has_names or is_numeric else False,
     )
-    return CsvDialect(
-        form,
-        tuple(header[names_line]) if names_line is not None else (),
-        tuple(header[units_line]) if units_line is not None else (),
-        tuple(map(tuple, [*header, names_in(lines[first_sample], delimiter)])),
-        column_count,
-        first_sample + 1,
-    )
+    names = header[names_line] if names_line is not None else ()
+    units = header[units_line] if units_line is not None else ()
+    return CsvDialect(form, names, units, tuple(header), max(map(len, sample_cells)), first + 1)
 
 
 def is_stamp(cell: str) -> bool:
@@ -157,22 +137,22 @@ def _samples_in(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int
 
     Lines of a run have their texts, if any, in the same columns, and more numbers and dates than texts.
     """
-    best_run, current_run = (0, 0, 0), (0, 0, 0)
+    best, run = (0, 0, 0), (0, 0, 0)
     text_columns: set[int] | None = None
-    for line_index, line in enumerate(lines):
+    for index, line in enumerate(lines):
         if not line.strip():
             continue
-        cell_kinds = cell_kinds_of(cells_of(line, delimiter)[:MAX_CELLS], decimal)
-        number_count = cell_kinds.count("n")
-        line_text_columns = {column_index for column_index, cell_kind in enumerate(cell_kinds) if cell_kind == "t"}
-        if not number_count or number_count + cell_kinds.count("d") <= len(line_text_columns):
+        kinds = cell_kinds_of(cells_of(line, delimiter)[:MAX_CELLS], decimal)
+        number_count = kinds.count("n")
+        line_text_columns = {column for column, kind in enumerate(kinds) if kind == "t"}
+        if not number_count or number_count + kinds.count("d") <= len(line_text_columns):
             text_columns = None
             continue
         if line_text_columns != text_columns:
-            current_run, text_columns = (0, line_index, line_index), line_text_columns
-        current_run = (current_run[0] + number_count - len(line_text_columns), current_run[1], line_index)
-        best_run = max(best_run, current_run, key=lambda candidate: candidate[0])
-    return best_run
+            run, text_columns = (0, index, index), line_text_columns
+        run = (run[0] + number_count - len(line_text_columns), run[1], index)
+        best = max(best, run, key=lambda candidate: candidate[0])
+    return best
 
 
 def _check_no_quoted_commas(path: Path, lines: Sequence[str]) -> None:
@@ -184,15 +164,12 @@ def _check_no_quoted_commas(path: Path, lines: Sequence[str]) -> None:
 
 def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, decimal: str) -> int:
     """First line that has numbers where the samples have them, perhaps with a header beside them."""
-    number_columns = [
-        k
-        for k, cell_kind in enumerate(cell_kinds_of(cells_of(lines[first_line], delimiter), decimal))
-        if cell_kind == "n"
-    ]
-    while first_line:
-        cell_kinds = cell_kinds_of(cells_of(lines[first_line - 1], delimiter), decimal)
-        if not all(column < len(cell_kinds) and cell_kinds[column] == "n" for column in number_columns):
-            break
+
+    def number_columns(line: str) -> set[int]:
+        return {k for k, kind in enumerate(cell_kinds_of(cells_of(line, delimiter), decimal)) if kind == "n"}
+
+    needed = number_columns(lines[first_line])
+    while first_line and needed <= number_columns(lines[first_line - 1]):
         first_line -= 1
     return first_line
 
@@ -205,35 +182,22 @@ def _names_and_units_lines(
     A line of names has a text for at least all but one of the columns; of several the one with the most different
     texts, and of those the lowest.
     """
-    used_columns = [
-        k for k in range(max(map(len, sample_cells))) if any(k < len(row) and row[k].strip() for row in sample_cells)
-    ]
+    used_columns = {k for row in sample_cells for k, cell in enumerate(row) if cell.strip()}
     needed_count = max(1, len(used_columns) - 1)
     names_line, units_line, best_score = None, None, 0.0
-    for line_index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
-        cells = header_cells[line_index]
-        cell_kinds = cell_kinds_of(cells, decimal)
-        filled_cells = [cell for cell in cells if cell]
-        if (
-            not filled_cells
-            or len(cells) < used_columns[-1] + 1
-            or cell_kinds.count("t") < min(needed_count, max(1, len(filled_cells) / 2))
-        ):
+    for index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
+        cells = header_cells[index]
+        filled = [cell for cell in cells if cell]
+        text_count, half_count = cell_kinds_of(cells, decimal).count("t"), len(filled) / 2
+        is_wide = len(cells) > max(used_columns)
+        if not filled or not is_wide or text_count < min(needed_count, max(1, half_count)):
             continue
-        are_units = [is_unit(cell.strip("[]()")) for cell in filled_cells]
-        if (
-            sum(are_units) >= len(filled_cells) / 2
-            and len(cells) > 1
-            and not any(map(TIME_NAME_PATTERN.search, _non_unit_cells(filled_cells)))
-        ):
-            units_line = line_index if units_line is None else units_line
-        elif len(filled_cells) >= needed_count:
-            line_score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)
-            if line_score > best_score:
-                names_line, best_score = line_index, line_score
+        words = [cell for cell in filled if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
+        has_units = len(filled) - len(words) >= half_count and len(cells) > 1
+        if has_units and not any(map(TIME_NAME_PATTERN.search, words)):
+            units_line = index if units_line is None else units_line
+        elif len(filled) >= needed_count:
+            score = len(set(filled)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled)) else 0.0)
+            if score > best_score:
+                names_line, best_score = index, score
     return names_line, units_line
-
-
-def _non_unit_cells(cells: Sequence[str]) -> list[str]:
-    """Cells that are no unit alone: 's' is one, 'time' is none."""
-    return [cell for cell in cells if not is_unit(cell.strip("[]()"))]

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from rig.errors import RigError, is_plain, one_line
 from rig.lab.clock import MAX_DECIMATION, RATE_TOLERANCE
 from rig.lab.column import Blocks
@@ -42,10 +44,8 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
     file = with_blocks(source, TextForm(), lambda blocks: _file_content(source, blocks))
     channels, left_out_reasons = candidates_in(file.columns)
     if not channels:
-        reasons = (
-            "; ".join(f"{_column_label(c)}: {reason}" for c, reason in left_out_reasons[:6])
-            or "it has no columns of numbers"
-        )
+        reasons = "; ".join(f"{_column_label(column)}: {reason}" for column, reason in left_out_reasons[:6])
+        reasons = reasons or "it has no columns of numbers"
         raise RigError(f"{source}: no column of it is a measured channel ({reasons}); check what was exported")
     clock = clock_in(file, channels, rig.sample_rate_hz if rig else None)
     if clock.column is not None:
@@ -70,19 +70,15 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         *_sensor_lines(roles, key_by_number, rig),
         *(f"# left out: {_column_label(column)} ({reason})" for column, reason in left_out_reasons),
     ]
-    placeholder_count = sum(
-        map_line.partition("  # ")[0].count(f'= "{PLACEHOLDER}"')
-        for map_line in map_lines
-        if not map_line.startswith("#")
-    )
-    heading_facts = [f"{source.name}: {facts[0]}", *facts[1:]]
-    if placeholder_count:
-        heading_facts.append(
-            f'{placeholder_count} values are left to fill in, marked "{PLACEHOLDER}"; '
-            "delete a sensor that is not needed"
+    entries = (line.partition("  # ")[0] for line in map_lines if not line.startswith("#"))
+    missing = sum(entry.count(f'= "{PLACEHOLDER}"') for entry in entries)
+    heading = [f"{source.name}: {facts[0]}", *facts[1:]]
+    if missing:
+        heading.append(
+            f'{missing} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed'
         )
-    map_text = "\n".join([*(f"# {one_line(fact)}" for fact in heading_facts), *map(one_line, map_lines), ""])
-    return Proposal(map_text, tuple(map(one_line, facts)), placeholder_count)
+    text = "\n".join([*(f"# {one_line(fact)}" for fact in heading), *map(one_line, map_lines), ""])
+    return Proposal(text, tuple(map(one_line, facts)), missing)
 
 
 def _file_content(source: Path, blocks: Blocks) -> FileSummary:
@@ -96,17 +92,13 @@ def _file_content(source: Path, blocks: Blocks) -> FileSummary:
 
 def _key_by_number(file: FileSummary) -> dict[int, str | int]:
     """Name of each column for the map, or its number if the name does not tell it from the others."""
-    name_counts = Counter(column.name for column in file.columns)
-    return {
-        column.number: column.name
-        if name_counts[column.name] == 1
-        and is_plain(column.name)
-        and column.name == column.name.strip()
-        and 0 < len(column.name) <= MAX_NAME_LENGTH
-        and column.name != PLACEHOLDER
-        else column.number
-        for column in file.columns
-    }
+    counts = Counter(column.name for column in file.columns)
+
+    def is_telling(name: str) -> bool:
+        is_short = 0 < len(name) <= MAX_NAME_LENGTH
+        return counts[name] == 1 and is_plain(name) and name == name.strip() and is_short and name != PLACEHOLDER
+
+    return {column.number: column.name if is_telling(column.name) else column.number for column in file.columns}
 
 
 def _column_label(column: ColumnSummary) -> str:
@@ -128,25 +120,18 @@ def _clock_lines(clock: ClockProposal, key_by_number: dict[int, str | int], rig:
         yield f'sample_rate_hz = "{PLACEHOLDER}"'
     elif not clock.note.endswith("itself"):
         yield f"sample_rate_hz = {clock.rate_hz!r}  # {clock.note}"
-    is_faster = (
-        rig is not None and clock.rate_hz is not None and clock.rate_hz / rig.sample_rate_hz > 1 + RATE_TOLERANCE
-    )
     if clock.fault:
         yield f"resample = true  # {clock.fault}"
-    elif is_faster and rig is not None:
+    elif rig and clock.rate_hz is not None and clock.rate_hz / rig.sample_rate_hz > 1 + RATE_TOLERANCE:
         yield f"resample = true  # to the {rig.sample_rate_hz:g} Hz of the rig"
 
 
 def _form_lines(form: TextForm) -> Iterator[str]:
     """Line of the CSV form, with what differs from the default."""
-    default_form = TextForm()
-    changed_fields = {
-        field: value
-        for field in form.__struct_fields__
-        if (value := getattr(form, field)) != getattr(default_form, field)
-    }
-    if changed_fields:
-        yield "csv = { " + ", ".join(f"{k} = {json.dumps(v)}" for k, v in changed_fields.items()) + " }"
+    default, values = TextForm(), msgspec.structs.asdict(form)
+    changed = [f"{name} = {json.dumps(value)}" for name, value in values.items() if value != getattr(default, name)]
+    if changed:
+        yield f"csv = {{ {', '.join(changed)} }}"
 
 
 def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
@@ -161,39 +146,29 @@ def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int
         )
         return
     is_placed = rig is not None and len(rig.forces) == len(force_roles)
-    entry_texts = [
-        _entry_text(key_by_number[role.column.number], _unit_fields(role) | ({} if is_placed else _place_fields(rig)))
-        for role in force_roles
-    ]
+    place = {} if is_placed else _place_fields(rig)
+    entries = [_entry_text(key_by_number[role.column.number], _unit_fields(role) | place) for role in force_roles]
     note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
     if is_placed and rig is not None:
         note += ", and acts at " + ", ".join(f"{station.position_m:g} m of {station.body}" for station in rig.forces)
-    yield f"force = {entry_texts[0] if len(entry_texts) == 1 else '[' + ', '.join(entry_texts) + ']'}  # {note}"
+    yield f"force = {entries[0] if len(entries) == 1 else '[' + ', '.join(entries) + ']'}  # {note}"
 
 
 def _sensor_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
-    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
+    stations = {sensor.name: sensor.station for sensor in rig.sensors} if rig else {}
     sensor_roles = [role for role in roles if role.quantity != "force"]
-    if rig is not None and any(role.name not in sensor_by_name for role in sensor_roles):
-        places_text = ", ".join(
-            body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies
-        )
-        names_hint = (
-            f"; sensors of rig.json need no place if they are named as there: {', '.join(sensor_by_name)}"
-            if sensor_by_name
-            else ""
-        )
-        yield f"# bodies: {places_text}{names_hint}"
+    if rig is not None and any(role.name not in stations for role in sensor_roles):
+        places = [body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies]
+        names_hint = f"; sensors of rig.json need no place if they are named as there: {', '.join(stations)}"
+        yield f"# bodies: {', '.join(places)}{names_hint if stations else ''}"
     for role in sensor_roles:
-        sensor_key = json.dumps(role.name, ensure_ascii=False)
-        entry_fields = _unit_fields(role)
-        note = _range_text(role)
-        if role.name in sensor_by_name:
-            station = sensor_by_name[role.name].station
+        fields, note = _unit_fields(role), _range_text(role)
+        if station := stations.get(role.name):
             note += f", at {station.position_m:g} m of {station.body}"
         else:
-            entry_fields |= {"quantity": role.quantity or PLACEHOLDER} | _place_fields(rig)
-        yield f"{sensor_key} = {_entry_text(key_by_number[role.column.number], entry_fields)}  # {note}"
+            fields |= {"quantity": role.quantity or PLACEHOLDER} | _place_fields(rig)
+        entry = _entry_text(key_by_number[role.column.number], fields)
+        yield f"{json.dumps(role.name, ensure_ascii=False)} = {entry}  # {note}"
 
 
 def _unit_fields(role: ColumnRole) -> dict[str, object]:

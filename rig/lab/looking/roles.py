@@ -2,8 +2,9 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 
 from rig.lab.looking.clock import is_time
 from rig.lab.looking.columns import ColumnSummary
@@ -33,21 +34,19 @@ def candidates_in(
     columns: Sequence[ColumnSummary],
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
-    reason_by_number = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
-    usable_columns = [column for column in columns if column.number not in reason_by_number]
-    counts_by_length_and_rate = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
-    if counts_by_length_and_rate:
-        (usual_samples, usual_rate_hz), _ = counts_by_length_and_rate.most_common(1)[0]
-        for column in usable_columns:
-            if column.sample_count != usual_samples:
-                reason_by_number[column.number] = f"it has {column.sample_count} samples, most have {usual_samples}"
-            elif column.rate_hz != usual_rate_hz:
-                reason_by_number[column.number] = (
-                    f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"
-                )
+    reasons = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
+    usable = [column for column in columns if column.number not in reasons]
+    if usable:
+        lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable)
+        (usual_count, usual_hz), _ = lengths_and_rates.most_common(1)[0]
+        for column in usable:
+            if column.sample_count != usual_count:
+                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_count}"
+            elif column.rate_hz != usual_hz:
+                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_hz or 0:g}"
     return (
-        tuple(column for column in usable_columns if column.number not in reason_by_number),
-        tuple((column, reason_by_number[column.number]) for column in columns if column.number in reason_by_number),
+        tuple(column for column in usable if column.number not in reasons),
+        tuple((column, reasons[column.number]) for column in columns if column.number in reasons),
     )
 
 
@@ -58,35 +57,17 @@ def roles_of(columns: Sequence[ColumnSummary]) -> tuple[ColumnRole, ...]:
 
 
 def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
-    name_without_unit = name_and_unit(column.name, guess=True)[0].strip()
-    printable_name = (
-        name_without_unit
-        if name_without_unit.isprintable() and 0 < len(name_without_unit) <= 200
-        else f"channel_{column.number}"
-    )
-    name = next(candidate for candidate in _name_variants(printable_name) if candidate not in used_names)
+    header = name_and_unit(column.name, guess=True)[0].strip()
+    base = header if header.isprintable() and 0 < len(header) <= 200 else f"channel_{column.number}"
+    variants = chain([base], (f"{base}_{number}" for number in count(2)))
+    name = next(variant for variant in variants if variant not in used_names)
     used_names.add(name)
     if quantity := quantity_of(column.unit):
         return ColumnRole(column, name, quantity, is_by_name=False)
     if column.unit in SCALED_UNITS:
         return ColumnRole(column, name, None, is_by_name=False)
-    suggested_quantity = next(
-        (
-            quantity_name
-            for quantity_name, words in _WORDS_BY_QUANTITY.items()
-            if re.search(words, name_without_unit, re.IGNORECASE)
-        ),
-        None,
-    )
-    return ColumnRole(column, name, suggested_quantity, is_by_name=True)
-
-
-def _name_variants(name: str) -> Iterator[str]:
-    yield name
-    number = 2
-    while True:
-        yield f"{name}_{number}"
-        number += 1
+    suggested = (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, header, re.IGNORECASE))
+    return ColumnRole(column, name, next(suggested, None), is_by_name=True)
 
 
 def _unfit_reason(column: ColumnSummary) -> str:

@@ -23,6 +23,11 @@ MAX_LINES = 4000
 """Largest number of lines in the search for poles; the refinement uses every line."""
 
 
+Lines = Float[np.ndarray, " lines"]
+Frfs = Complex[np.ndarray, "frfs lines"]
+Modes = Float[np.ndarray, "modes 2"]
+
+
 @dataclass(frozen=True)
 class ModalFit:
     """Modes of n FRFs a_o(w) = -w^2 (sum_k r_ok / (w_k^2 - w^2 + 2 i z_k w_k w) + u_o) + l_o, in the accelerance.
@@ -62,26 +67,25 @@ def fit_modes(
     insignificant. Raises RigError if no mode remains.
     """
     above_zero = frequency_hz > 0
-    frequency_hz, accelerance = frequency_hz[above_zero], accelerance[:, above_zero]
+    hz, accelerance = frequency_hz[above_zero], accelerance[:, above_zero]
     with np.errstate(over="ignore"):
         frf_rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
     if not (np.isfinite(frf_rms) & (frf_rms > 0)).all():
         raise RigError("an FRF is zero or too large for a number; leave its node out")
-    if frequency_hz.size < 3 * POLYNOMIAL_ORDERS[0]:
-        raise RigError(f"{frequency_hz.size} lines above 0 Hz are too few; give {3 * POLYNOMIAL_ORDERS[0]} or more")
-    scaled_frfs = accelerance / frf_rms[:, None]
-    line_step = max(1, frequency_hz.size // MAX_LINES)
-    modes = _stable_modes(frequency_hz[::line_step], scaled_frfs[:, ::line_step])
+    if hz.size < 3 * POLYNOMIAL_ORDERS[0]:
+        raise RigError(f"{hz.size} lines above 0 Hz are too few; give {3 * POLYNOMIAL_ORDERS[0]} or more")
+    frfs = accelerance / frf_rms[:, None]
+    step = max(1, hz.size // MAX_LINES)
+    modes = _stable_modes(hz[::step], frfs[:, ::step])
     if not modes.size:
         raise RigError("no mode is found in the FRFs; check their band and noise")
-    modes = _pruned_modes(frequency_hz, scaled_frfs, modes)
+    modes = _pruned_modes(hz, frfs, modes)
     while True:
-        modes = _refined_modes(frequency_hz, scaled_frfs, modes)
-        basis = _modal_basis(frequency_hz, modes)
-        coefficients = basis_coefficients(basis, scaled_frfs)
-        is_significant = _significant_mask(
-            frequency_hz, basis, modes, coefficients, np.abs(scaled_frfs - coefficients.T @ basis.T), driving_index
-        )
+        modes = _refined_modes(hz, frfs, modes)
+        basis = _modal_basis(hz, modes)
+        coefficients = basis_coefficients(basis, frfs)
+        errors = np.abs(frfs - coefficients.T @ basis.T)
+        is_significant = _significant_mask(hz, basis, modes, coefficients, errors, driving_index)
         if is_significant.all():
             break
         if not is_significant.any():
@@ -89,33 +93,26 @@ def fit_modes(
                 "no mode stands out with a positive residue at the driving point; check its FRF's sign and direction"
             )
         modes = modes[is_significant]
-    abs_errors = [
-        np.abs(scaled_frfs - used_coefficients.T @ basis[:, : used_coefficients.shape[0]].T)
-        for used_coefficients in (coefficients, coefficients[:-2])
-    ]
-    misfits, misfits_of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in abs_errors)
+    errors_of_modes = np.abs(frfs - coefficients[:-2].T @ basis[:, :-2].T)
+    misfits, misfits_of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in (errors, errors_of_modes))
     residues = coefficients[:-2].T * frf_rms[:, None]
     return ModalFit(np.exp(modes[:, 0]), np.exp(modes[:, 1]), residues, misfits, misfits_of_modes)
 
 
-def _stable_modes(
-    frequency_hz: Float[np.ndarray, " lines"], frfs: Complex[np.ndarray, "frfs lines"]
-) -> Float[np.ndarray, "modes 2"]:
+def _stable_modes(frequency_hz: Lines, frfs: Frfs) -> Modes:
     """(ln f, ln z) of the poles that are stable from order to order."""
-    stable_poles, previous_poles, order_count = [], np.zeros((0, 2)), 0
+    stable, previous, order_count = [], np.zeros((0, 2)), 0
     products, projections = _denominator_equations(frequency_hz, frfs)
     for order in POLYNOMIAL_ORDERS:
         if 3 * order > frequency_hz.size:
             break
-        order_columns = slice(order + 1)
-        order_projections = projections[:, order_columns, order_columns].reshape(-1, order + 1)
-        poles = _poles(
-            frequency_hz, products[order_columns, order_columns] - order_projections.conj().T @ order_projections
-        )
-        is_stable = np.abs(poles[:, None] - previous_poles[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
-        stable_poles.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
-        previous_poles, order_count = poles, order_count + 1
-    all_poles = np.concatenate(stable_poles)
+        leading = slice(order + 1)
+        projection = projections[:, leading, leading].reshape(-1, order + 1)
+        poles = _poles(frequency_hz, products[leading, leading] - projection.conj().T @ projection)
+        is_stable = np.abs(poles[:, None] - previous[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
+        stable.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
+        previous, order_count = poles, order_count + 1
+    all_poles = np.concatenate(stable)
     all_poles = all_poles[np.argsort(all_poles[:, 0])]
     poles_by_mode = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
     medians = [np.median(group, axis=0) for group in poles_by_mode if len(group) >= MIN_STABLE_SHARE * order_count]
@@ -123,7 +120,7 @@ def _stable_modes(
 
 
 def _denominator_equations(
-    frequency_hz: Float[np.ndarray, " lines"], frfs: Complex[np.ndarray, "frfs lines"]
+    frequency_hz: Lines, frfs: Frfs
 ) -> tuple[Complex[np.ndarray, "n n"], Complex[np.ndarray, "frfs n n"]]:
     """Equations sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares:
     the products of the a_o z^r, summed over the FRFs, and their projections on an orthonormal basis of the z^r.
@@ -131,27 +128,22 @@ def _denominator_equations(
     The leading columns of both are those of a lower order; b is eliminated by the difference of their squares.
     """
     first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    basis_powers = np.exp(
-        -1j * np.pi * (frequency_hz - first_hz)[:, None] / alias_hz * np.arange(POLYNOMIAL_ORDERS[-1] + 1)
-    )
-    orthonormal_basis = np.linalg.qr(basis_powers)[0].conj().T
-    products, projections = np.zeros((basis_powers.shape[1],) * 2, dtype=complex), []
+    exponents = np.arange(POLYNOMIAL_ORDERS[-1] + 1)
+    powers = np.exp(-1j * np.pi * (frequency_hz - first_hz)[:, None] / alias_hz * exponents)
+    orthonormal_basis = np.linalg.qr(powers)[0].conj().T
+    products, projections = np.zeros((powers.shape[1],) * 2, dtype=complex), []
     for frf in frfs:
-        frf_powers = frf[:, None] * basis_powers
+        frf_powers = frf[:, None] * powers
         products += frf_powers.conj().T @ frf_powers
         projections.append(orthonormal_basis @ frf_powers)
     return products, np.array(projections)
 
 
-def _poles(
-    frequency_hz: Float[np.ndarray, " lines"], normal_matrix: Complex[np.ndarray, "n n"]
-) -> Float[np.ndarray, "poles 2"]:
+def _poles(frequency_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[np.ndarray, "poles 2"]:
     """(ln f, ln z) of the damped poles in the band, from the normal equations of one order."""
     first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    denominator_coefficients = np.append(
-        1.0, np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0]
-    )
-    roots = np.roots(denominator_coefficients[::-1])
+    higher_coefficients = np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0]
+    roots = np.roots(np.append(1.0, higher_coefficients)[::-1])
     roots = roots[np.abs(roots) > 0]
     poles = -np.log(roots) * 2 * alias_hz + 2j * np.pi * first_hz
     in_band = (poles.imag > 2 * np.pi * first_hz) & (poles.imag < 2 * np.pi * frequency_hz[-1])
@@ -161,11 +153,7 @@ def _poles(
     return np.log(np.stack([np.abs(poles[is_damped]) / (2 * np.pi), ratios[is_damped]], axis=1))
 
 
-def _pruned_modes(
-    frequency_hz: Float[np.ndarray, " lines"],
-    frfs: Complex[np.ndarray, "frfs lines"],
-    modes: Float[np.ndarray, "modes 2"],
-) -> Float[np.ndarray, "fewer 2"]:
+def _pruned_modes(frequency_hz: Lines, frfs: Frfs, modes: Modes) -> Float[np.ndarray, "fewer 2"]:
     """Modes after removing, one by one, those without which N log(sum of squares) + parameters log(N) is lower."""
 
     def information_criterion(candidate: Float[np.ndarray, "some 2"]) -> float:
@@ -176,38 +164,33 @@ def _pruned_modes(
 
     least_criterion = information_criterion(modes)
     while len(modes) > 1:
-        reduced_modes = [np.delete(modes, mode_index, axis=0) for mode_index in range(len(modes))]
-        criteria = [information_criterion(candidate) for candidate in reduced_modes]
+        candidates = [np.delete(modes, k, axis=0) for k in range(len(modes))]
+        criteria = [information_criterion(candidate) for candidate in candidates]
         if min(criteria) >= least_criterion:
             break
-        least_criterion, modes = min(criteria), reduced_modes[int(np.argmin(criteria))]
+        least_criterion, modes = min(criteria), candidates[int(np.argmin(criteria))]
     return modes
 
 
 def _significant_mask(
-    frequency_hz: Float[np.ndarray, " lines"],
+    frequency_hz: Lines,
     basis: Complex[np.ndarray, "lines terms"],
-    modes: Float[np.ndarray, "modes 2"],
+    modes: Modes,
     coefficients: Float[np.ndarray, "terms frfs"],
     errors: Float[np.ndarray, "frfs lines"],
     driving_index: int,
 ) -> Bool[np.ndarray, " modes"]:
     """Mask of modes with a positive residue at the driving point, in the band, and above the rms error."""
     natural_hz = np.exp(modes[:, 0])
-    nearest_lines = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST_LINE_COUNT]
-    peak_heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest_lines, axis=0)), axis=0)
+    nearest = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST_LINE_COUNT]
+    peak_heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest, axis=0)), axis=0)
     height_to_error = np.abs(coefficients[:-2]) * peak_heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
     in_band = (natural_hz > frequency_hz[0]) & (natural_hz < frequency_hz[-1])
-    return np.asarray(
-        (coefficients[:-2, driving_index] > 0) & in_band & (height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR)
-    )
+    is_high = height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR
+    return np.asarray((coefficients[:-2, driving_index] > 0) & in_band & is_high)
 
 
-def _refined_modes(
-    frequency_hz: Float[np.ndarray, " lines"],
-    frfs: Complex[np.ndarray, "frfs lines"],
-    modes: Float[np.ndarray, "modes 2"],
-) -> Float[np.ndarray, "modes 2"]:
+def _refined_modes(frequency_hz: Lines, frfs: Frfs, modes: Modes) -> Modes:
     """Modes (ln f, ln z) that minimise the sum of squares near the given ones."""
 
     def residual(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
@@ -215,22 +198,15 @@ def _refined_modes(
         error = frfs - basis_coefficients(basis, frfs).T @ basis.T
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
-    half_widths, unknown_scales = np.tile(REFINEMENT_RANGE, len(modes)), np.tile([1e-3, 1e-1], len(modes))
-    initial_unknowns = modes.ravel()
-    solution = scipy.optimize.least_squares(
-        residual,
-        initial_unknowns,
-        bounds=(initial_unknowns - half_widths, initial_unknowns + half_widths),
-        x_scale=unknown_scales,
-        max_nfev=30,
-    )
-    refined_modes = solution.x.reshape(-1, 2)
-    return np.asarray(refined_modes[np.argsort(refined_modes[:, 0])])
+    half_widths, scales = np.tile(REFINEMENT_RANGE, len(modes)), np.tile([1e-3, 1e-1], len(modes))
+    start = modes.ravel()
+    bounds = (start - half_widths, start + half_widths)
+    solution = scipy.optimize.least_squares(residual, start, bounds=bounds, x_scale=scales, max_nfev=30)
+    refined = solution.x.reshape(-1, 2)
+    return np.asarray(refined[np.argsort(refined[:, 0])])
 
 
-def _modal_basis(
-    frequency_hz: Float[np.ndarray, " lines"], modes: Float[np.ndarray, "modes 2"]
-) -> Complex[np.ndarray, "lines terms"]:
+def _modal_basis(frequency_hz: Lines, modes: Modes) -> Complex[np.ndarray, "lines terms"]:
     """Accelerance of a unit residue of each mode, of unit u and of unit l."""
     omega, omega_k, ratios = (2 * np.pi * frequency_hz[:, None], 2 * np.pi * np.exp(modes[:, 0]), np.exp(modes[:, 1]))
     mode_accelerance = -(omega**2) / (omega_k**2 - omega**2 + 2j * ratios * omega_k * omega)

@@ -1,6 +1,6 @@
 """A structure fitted to a measured force and the responses to it: modes by H1 FRFs, then by least output error."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,8 @@ import scipy
 from jaxtyping import Complex, Float
 
 from rig.errors import RigError
-from rig.lab.modal.fit import ModalFit, fit_modes, lines_in_band
-from rig.lab.modal.refine import mode_accelerances, refined_by_frfs, refined_by_output
+from rig.lab.modal.fit import Lines, ModalFit, fit_modes, lines_in_band
+from rig.lab.modal.refine import ResponseMap, mode_accelerances, refined_by_frfs, refined_by_output
 from rig.model.structure import Structure, structure_of
 from rig.recording.period import period_of
 
@@ -50,7 +50,7 @@ class FittedRecord:
 
 
 def fit_record(
-    measured_response: MeasuredResponse,
+    measured: MeasuredResponse,
     positions_m: Sequence[float],
     driving_index: int,
     length_m: float,
@@ -63,143 +63,111 @@ def fit_record(
     blocks that overlap by half. `fit_modes` finds the modes in the band, `refine` minimises their output error. Raises
     RigError if no mode is found.
     """
-    period_samples = period_of(measured_response.force_n)
-    hz, force_density, frfs, noise_density = _measured_frfs(measured_response, period_samples)
+    period_samples = period_of(measured.force_n)
+    hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
     is_used = (hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
     is_used &= lines_in_band(hz, band_hz)
     if not is_used.any():
         raise RigError("the force excites no line in band_hz; give a band that it excites")
     hz, frfs, force_amplitudes = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
-    accelerance = frfs * (2j * np.pi * hz) ** (2 - measured_response.order)
+    accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
     frf_modes = fit_modes(hz, accelerance, driving_index)
-    refined_modes = refined_by_frfs(
-        hz, accelerance, force_amplitudes / (2 * np.pi * hz) ** (2 - measured_response.order), frf_modes, driving_index
-    )
-    used_band_hz = float(hz[0]), float(hz[-1])
-    refined_modes = refined_by_output(
-        *_output_spectra(measured_response, refined_modes, used_band_hz), used_band_hz, refined_modes, driving_index
-    )
-    sensor_order = np.argsort(positions_m)
-    sorted_positions_m = np.array(positions_m, dtype=float)[sensor_order]
-    shapes = refined_modes.shapes(driving_index)
-    misfits = _free_run_misfits(measured_response, refined_modes)
-    noise_shares = (
-        noise_density * np.sqrt(measured_response.sample_rate_hz / 2) / measured_response.responses.std(axis=1)
-    )
+    weights = force_amplitudes / (2 * np.pi * hz) ** (2 - measured.order)
+    modes = refined_by_frfs(hz, accelerance, weights, frf_modes, driving_index)
+    used_hz = float(hz[0]), float(hz[-1])
+    modes = refined_by_output(*_output_spectra(measured, modes, used_hz), used_hz, modes, driving_index)
+    order = np.argsort(positions_m)
+    sorted_m, shapes = np.array(positions_m, dtype=float)[order], modes.shapes(driving_index)[order]
+    misfits = _free_run_misfits(measured, modes)
+    noise_shares = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
-        body=structure_of(
-            name,
-            length_m,
-            refined_modes.frequencies_hz,
-            refined_modes.damping_ratios,
-            sorted_positions_m,
-            shapes[sensor_order],
-        ),
-        frf_fit_misfits=_free_run_misfits(measured_response, frf_modes),
+        body=structure_of(name, length_m, modes.frequencies_hz, modes.damping_ratios, sorted_m, shapes),
+        frf_fit_misfits=_free_run_misfits(measured, frf_modes),
         misfits=misfits,
         unmodelled_share=float(np.sqrt(np.mean(np.maximum(misfits**2 - noise_shares**2, 0.0)))),
         noise_density=noise_density,
-        period_s=None if period_samples is None else period_samples / measured_response.sample_rate_hz,
-        band_hz=used_band_hz,
+        period_s=None if period_samples is None else period_samples / measured.sample_rate_hz,
+        band_hz=used_hz,
     )
 
 
-def free_run(measured_response: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
+def free_run(measured: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
     """Responses of the modes to the measured force from rest, zero-padded behind the record."""
-    force_spectrum, hz, response_by_acceleration = _force_spectrum(measured_response, modal_fit)
-    mode_responses = response_by_acceleration * mode_accelerances(
-        hz, modal_fit.frequencies_hz, modal_fit.damping_ratios
-    )
-    return np.asarray(
-        modal_fit.residues
-        @ scipy.fft.irfft(force_spectrum * mode_responses, 2 * (hz.size - 1))[:, : measured_response.force_n.size]
-    )
+    force, hz, by_acceleration = _force_spectrum(measured, modal_fit)
+    spectra = by_acceleration * mode_accelerances(hz, modal_fit.frequencies_hz, modal_fit.damping_ratios)
+    modal_responses = scipy.fft.irfft(force * spectra, 2 * (hz.size - 1))[:, : measured.force_n.size]
+    return np.asarray(modal_fit.residues @ modal_responses)
 
 
 def _force_spectrum(
-    measured_response: MeasuredResponse, modal_fit: ModalFit
+    measured: MeasuredResponse, modal_fit: ModalFit
 ) -> tuple[Complex[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
     """Spectrum of the zero-padded force, its frequencies (Hz), and (i omega)^(order - 2), which is 0 at 0 Hz.
 
     That leaves out the means, which accelerometers do not measure.
     """
-    sample_count, rate_hz = measured_response.force_n.size, measured_response.sample_rate_hz
-    padded_length = 2 * scipy.fft.next_fast_len(
-        sample_count // 2 + round(min(_decay_time_s(modal_fit), sample_count / rate_hz) * rate_hz / 2) + 1
-    )
+    sample_count, rate_hz = measured.force_n.size, measured.sample_rate_hz
+    padding_s = min(_decay_time_s(modal_fit), sample_count / rate_hz)
+    padded_length = 2 * scipy.fft.next_fast_len(sample_count // 2 + round(padding_s * rate_hz / 2) + 1)
     hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
-    response_by_acceleration = np.zeros(hz.size, dtype=complex)
-    response_by_acceleration[1:] = (2j * np.pi * hz[1:]) ** (measured_response.order - 2)
-    return scipy.fft.rfft(measured_response.force_n, padded_length), hz, response_by_acceleration
+    by_acceleration = np.zeros(hz.size, dtype=complex)
+    by_acceleration[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
+    return scipy.fft.rfft(measured.force_n, padded_length), hz, by_acceleration
 
 
 def _output_spectra(
-    measured_response: MeasuredResponse, modal_fit: ModalFit, band_hz: tuple[float, float]
-) -> tuple[
-    Complex[np.ndarray, "sensors lines"],
-    Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
-    Float[np.ndarray, " all"],
-]:
+    measured: MeasuredResponse, modal_fit: ModalFit, band_hz: tuple[float, float]
+) -> tuple[Complex[np.ndarray, "sensors lines"], ResponseMap, Float[np.ndarray, " all"]]:
     """Spectra of the responses in the band, a map from accelerances to those of a free run, and its lines (Hz)."""
-    first_sample, sample_count = _first_decayed_sample(measured_response, modal_fit), measured_response.force_n.size
-    force_spectrum, hz, response_by_acceleration = _force_spectrum(measured_response, modal_fit)
-    response_hz = np.fft.rfftfreq(sample_count - first_sample, 1 / measured_response.sample_rate_hz)
-    in_band = lines_in_band(response_hz, band_hz)
+    first, sample_count = _first_decayed_sample(measured, modal_fit), measured.force_n.size
+    force, hz, by_acceleration = _force_spectrum(measured, modal_fit)
+    in_band = lines_in_band(np.fft.rfftfreq(sample_count - first, 1 / measured.sample_rate_hz), band_hz)
     is_simulated = hz <= 2 * band_hz[1]
-    force_spectrum, response_by_acceleration = force_spectrum[is_simulated], response_by_acceleration[is_simulated]
+    response_by_accelerance = force[is_simulated] * by_acceleration[is_simulated]
 
     def response_map(accelerance: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
-        responses = scipy.fft.irfft(force_spectrum * response_by_acceleration * accelerance, 2 * (hz.size - 1))[
-            :, first_sample:sample_count
-        ]
-        return np.asarray(scipy.fft.rfft(responses)[:, in_band])
+        responses = scipy.fft.irfft(response_by_accelerance * accelerance, 2 * (hz.size - 1))
+        return np.asarray(scipy.fft.rfft(responses[:, first:sample_count])[:, in_band])
 
-    return scipy.fft.rfft(measured_response.responses[:, first_sample:])[:, in_band], response_map, hz[is_simulated]
+    return scipy.fft.rfft(measured.responses[:, first:])[:, in_band], response_map, hz[is_simulated]
 
 
 def _measured_frfs(
-    measured_response: MeasuredResponse, period_samples: int | None
-) -> tuple[
-    Float[np.ndarray, " lines"],
-    Float[np.ndarray, " lines"],
-    Complex[np.ndarray, "sensors lines"],
-    Float[np.ndarray, " sensors"],
-]:
+    measured: MeasuredResponse, period_samples: int | None
+) -> tuple[Lines, Lines, Complex[np.ndarray, "sensors lines"], Float[np.ndarray, " sensors"]]:
     """Frequencies (Hz), power density of the force, H1, and noise density of the sensors."""
-    force_n, responses = measured_response.force_n, measured_response.responses
+    force_n, responses, rate_hz = measured.force_n, measured.responses, measured.sample_rate_hz
     if period_samples is None:
         average_count = AVERAGE_COUNT
-        welch_settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
+        settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
     else:
         average_count = force_n.size // period_samples - 1
         force_n, responses = force_n[-average_count * period_samples :], responses[:, -average_count * period_samples :]
-        welch_settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
-    hz, force_density = scipy.signal.welch(force_n, measured_response.sample_rate_hz, **welch_settings)
-    _, cross_density = scipy.signal.csd(force_n, responses, measured_response.sample_rate_hz, **welch_settings)
-    _, response_density = scipy.signal.welch(responses, measured_response.sample_rate_hz, **welch_settings)
+        settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
+    hz, force_density = scipy.signal.welch(force_n, rate_hz, **settings)
+    _, cross_density = scipy.signal.csd(force_n, responses, rate_hz, **settings)
+    _, response_density = scipy.signal.welch(responses, rate_hz, **settings)
     is_unexcited = force_density <= MIN_FORCE_SHARE * force_density.max()
     is_unexcited[0] = False
     # the mean of so many powers, each distributed exponentially
     median_to_mean = scipy.stats.gamma.median(average_count) / average_count
-    noise_density = (
-        np.sqrt(np.median(response_density[:, is_unexcited], axis=1) / median_to_mean)
-        if is_unexcited.any()
-        else np.zeros(len(responses))
-    )
+    noise_density = np.zeros(len(responses))
+    if is_unexcited.any():
+        noise_density = np.sqrt(np.median(response_density[:, is_unexcited], axis=1) / median_to_mean)
     with np.errstate(divide="ignore", invalid="ignore"):
         return hz, force_density, cross_density / force_density, noise_density
 
 
-def _free_run_misfits(measured_response: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, " sensors"]:
+def _free_run_misfits(measured: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, " sensors"]:
     """Rms error of the free run over the rms response, without means, after the start has decayed."""
-    first_sample = _first_decayed_sample(measured_response, modal_fit)
-    error = measured_response.responses - free_run(measured_response, modal_fit)
-    return np.asarray(error[:, first_sample:].std(axis=1) / measured_response.responses[:, first_sample:].std(axis=1))
+    first = _first_decayed_sample(measured, modal_fit)
+    error = measured.responses - free_run(measured, modal_fit)
+    return np.asarray(error[:, first:].std(axis=1) / measured.responses[:, first:].std(axis=1))
 
 
-def _first_decayed_sample(measured_response: MeasuredResponse, modal_fit: ModalFit) -> int:
+def _first_decayed_sample(measured: MeasuredResponse, modal_fit: ModalFit) -> int:
     """First sample after the start has decayed, at most a quarter of the record."""
-    return round(min(_decay_time_s(modal_fit) * measured_response.sample_rate_hz, measured_response.force_n.size / 4))
+    return round(min(_decay_time_s(modal_fit) * measured.sample_rate_hz, measured.force_n.size / 4))
 
 
 def _decay_time_s(modal_fit: ModalFit) -> float:

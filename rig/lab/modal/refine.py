@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from rig.lab.modal.fit import ModalFit, basis_coefficients
+from rig.lab.modal.fit import Lines, ModalFit, basis_coefficients
 
 BELOW_START_RATIO, ABOVE_START_RATIO = 0.5, 1.6
 """Initial frequencies of the modes outside the band, relative to its ends."""
@@ -24,17 +24,21 @@ MIN_DRIVING_RESIDUE = 1e-3
 """Least initial residue at the driving point of a mode outside the band, relative to its largest."""
 
 
+ResponseMap = Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]]
+ModeRows = Float[np.ndarray, "modes columns"]
+
+
 def mode_accelerances(
-    hz: Float[np.ndarray, " lines"], natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
+    hz: Lines, natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Accelerances of modes with unit residue, -w^2 / (w_k^2 - w^2 + 2 i z_k w_k w)."""
     return np.asarray(_accelerance_and_slopes(2 * np.pi * hz, 2 * np.pi * natural_hz[:, None], ratios[:, None])[0])
 
 
 def refined_by_frfs(
-    hz: Float[np.ndarray, " lines"],
+    hz: Lines,
     accelerance: Complex[np.ndarray, "sensors lines"],
-    weights: Float[np.ndarray, " lines"],
+    weights: Lines,
     initial_fit: ModalFit,
     driving_index: int,
 ) -> ModalFit:
@@ -51,14 +55,10 @@ def refined_by_frfs(
     best_modes, least_criterion = initial_modes, np.inf
     for adds_below, adds_above in product((False, True), repeat=2):
         outside_hz = [hz[0] * BELOW_START_RATIO] * adds_below + [hz[-1] * ABOVE_START_RATIO] * adds_above
-        candidate = _least_error_modes(
-            output_error,
-            np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)]),
-            (hz[0], hz[-1]),
-        )
-        criterion = data_count * np.log(
-            np.sum(output_error.residual(candidate.ravel()) ** 2)
-        ) + candidate.size * np.log(data_count)
+        start = np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)])
+        candidate = _least_error_modes(output_error, start, (hz[0], hz[-1]))
+        square_sum = np.sum(output_error.residual(candidate.ravel()) ** 2)
+        criterion = data_count * np.log(square_sum) + candidate.size * np.log(data_count)
         if criterion < least_criterion:
             best_modes, least_criterion = candidate, criterion
     return _fit_of_rows(best_modes, initial_fit, driving_index)
@@ -66,7 +66,7 @@ def refined_by_frfs(
 
 def refined_by_output(
     response_spectra: Complex[np.ndarray, "sensors lines"],
-    response_map: Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
+    response_map: ResponseMap,
     hz: Float[np.ndarray, " all"],
     band_hz: tuple[float, float],
     initial_fit: ModalFit,
@@ -87,7 +87,7 @@ class _OutputError:
     def __init__(
         self,
         response_spectra: Complex[np.ndarray, "sensors lines"],
-        response_map: Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
+        response_map: ResponseMap,
         omega: Float[np.ndarray, " all"],
         driving_index: int,
     ) -> None:
@@ -101,24 +101,19 @@ class _OutputError:
 
     def jacobian(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "data unknowns"]:
         modes = self._modes(unknowns)
-        unit_spectra, spectra_by_frequency, spectra_by_damping = (
-            self.response_map(basis) for basis in self._accelerance_and_slopes(modes)
-        )
+        unit, by_frequency, by_damping = map(self.response_map, self._accelerance_and_slopes(modes))
         sensor_count, line_count = self.scaled_spectra.shape
-        error_slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
+        slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
         residues, driving_shape = self._residues(modes), modes[:, 2 + self.driving_index]
-        error_slopes[..., 0] = residues[:, None, :] * spectra_by_frequency.T
-        error_slopes[..., 1] = residues[:, None, :] * spectra_by_damping.T
-        for sensor in range(sensor_count):
-            sensor_rms = self.sensor_rms[sensor]
-            error_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / sensor_rms
-            error_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / sensor_rms
-        jacobian_rows = -error_slopes.reshape(sensor_count * line_count, -1)
-        return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
+        slopes[..., 0] = residues[:, None, :] * by_frequency.T
+        slopes[..., 1] = residues[:, None, :] * by_damping.T
+        for sensor, rms in enumerate(self.sensor_rms):
+            slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit).T / rms
+            slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit).T / rms
+        rows = -slopes.reshape(sensor_count * line_count, -1)
+        return np.concatenate([rows.real, rows.imag])
 
-    def outside_modes(
-        self, modes: Float[np.ndarray, "modes columns"], outside_hz: list[float]
-    ) -> Float[np.ndarray, "outside columns"]:
+    def outside_modes(self, modes: ModeRows, outside_hz: list[float]) -> Float[np.ndarray, "outside columns"]:
         """Initial modes outside the band, with least-squares residues of the remaining error."""
         if not outside_hz:
             return np.zeros((0, modes.shape[1]))
@@ -126,28 +121,25 @@ class _OutputError:
         log_values = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
         unit_spectra = self.response_map(self._accelerance_and_slopes(log_values)[0])
         residues = basis_coefficients(unit_spectra.T, residual)
-        driving_shape = np.sqrt(
-            np.maximum(residues[:, self.driving_index], MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1))
-        )
+        least_residues = MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)
+        driving_shape = np.sqrt(np.maximum(residues[:, self.driving_index], least_residues))
         shapes = residues / driving_shape[:, None]
         shapes[:, self.driving_index] = driving_shape
         return np.column_stack([log_values, shapes])
 
-    def _error(self, modes: Float[np.ndarray, "modes columns"]) -> Complex[np.ndarray, "sensors lines"]:
+    def _error(self, modes: ModeRows) -> Complex[np.ndarray, "sensors lines"]:
         """Spectra that the modes leave unexplained, relative to the rms of each sensor."""
         accelerance = self._accelerance_and_slopes(modes)[0]
         return self.scaled_spectra - self._residues(modes) @ self.response_map(accelerance)
 
-    def _modes(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "modes columns"]:
+    def _modes(self, unknowns: Float[np.ndarray, " unknowns"]) -> ModeRows:
         return unknowns.reshape(-1, 2 + len(self.scaled_spectra))
 
-    def _residues(self, modes: Float[np.ndarray, "modes columns"]) -> Float[np.ndarray, "sensors modes"]:
+    def _residues(self, modes: ModeRows) -> Float[np.ndarray, "sensors modes"]:
         """Residues in units of the rms of each sensor."""
         return (modes[:, 2:] * modes[:, [2 + self.driving_index]]).T / self.sensor_rms
 
-    def _accelerance_and_slopes(
-        self, modes: Float[np.ndarray, "modes columns"]
-    ) -> list[Complex[np.ndarray, "modes all"]]:
+    def _accelerance_and_slopes(self, modes: ModeRows) -> list[Complex[np.ndarray, "modes all"]]:
         return _accelerance_and_slopes(self.omega, 2 * np.pi * np.exp(modes[:, [0]]), np.exp(modes[:, [1]]))
 
 
@@ -161,38 +153,31 @@ def _accelerance_and_slopes(
     return [accelerance, -accelerance * (2 * omega_k**2 + loss) / denominator, -accelerance * loss / denominator]
 
 
-def _least_error_modes(
-    output_error: _OutputError, modes: Float[np.ndarray, "modes columns"], band_hz: tuple[float, float]
-) -> Float[np.ndarray, "modes columns"]:
+def _least_error_modes(output_error: _OutputError, modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
     """Modes of least error: those in the band stay near their start, those outside stay outside."""
-    lower_bounds, upper_bounds = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
-    log_low_hz, log_high_hz = np.log(band_hz)
-    is_below, is_above = modes[:, 0] < log_low_hz, modes[:, 0] > log_high_hz
-    lower_bounds[:, 0] = np.where(
-        is_below, log_low_hz + np.log(OUTSIDE_REACH[0]), np.where(is_above, log_high_hz, modes[:, 0] - MAX_LOG_SHIFT)
-    )
-    upper_bounds[:, 0] = np.where(
-        is_below, log_low_hz, np.where(is_above, log_high_hz + np.log(OUTSIDE_REACH[1]), modes[:, 0] + MAX_LOG_SHIFT)
-    )
-    lower_bounds[:, 1], upper_bounds[:, 1] = np.log(DAMPING_RATIO_RANGE)
-    initial_modes = np.clip(modes, lower_bounds + 1e-9, upper_bounds - 1e-9)
+    lower, upper = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
+    (low, high), (down, up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), modes[:, 0]
+    is_outside = [log_hz < low, log_hz > high]
+    lower[:, 0] = np.select(is_outside, [low + down, high], log_hz - MAX_LOG_SHIFT)
+    upper[:, 0] = np.select(is_outside, [low, high + up], log_hz + MAX_LOG_SHIFT)
+    lower[:, 1], upper[:, 1] = np.log(DAMPING_RATIO_RANGE)
     solution = scipy.optimize.least_squares(
         output_error.residual,
-        initial_modes.ravel(),
+        np.clip(modes, lower + 1e-9, upper - 1e-9).ravel(),
         output_error.jacobian,
-        bounds=(lower_bounds.ravel(), upper_bounds.ravel()),
+        bounds=(lower.ravel(), upper.ravel()),
         x_scale="jac",
         max_nfev=MAX_EVALUATIONS,
     )
     return np.asarray(solution.x.reshape(modes.shape))
 
 
-def _mode_rows(fit: ModalFit, driving_index: int) -> Float[np.ndarray, "modes columns"]:
+def _mode_rows(fit: ModalFit, driving_index: int) -> ModeRows:
     """Rows (ln f, ln z, phi at every sensor) of a fit's modes, phi_o = r_o / sqrt(r_d)."""
     return np.column_stack([np.log(fit.frequencies_hz), np.log(fit.damping_ratios), fit.shapes(driving_index).T])
 
 
-def _fit_of_rows(modes: Float[np.ndarray, "modes columns"], initial_fit: ModalFit, driving_index: int) -> ModalFit:
+def _fit_of_rows(modes: ModeRows, initial_fit: ModalFit, driving_index: int) -> ModalFit:
     sorted_modes = modes[np.argsort(modes[:, 0])]
     return replace(
         initial_fit,

@@ -73,16 +73,15 @@ def read_uff(path: Path) -> UffFile:
     try:
         check_whole(path)
         reader = pyuff.UFF(str(path))
-        type_codes = [int(type_code) for type_code in reader.get_set_types()]
         datasets: dict[int, list[dict[str, Any]]] = {}
-        for dataset_index, kind in enumerate(type_codes):
+        for index, kind in enumerate(map(int, reader.get_set_types())):
             if kind in (15, 55, 58, 164, 2411):
                 with np.errstate(all="ignore"):  # what is not finite is refused where it is used
-                    datasets.setdefault(kind, []).append(reader.read_sets(dataset_index))
+                    datasets.setdefault(kind, []).append(reader.read_sets(index))
         node_places = {
-            int(node_number): np.array([x, y, z])
+            int(node): np.array([x, y, z])
             for dataset in (*datasets.get(15, []), *datasets.get(2411, []))
-            for node_number, x, y, z in zip(dataset["node_nums"], dataset["x"], dataset["y"], dataset["z"], strict=True)
+            for node, x, y, z in zip(dataset["node_nums"], dataset["x"], dataset["y"], dataset["z"], strict=True)
         }
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
@@ -94,48 +93,35 @@ def read_uff(path: Path) -> UffFile:
     length_units, force_units = (float(units.get(name) or 1.0) for name in ("length", "force"))
     if not (0 < length_units < np.inf and 0 < force_units < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
-    return UffFile(
-        path,
-        datasets,
-        {node: position / length_units for node, position in node_places.items()},
-        length_units,
-        force_units,
-    )
+    nodes_m = {node: position / length_units for node, position in node_places.items()}
+    return UffFile(path, datasets, nodes_m, length_units, force_units)
 
 
 def node_line(
     file: UffFile, choice: Choice, nodes: Iterable[int]
 ) -> tuple[tuple[int, ...], Float[np.ndarray, " places"], float, str]:
     """Nodes along the body, their positions from its left end (m), its length (m), and a note on them."""
-    chosen_nodes = choice.nodes or tuple(sorted(set(nodes)))
-    if missing_nodes := sorted(set(chosen_nodes) - set(nodes)):
-        raise file.error(f"has no data at node {missing_nodes[0]}; leave it out of nodes")
+    chosen = choice.nodes or tuple(sorted(set(nodes)))
+    if missing := sorted(set(chosen) - set(nodes)):
+        raise file.error(f"has no data at node {missing[0]}; leave it out of nodes")
     if choice.positions_m:
-        if len(choice.positions_m) != len(chosen_nodes):
-            raise file.error(
-                f"has {len(chosen_nodes)} nodes, and {len(choice.positions_m)} positions_m are given; give each"
-            )
-        positions_m, placement_words = np.array(choice.positions_m), "as given"
+        if len(choice.positions_m) != len(chosen):
+            raise file.error(f"has {len(chosen)} nodes, and {len(choice.positions_m)} positions_m are given; give each")
+        positions_m, placed = np.array(choice.positions_m), "as given"
     else:
-        if unplaced_nodes := [node for node in chosen_nodes if node not in file.nodes_m]:
-            raise file.error(
-                f"has no coordinates of node {unplaced_nodes[0]} (dataset 15); export them, or give positions_m"
-            )
-        coordinates = np.array([file.nodes_m[node] for node in chosen_nodes])
+        if unplaced := [node for node in chosen if node not in file.nodes_m]:
+            raise file.error(f"has no coordinates of node {unplaced[0]} (dataset 15); export them, or give positions_m")
+        coordinates = np.array([file.nodes_m[node] for node in chosen])
         axis = AXES.index(choice.axis) if choice.axis else int(np.argmax(np.ptp(coordinates, axis=0)))
-        positions_m, placement_words = (coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}")
-    node_order = np.argsort(positions_m, kind="stable")
-    ordered_nodes, positions_m = tuple(chosen_nodes[k] for k in node_order), positions_m[node_order]
+        positions_m, placed = coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}"
+    order = np.argsort(positions_m, kind="stable")
+    line, positions_m = tuple(chosen[k] for k in order), positions_m[order]
     length_m = choice.length_m or float(positions_m[-1])
-    if coincident_indices := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
-        first_node, second_node = ordered_nodes[coincident_indices[0]], ordered_nodes[coincident_indices[0] + 1]
-        raise file.error(
-            f"nodes {first_node} and {second_node} are at one place {placement_words}; name those of one line by nodes"
-        )
-    extent_text = (
-        f"from node {ordered_nodes[0]} at {positions_m[0]:.6g} m to node {ordered_nodes[-1]} at {positions_m[-1]:.6g} m"
-    )
-    return ordered_nodes, positions_m, length_m, f"{len(ordered_nodes)} nodes {placement_words}, {extent_text}"
+    if coincident := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
+        first, second = line[coincident[0]], line[coincident[0] + 1]
+        raise file.error(f"nodes {first} and {second} are at one place {placed}; name those of one line by nodes")
+    extent = f"from node {line[0]} at {positions_m[0]:.6g} m to node {line[-1]} at {positions_m[-1]:.6g} m"
+    return line, positions_m, length_m, f"{len(line)} nodes {placed}, {extent}"
 
 
 RIGID_HZ = 0.01
@@ -158,30 +144,29 @@ def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tup
     amplitudes = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))
     if not amplitudes.any():
         raise file.error("its mode shapes are zero at the nodes; export them again")
-    is_elastic = np.array([mode.frequency_hz >= RIGID_HZ for mode in modes])
-    axis = (
-        AXES.index(choice.direction) if choice.direction else int(np.argmax((amplitudes[is_elastic] ** 2).sum(axis=0)))
-    )
+    frequencies_hz = np.array([mode.frequency_hz for mode in modes])
+    ratios = np.array([mode.damping_ratio for mode in modes])
+    is_elastic = frequencies_hz >= RIGID_HZ
+    axis = int(np.argmax((amplitudes[is_elastic] ** 2).sum(axis=0)))
+    if choice.direction:
+        axis = AXES.index(choice.direction)
     direction_shares = amplitudes[:, axis] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
     is_kept = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
-    kept_modes = [mode for mode, is_mode_kept in zip(modes, is_kept, strict=True) if is_mode_kept]
-    notes: tuple[str, ...] = (f"{len(kept_modes)} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}",)
-    if dropped_count := len(modes) - len(kept_modes):
-        notes += (f"{dropped_count} modes without motion in direction {AXES[axis]} are left out",)
-    if not all(mode.damping_ratio for mode in kept_modes if mode.frequency_hz >= RIGID_HZ):
-        notes += ("a mode has no damping in the file; set damping_ratios in rig.json",)
+    frequencies_hz, ratios, is_elastic = frequencies_hz[is_kept], ratios[is_kept], is_elastic[is_kept]
+    notes = [f"{frequencies_hz.size} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}"]
+    if dropped_count := len(modes) - frequencies_hz.size:
+        notes.append(f"{dropped_count} modes without motion in direction {AXES[axis]} are left out")
+    if not ratios[is_elastic].all():
+        notes.append("a mode has no damping in the file; set damping_ratios in rig.json")
     shapes, out_of_phase = _real_shapes(vectors[is_kept, :, axis].T)
     if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
-        worst_mode = kept_modes[int(np.argmax(out_of_phase))]
         raise file.error(
-            f"{out_of_phase.max():.0%} of the mode at {worst_mode.frequency_hz:g} Hz is out of phase; a structure has "
-            "normal modes, export those"
+            f"{out_of_phase.max():.0%} of the mode at {frequencies_hz[np.argmax(out_of_phase)]:g} Hz is out of phase; "
+            "a structure has normal modes, export those"
         )
-    is_rigid = ~is_elastic[is_kept]
-    frequencies_hz = np.where(is_rigid, 0.0, [mode.frequency_hz for mode in kept_modes])
-    ratios = np.where(is_rigid, 0.0, [mode.damping_ratio for mode in kept_modes])
-    node_names = [str(node) for node in nodes]
-    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, node_names), notes
+    frequencies_hz, ratios = np.where(is_elastic, frequencies_hz, 0.0), np.where(is_elastic, ratios, 0.0)
+    names = [str(node) for node in nodes]
+    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names), tuple(notes)
 
 
 @dataclass(frozen=True)
@@ -215,19 +200,16 @@ def _mode_of(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
     vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
     if not np.isfinite(vectors).all():
         raise file.error(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
-    return _Mode(
-        frequency_hz, damping_ratio, dict(zip((int(node) for node in dataset["node_nums"]), vectors, strict=True))
-    )
+    return _Mode(frequency_hz, damping_ratio, dict(zip(map(int, dataset["node_nums"]), vectors, strict=True)))
 
 
 def _real_shapes(
     shapes: Complex[np.ndarray, "places modes"],
 ) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
     """Real part of each shape after the rotation that makes it most real, and its share out of phase."""
-    rotation = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
-    rotated_shapes = shapes * rotation
-    shape_norms = np.maximum(np.linalg.norm(rotated_shapes, axis=0), 1e-300)
-    return rotated_shapes.real, np.linalg.norm(rotated_shapes.imag, axis=0) / shape_norms
+    rotated = shapes * np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
+    norms = np.maximum(np.linalg.norm(rotated, axis=0), 1e-300)
+    return rotated.real, np.linalg.norm(rotated.imag, axis=0) / norms
 
 
 _RESPONSE_TYPES = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
@@ -239,12 +221,9 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
     frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION]
     if not frfs:
         raise file.error("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
-    points_of_frfs = [((abs(frf["rsp_dir"]), frf["rsp_node"]), (abs(frf["ref_dir"]), frf["ref_node"])) for frf in frfs]
-    axis = (
-        AXES.index(choice.direction) + 1
-        if choice.direction
-        else Counter(response_and_force[0][0] for response_and_force in points_of_frfs).most_common(1)[0][0]
-    )
+    axis = Counter(abs(frf["rsp_dir"]) for frf in frfs).most_common(1)[0][0]
+    if choice.direction:
+        axis = AXES.index(choice.direction) + 1
     if axis not in (1, 2, 3):
         raise file.error("its FRFs do not say their directions; export them with node and direction")
     driving_node, frf_by_node = _driving_point(file, frfs, axis)
@@ -258,24 +237,17 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
         fit = fit_modes(frequency_hz, accelerance, nodes.index(driving_node))
     except RigError as error:
         raise file.error(str(error)) from error
-    shapes = fit.shapes(nodes.index(driving_node))
-    body = structure_of(
-        file.path.stem,
-        length_m,
-        fit.frequencies_hz,
-        fit.damping_ratios,
-        positions_m,
-        shapes,
-        [str(node) for node in nodes],
-    )
-    notes = (
+    shapes, names = fit.shapes(nodes.index(driving_node)), [str(node) for node in nodes]
+    frequencies_hz, ratios = fit.frequencies_hz, fit.damping_ratios
+    body = structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names)
+    first_note = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
-        f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}",
-        *(f"left out: {len(frfs) - len(nodes)} FRFs" for _ in range(len(frfs) > len(nodes))),
-        *_fit_notes(nodes, fit),
+        f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}"
     )
+    left_out = [f"left out: {len(frfs) - len(nodes)} FRFs"] if len(frfs) > len(nodes) else []
     unmodelled_share = max(float(f"{np.median(fit.misfits_of_modes):.2g}"), Tolerances().unmodelled)
-    return body, notes, Tolerances(unmodelled=unmodelled_share, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
+    tolerances = Tolerances(unmodelled=unmodelled_share, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
+    return body, (first_note, *left_out, *_fit_notes(nodes, fit)), tolerances
 
 
 def _fit_notes(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
@@ -285,36 +257,33 @@ def _fit_notes(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
         yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {mode_misfit:.2%} by the modes without residuals"
 
 
-def _driving_point(
-    file: UffFile, frfs: list[dict[str, Any]], axis: int
-) -> tuple[int, dict[int, tuple[float, dict[str, Any]]]]:
+SignedFrf = tuple[float, dict[str, Any]]
+
+
+def _driving_point(file: UffFile, frfs: list[dict[str, Any]], axis: int) -> tuple[int, dict[int, SignedFrf]]:
     """Driving point that most FRFs in the direction share, and their signs and FRFs by the node of the other end.
 
     The shared point may be where the force acts or, by reciprocity (a roving hammer), where the sensor sits.
     """
-    frfs_by_point: dict[int, dict[int, tuple[float, dict[str, Any]]]] = {}
+    by_point: dict[int, dict[int, SignedFrf]] = {}
     for frf in frfs:
         if abs(frf["rsp_dir"]) == axis == abs(frf["ref_dir"]):
             response_node, reference_node = int(frf["rsp_node"]), int(frf["ref_node"])
             signed_frf = (float(np.sign(frf["rsp_dir"] * frf["ref_dir"])), frf)
-            frfs_by_point.setdefault(reference_node, {})[response_node] = signed_frf
-            frfs_by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
-    driving_points = {
-        driving_point: frf_by_node
-        for driving_point, frf_by_node in frfs_by_point.items()
-        if driving_point in frf_by_node
-    }
+            by_point.setdefault(reference_node, {})[response_node] = signed_frf
+            by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
+    driving_points = [point for point, frf_by_node in by_point.items() if point in frf_by_node]
     if not driving_points:
         raise file.error(
             f"has no FRF of a driving point in direction {AXES[axis - 1]} (one node for force and response), without "
             "which shapes have no scale; measure it too"
         )
-    driving_point = max(driving_points, key=lambda candidate: len(driving_points[candidate]))
-    return driving_point, driving_points[driving_point]
+    driving_point = max(driving_points, key=lambda point: len(by_point[point]))
+    return driving_point, by_point[driving_point]
 
 
 def _accelerances_of(
-    file: UffFile, signed_frfs: list[tuple[float, dict[str, Any]]]
+    file: UffFile, signed_frfs: list[SignedFrf]
 ) -> tuple[Float[np.ndarray, " lines"], Complex[np.ndarray, "frfs lines"]]:
     """Frequencies (Hz) and accelerances (SI) from receptances, mobilities or accelerances."""
     frequency_hz = np.asarray(signed_frfs[0][1]["x"], dtype=float)
@@ -330,9 +299,8 @@ def _accelerances_of(
         if len(frf["data"]) != hz.size or not (np.isfinite(frf["data"]).all() and np.isfinite(hz).all()):
             raise file.error(f"{label} is cut off or not finite; export it again")
         response_factor, force_factor = _unit_factors(file, frf, quantity)
-        accelerances.append(
-            sign * response_factor / force_factor * np.asarray(frf["data"]) * (2j * np.pi * hz) ** (2 - order)
-        )
+        factor = sign * response_factor / force_factor
+        accelerances.append(factor * np.asarray(frf["data"]) * (2j * np.pi * hz) ** (2 - order))
     return frequency_hz, np.array(accelerances)
 
 

@@ -67,39 +67,37 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             fit = fit_record(measured, self.positions_m, driving_index, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        noise_densities = fit.noise_density.tolist()
+        densities = fit.noise_density.tolist()
         if self.noise_density is not None:
-            noise_densities = [self.noise_density] * len(noise_densities)
+            densities = [self.noise_density] * len(densities)
         law = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
         stations = [Station(self.name, position_m) for position_m in self.positions_m]
+        sensors = (
+            replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{density:.3g}"))
+            for station, density in zip(stations, densities, strict=True)
+        )
         rig = Rig(
             name=self.name,
             bodies=(fit.body,),
             contacts=contacts_of([(Station(self.name, position_m), None) for position_m in self.contacts_m], law),
             force_at=stations[driving_index],
-            sensors=tuple(
-                replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
-                for station, noise_density in zip(stations, noise_densities, strict=True)
-            ),
+            sensors=tuple(sensors),
             sample_rate_hz=measured.sample_rate_hz,
             tolerances=Tolerances(
                 unmodelled=max(float(f"{fit.unmodelled_share:.2g}"), Tolerances().unmodelled),
                 highest_hz=float(f"{fit.band_hz[1]:.4g}"),
             ),
         )
-        repeats_words = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
-        band_words = f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz"
-        notes = (
+        repeats = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
+        first_note = (
             f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, "
-            f"{band_words}; its force {repeats_words}",
-            *_mode_notes(fit.body, fit.band_hz),
-            *(
-                f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({frf_misfit:.2%} by "
-                "the FRFs' modes)"
-                for sensor, misfit, frf_misfit in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
-            ),
+            f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz; its force {repeats}"
         )
-        return rig, notes
+        misfit_notes = (
+            f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({frf_misfit:.2%} by the FRFs' modes)"
+            for sensor, misfit, frf_misfit in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
+        )
+        return rig, (first_note, *_mode_notes(fit.body, fit.band_hz), *misfit_notes)
 
     def map_text(self, rig: Rig) -> str:
         lines = [f"rig = {json.dumps(RIG_NAME)}"]
@@ -133,16 +131,13 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
 
     def _measured_response(self) -> MeasuredResponse:
-        column_keys = [
-            _source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name
-        ]
-        table = read_table(self.from_record, TextForm(), column_keys)
-        source_by_name = {"force": ("force", _source(self.force_column, self.force_unit))}
-        source_by_name |= {
-            f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
-        }
+        names = (self.force_column, *self.columns, self.time_column)
+        table = read_table(self.from_record, TextForm(), [_source(name, None).column for name in names if name])
+        sources = {"force": ("force", _source(self.force_column, self.force_unit))}
+        for k, name in enumerate(self.columns, start=1):
+            sources[f"sensor {k}"] = (self.quantity[0], _source(name, self.unit))
         try:
-            columns, si_factors = source_columns(table, source_by_name)
+            columns, si_factors = source_columns(table, sources)
             time_source = _source(self.time_column, "s") if self.time_column else None
             sample_times = sample_times_of(table, list(columns.values()), time_source, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")
@@ -164,7 +159,5 @@ def _map_entry(column: str, unit: str | None) -> str:
 
 def _mode_notes(body: Structure, band_hz: tuple[float, float]) -> Iterator[str]:
     for hz, ratio in zip(body.natural_hz, body.ratios, strict=True):
-        in_band = band_hz[0] <= hz <= band_hz[1]
-        yield f"mode: {hz:.6g} Hz, damping ratio {ratio:.4g}" + (
-            "" if in_band else ", stands for those outside the band"
-        )
+        remark = "" if band_hz[0] <= hz <= band_hz[1] else ", stands for those outside the band"
+        yield f"mode: {hz:.6g} Hz, damping ratio {ratio:.4g}{remark}"

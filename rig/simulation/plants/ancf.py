@@ -148,27 +148,19 @@ class _Instruments:
 
 def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: list[int]) -> _Instruments:
     """Exudyn sensors on every node and on the connectors of the contacts."""
-    orders = {0, *(sensor.measures.order for sensor in rig.sensors)}
-    force_output = exu.OutputVariableType.Force
+    readers = {
+        order: _read_nodes(exu, mbs, meshes, order) for order in {0, *(sensor.measures.order for sensor in rig.sensors)}
+    }
+    force_sensors = []
+    for connector, contact in zip(connectors, contact_rows(rig), strict=False):
+        force = {"storeInternal": True, "outputVariableType": exu.OutputVariableType.Force}
+        number = int(mbs.AddSensor(item("SensorObject")(objectNumber=connector, **force)))
+        force_sensors.append((number, 2 + DIRECTIONS.index(contact.at.direction) if contact.law.spatial else 1))
+    stations = {*stations_of(rig), *(contact.at for contact in connections(rig))}
     return _Instruments(
-        coordinate_readers={order: _read_nodes(exu, mbs, meshes, order) for order in orders},
-        contact_force_sensors=[
-            (
-                int(
-                    mbs.AddSensor(
-                        item("SensorObject")(
-                            objectNumber=connector, storeInternal=True, outputVariableType=force_output
-                        )
-                    )
-                ),
-                2 + DIRECTIONS.index(contact.at.direction) if contact.law.spatial else 1,
-            )
-            for connector, contact in zip(connectors, contact_rows(rig), strict=False)
-        ],
-        displacement_rows={
-            station: station_row(meshes, station)
-            for station in {*stations_of(rig), *(contact.at for contact in connections(rig))}
-        },
+        coordinate_readers=readers,
+        contact_force_sensors=force_sensors,
+        displacement_rows={station: station_row(meshes, station) for station in stations},
         sensor_rows=[(sensor.measures, _sensor_row(rig, meshes, sensor)) for sensor in rig.sensors],
         limits_m=softening_limits_m(rig),
     )
@@ -178,59 +170,42 @@ def _motion(
     rig: Rig, mbs: Any, instruments: _Instruments, excitation: _Excitation, steps: range, step_s: float
 ) -> Motion:
     """Motion of the segment just solved; raises RigError if it diverged or a softening spring let go."""
-    repeated_count = int(steps.start > 0)  # the first sample of a segment is the last of the one before
-    coordinates = {
-        order: read_coordinates()[:, repeated_count:]
-        for order, read_coordinates in instruments.coordinate_readers.items()
-    }
+    repeated = int(steps.start > 0)  # the first sample of a segment is the last of the one before
+    coordinates = {order: read()[:, repeated:] for order, read in instruments.coordinate_readers.items()}
     if not all(np.isfinite(derivative).all() for derivative in coordinates.values()):
         end_s = steps.stop * step_s
         raise RigError(f"the ancf plant diverged before {end_s:.3f} s at step {step_s} s; use a smaller step")
-    sample_count = coordinates[0].shape[1]
-    span = slice(steps.stop + 1 - sample_count, steps.stop + 1)
-    displacement_m = {s: row @ coordinates[0] for s, row in instruments.displacement_rows.items()}
-    eta_m = [
-        displacement_m[contact.at] - (displacement_m[contact.against] if contact.against else 0)
-        for contact in connections(rig)
-    ]
-    check_softening(instruments.limits_m, _stack(eta_m, sample_count))
-    base_signals = excitation.base_motion_over(span)
-    sensor_values = [
-        row @ coordinates[derivative.order] + base_signals[derivative.order] * derivative.translates
-        for derivative, row in instruments.sensor_rows
-    ]
+    count = coordinates[0].shape[1]
+    span = slice(steps.stop + 1 - count, steps.stop + 1)
+    moved_m = {station: row @ coordinates[0] for station, row in instruments.displacement_rows.items()}
+    eta_m = [moved_m[c.at] - (moved_m[c.against] if c.against else 0) for c in connections(rig)]
+    check_softening(instruments.limits_m, _stack(eta_m, count))
+    base, force_sensors = excitation.base_motion_over(span), instruments.contact_force_sensors
+    sensed = [row @ coordinates[q.order] + base[q.order] * q.translates for q, row in instruments.sensor_rows]
+    forces_n = [mbs.GetSensorStoredData(sensor)[repeated:, column] for sensor, column in force_sensors]
     return Motion(
-        start_s=(steps.start + repeated_count) * step_s,
+        start_s=(steps.start + repeated) * step_s,
         step_s=step_s,
         forces_n=excitation.measured_forces_n[span],
-        sensed=_stack(sensor_values, sample_count),
-        displacement_m=_stack(
-            [displacement_m[station] + base_signals[0] for station in stations_of(rig)], sample_count
-        ),
-        eta_m=_stack(eta_m[: len(instruments.contact_force_sensors)], sample_count),
-        contact_force_n=_stack(
-            [mbs.GetSensorStoredData(s)[repeated_count:, column] for s, column in instruments.contact_force_sensors],
-            sample_count,
-        ),
+        sensed=_stack(sensed, count),
+        displacement_m=_stack([moved_m[station] + base[0] for station in stations_of(rig)], count),
+        eta_m=_stack(eta_m[: len(force_sensors)], count),
+        contact_force_n=_stack(forces_n, count),
     )
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
     """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
     output_type = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
-    sensors = [
-        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)), mesh)
-        for mesh in meshes
-        for node in mesh.node_numbers
-    ]
+    sensors = []
+    for mesh in meshes:
+        columns = [1 + coordinate for coordinate in mesh.transverse_coordinates]
+        for node in mesh.node_numbers:
+            sensor = item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)
+            sensors.append((mbs.AddSensor(sensor), columns))
 
     def read_coordinates() -> Float[np.ndarray, "rows samples"]:
-        rows = [
-            np.asarray(mbs.GetSensorStoredData(sensor))[
-                :, [1 + coordinate for coordinate in mesh.transverse_coordinates]
-            ].T
-            for sensor, mesh in sensors
-        ]
+        rows = [np.asarray(mbs.GetSensorStoredData(sensor))[:, columns].T for sensor, columns in sensors]
         return np.concatenate(rows)
 
     return read_coordinates

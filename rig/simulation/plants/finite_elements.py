@@ -58,27 +58,20 @@ def build(
 
     connectors: list[int] = []
     for contact in connections(rig):
-        if not contact.law.spatial:
-            connectors.append(
-                add_contact(
-                    exu, mbs, displacement_marker(contact.against), displacement_marker(contact.at), contact.law
-                )
-            )
-        elif contact.at.direction == "y":
-            connectors += [
-                add_contact(exu, mbs, position_marker(contact.against), position_marker(contact.at), contact.law)
-            ] * len(rig.directions)
-    connectors += [
-        add_grounded(exu, mbs, ground_marker, displacement_marker(grounded_force.station), grounded_force)
-        for grounded_force in extra_physics
-        if isinstance(grounded_force, GroundedForce)
-    ]
-    force_stations = [None if rig.is_on_ground(station) else station for station in rig.forces]
-    loaded_stations = [*zip(force_stations, first_forces_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
-    loads = [
-        int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=displacement_marker(station), load=force_n)))
-        for station, force_n in loaded_stations
-    ]
+        if contact.law.spatial and contact.at.direction != "y":
+            continue
+        marker = position_marker if contact.law.spatial else displacement_marker
+        connector = add_contact(exu, mbs, marker(contact.against), marker(contact.at), contact.law)
+        connectors += [connector] * (len(rig.directions) if contact.law.spatial else 1)
+    for part in extra_physics:
+        if isinstance(part, GroundedForce):
+            connectors.append(add_grounded(exu, mbs, ground_marker, displacement_marker(part.station), part))
+    stations = [*(None if rig.is_on_ground(station) else station for station in rig.forces)]
+    stations += [tone.station for tone in rig.tones]
+    loads = []
+    for station, force_n in zip(stations, [*first_forces_n, *(0.0 for _ in rig.tones)], strict=True):
+        load = item("LoadCoordinate")(markerNumber=displacement_marker(station), load=force_n)
+        loads.append(int(mbs.AddLoad(load)))
     return meshes, connectors, loads
 
 
@@ -121,65 +114,46 @@ def _add_mass(
     for direction, plane in plane_rigs(rig).items():
         loaded_mass, (coordinate,) = with_attachments(plane, body), mesh.node_coordinates_of(direction)
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
-        mbs.AddObject(
-            item("CoordinateSpringDamper")(
-                markerNumbers=[ground_marker, marker],
-                stiffness=loaded_mass.stiffness_n_per_m,
-                damping=loaded_mass.damping_n_s_per_m,
-            )
-        )
+        constants = {"stiffness": loaded_mass.stiffness_n_per_m, "damping": loaded_mass.damping_n_s_per_m}
+        mbs.AddObject(item("CoordinateSpringDamper")(markerNumbers=[ground_marker, marker], **constants))
     return mesh
 
 
 def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, element_count: int, sections: list[Section]) -> Mesh:
-    def fix(node: int, coordinates: tuple[int, ...]) -> None:
-        for coordinate in coordinates:
-            marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
-            mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground_marker, marker]))
-
-    positions, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
+    positions_m, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
     if rig.in_space and body.bending_stiffness_n_m2 != body.bending_in_z.bending_stiffness_n_m2:
         raise RigError(
             f"the ancf plant bends beams in space alike in y and z, and {body.name!r} is wider than thick; give a tube "
             "or a square, or simulate it with modal"
         )
-    node_type, other_references = (
-        ("NodePointSlope1", [0, 0, 1, 0, 0]) if rig.in_space else ("NodePoint2DSlope1", [0, 1, 0])
-    )
+    node_type, cable_type, other_references = "NodePoint2DSlope1", "ObjectANCFCable2D", [0, 1, 0]
+    if rig.in_space:
+        node_type, cable_type, other_references = "NodePointSlope1", "ObjectANCFCable", [0, 0, 1, 0, 0]
     nodes = tuple(
         int(mbs.AddNode(item(node_type)(referenceCoordinates=[position_m, *other_references])))
-        for position_m in positions
+        for position_m in positions_m
     )
-    mesh = Mesh(body, positions, nodes, rig.directions)
-    for (left_node, right_node), length_m, middle_m in zip(
-        pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
-    ):
-        local_sections = [
-            section for section in sections if section.beam == body.name and section.start_m < middle_m < section.end_m
-        ]
-        stiffness_factor, mass_factor = (
-            float(np.prod([getattr(section, factor_name) for section in local_sections]))
-            for factor_name in ("stiffness_factor", "mass_factor")
+    mesh = Mesh(body, positions_m, nodes, rig.directions)
+    middles_m = (positions_m[1:] + positions_m[:-1]) / 2
+    axial_stiffness_n = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
+    for pair, length_m, middle_m in zip(pairwise(nodes), np.diff(positions_m), middles_m, strict=True):
+        local = [part for part in sections if part.beam == body.name and part.start_m < middle_m < part.end_m]
+        stiffness_factor = float(np.prod([part.stiffness_factor for part in local]))
+        mass_factor = float(np.prod([part.mass_factor for part in local]))
+        cable = item(cable_type)(
+            nodeNumbers=[*pair],
+            length=length_m,
+            massPerLength=mass_factor * body.mass_per_length_kg_per_m,
+            bendingStiffness=stiffness_factor * body.bending_stiffness_n_m2,
+            axialStiffness=mass_factor * axial_stiffness_n,
         )
-        axial_stiffness_n = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
-        mbs.AddObject(
-            item("ObjectANCFCable" if rig.in_space else "ObjectANCFCable2D")(
-                nodeNumbers=[left_node, right_node],
-                length=length_m,
-                massPerLength=mass_factor * body.mass_per_length_kg_per_m,
-                bendingStiffness=stiffness_factor * body.bending_stiffness_n_m2,
-                axialStiffness=mass_factor * axial_stiffness_n,
-            )
-        )
+        mbs.AddObject(cable)
     if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
         held_count = held_coordinate_count(rig, body)
-        fix(
-            nodes[0],
-            (
-                0,
-                *(index for direction in mesh.directions for index in mesh.node_coordinates_of(direction)[:held_count]),
-            ),
-        )
+        held = [k for direction in mesh.directions for k in mesh.node_coordinates_of(direction)[:held_count]]
+        for coordinate in (0, *held):
+            marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=nodes[0], coordinate=coordinate))
+            mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground_marker, marker]))
     return mesh
 
 
@@ -218,47 +192,38 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     for mesh in meshes:
         coordinate_count = mesh.coordinates_per_node * len(mesh.node_numbers)
         for direction in () if mesh.body.is_mass else mesh.directions:
-            free_indices = free_coordinates(rig, mesh, direction)
-            block_indices = np.ix_(first_coordinate + free_indices, first_coordinate + free_indices)
-            omega_squared, shapes = scipy.linalg.eigh(stiffness_matrix[block_indices], mass_matrix[block_indices])
+            free = free_coordinates(rig, mesh, direction)
+            block = np.ix_(first_coordinate + free, first_coordinate + free)
+            omega_squared, shapes = scipy.linalg.eigh(stiffness_matrix[block], mass_matrix[block])
             damping_rates = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(omega_squared, 0))
             damping_rates[: mesh.body.rigid_modes] = 0
-            mass_times_shapes = mass_matrix[block_indices] @ shapes
+            mass_times_shapes = mass_matrix[block] @ shapes
             damping_matrix = np.zeros((coordinate_count, coordinate_count))
-            damping_matrix[np.ix_(free_indices, free_indices)] = (
-                mass_times_shapes * damping_rates
-            ) @ mass_times_shapes.T
+            damping_matrix[np.ix_(free, free)] = (mass_times_shapes * damping_rates) @ mass_times_shapes.T
             mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=list(mesh.node_numbers), dampingMatrix=damping_matrix))
         first_coordinate += coordinate_count
 
 
 def free_coordinates(rig: Rig, mesh: Mesh, direction: Direction = "y") -> Int[np.ndarray, " free"]:
     """Indices of the transverse coordinates of a beam's nodes in one direction that no clamp fixes."""
-    node_coordinates = mesh.node_coordinates_of(direction)
-    transverse_indices = np.array(
-        [
-            mesh.coordinates_per_node * node_index + coordinate
-            for node_index in range(len(mesh.node_numbers))
-            for coordinate in node_coordinates
-        ]
-    )
-    return transverse_indices[held_coordinate_count(rig, mesh.body) :]
+    first_indices = mesh.coordinates_per_node * np.arange(len(mesh.node_numbers))
+    indices = (first_indices[:, None] + mesh.node_coordinates_of(direction)).ravel()
+    return indices[held_coordinate_count(rig, mesh.body) :]
 
 
 def add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:
     """Add static loads and the base's inertial load; return a function that sets the base's acceleration."""
-    static_load_n, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
+    static_n, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
     load_type = item("ObjectGenericODE2")
-    load_objects = [
-        mbs.AddObject(load_type(nodeNumbers=list(mesh.node_numbers), forceVector=load_vector))
-        for mesh, load_vector in zip(meshes, by_node(meshes, static_load_n), strict=True)
+    objects = [
+        mbs.AddObject(load_type(nodeNumbers=list(mesh.node_numbers), forceVector=load_n))
+        for mesh, load_n in zip(meshes, by_node(meshes, static_n), strict=True)
     ]
 
     def set_base(acceleration_m_per_s2: float) -> None:
-        for object_number, load_vector in zip(
-            load_objects, by_node(meshes, static_load_n - base_inertia * acceleration_m_per_s2), strict=True
-        ):
-            mbs.SetObjectParameter(object_number, "forceVector", load_vector)
+        loads_n = by_node(meshes, static_n - base_inertia * acceleration_m_per_s2)
+        for number, load_n in zip(objects, loads_n, strict=True):
+            mbs.SetObjectParameter(number, "forceVector", load_n)
 
     return set_base
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
@@ -16,6 +16,11 @@ from rig.simulation.motion import Forces, ForceSignal
 
 SPLINE_SUPPORT = 64
 """Samples on either side that determine a cubic spline to rounding."""
+
+Connections = Float[np.ndarray, " connections"]
+ModalVector = Float[np.ndarray, " modes"]
+EtaRows = Float[np.ndarray, "connections modes"]
+Stiffness = Float[np.ndarray, "modes modes"]
 
 
 def true_force(
@@ -31,10 +36,9 @@ def true_force(
     first_step, end_step, _ = span.indices(len(measured_n))
     shifted_steps = np.arange(first_step, end_step) - force_sensor.lag_s / step_s
     steps = np.clip(shifted_steps, 0, len(measured_n) - 1)
-    knot_steps = np.arange(
-        max(0, int(steps[0]) - SPLINE_SUPPORT), min(len(measured_n), int(steps[-1]) + SPLINE_SUPPORT)
-    )
-    interpolated_n = scipy.interpolate.CubicSpline(knot_steps, measured_n[knot_steps[0] : knot_steps[-1] + 1])(steps)
+    first_knot, last_knot = int(steps[0]) - SPLINE_SUPPORT, int(steps[-1]) + SPLINE_SUPPORT
+    knots = np.arange(max(0, first_knot), min(len(measured_n), last_knot))
+    interpolated_n = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
     return np.where(shifted_steps < 0, measured_n[:1], interpolated_n) / force_sensor.gain
 
 
@@ -53,15 +57,13 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
     velocity_spectrum = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    d, v, a = (
-        _signal_of(transform, sample_count) for transform in (displacement_spectrum, velocity_spectrum, spectrum)
-    )
+    spectra = (displacement_spectrum, velocity_spectrum, spectrum)
+    d, v, a = (np.fft.irfft(transform, sample_count) for transform in spectra)
     rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
     rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
-    rise_slope = 30 * rise_share**2 * (1 - rise_share) ** 2
-    rise_curvature = 60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share)
-    rise_slope, rise_curvature = rise_slope / RISE_S, rise_curvature / RISE_S**2
+    rise_slope = 30 * rise_share**2 * (1 - rise_share) ** 2 / RISE_S
+    rise_curvature = 60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share) / RISE_S**2
     motion = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
     return tuple(rms_factor * signal for signal in motion)
 
@@ -139,22 +141,16 @@ def law_spans(laws: Sequence[ContactLaw]) -> Iterator[tuple[ContactLaw, slice]]:
 
 
 def connection_forces_n(
-    laws: Sequence[ContactLaw],
-    eta_m: Float[np.ndarray, " connections"],
-    rate_m_per_s: Float[np.ndarray, " connections"],
-    time_s: float = 0.0,
-) -> Float[np.ndarray, " connections"]:
+    laws: Sequence[ContactLaw], eta_m: Connections, rate_m_per_s: Connections, time_s: float = 0.0
+) -> Connections:
     """Force of every connection at its relative displacement and rate, N."""
     forces_n = [law.force_n(eta_m[rows], rate_m_per_s[rows], time_s) for law, rows in law_spans(laws)]
     return np.concatenate([np.zeros(0), *forces_n])
 
 
 def equilibrium(
-    omega_squared: Float[np.ndarray, " modes"],
-    eta_rows: Float[np.ndarray, "connections modes"],
-    laws: tuple[ContactLaw, ...],
-    modal_load: Float[np.ndarray, " modes"],
-) -> Float[np.ndarray, " modes"]:
+    omega_squared: ModalVector, eta_rows: EtaRows, laws: tuple[ContactLaw, ...], modal_load: ModalVector
+) -> ModalVector:
     """Equilibrium of the rig under a static load, in modal coordinates.
 
     A floating motion without load stays at zero; a loaded one is pushed against the stops. A motion that only friction
@@ -172,19 +168,14 @@ def equilibrium(
     if np.linalg.norm(unresisted_load - unresisted_load @ np.linalg.pinv(gap_law_rows) @ gap_law_rows) > load_tolerance:
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
     held_load = modal_load - residual
-    return (
-        _least_energy(omega_squared, eta_rows, laws, held_load)[0]
-        if np.linalg.norm(held_load) > load_tolerance
-        else np.zeros(modal_load.size)
-    )
+    if np.linalg.norm(held_load) > load_tolerance:
+        return _least_energy(omega_squared, eta_rows, laws, held_load)[0]
+    return np.zeros(modal_load.size)
 
 
 def _least_energy(
-    omega_squared: Float[np.ndarray, " modes"],
-    eta_rows: Float[np.ndarray, "connections modes"],
-    laws: tuple[ContactLaw, ...],
-    modal_load: Float[np.ndarray, " modes"],
-) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+    omega_squared: ModalVector, eta_rows: EtaRows, laws: tuple[ContactLaw, ...], modal_load: ModalVector
+) -> tuple[ModalVector, ModalVector, Stiffness]:
     """Minimum of the convex energy sum omega^2 q^2 / 2 + sum U_j(eta_rows_j q) - modal_load q.
 
     Found by proximal Newton steps from zero. Returns the coordinates q, the unbalanced part of the load, and the
@@ -192,53 +183,46 @@ def _least_energy(
     """
     q = np.zeros(modal_load.size)
 
-    def energy(trial: Float[np.ndarray, " modes"]) -> float:
+    def energy(trial: ModalVector) -> float:
         eta_m = eta_rows @ trial
         stored_j = sum(float(np.sum(law.energy_j(eta_m[rows]))) for law, rows in law_spans(laws))
         return float(omega_squared @ trial**2 / 2 + stored_j - modal_load @ trial)
 
-    def derivatives(
-        trial: Float[np.ndarray, " modes"],
-    ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+    def derivatives(trial: ModalVector) -> tuple[ModalVector, Stiffness]:
         eta_m = eta_rows @ trial
-        tangent_stiffness = np.zeros(len(eta_rows))
-        coupling_stiffness = np.zeros((modal_load.size, modal_load.size))
+        tangent = np.zeros(len(eta_rows))
+        coupling = np.zeros((modal_load.size, modal_load.size))
         forces_n = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
         for law, rows in law_spans(laws):
-            law_stiffness = law.by_eta_n_per_m(eta_m[rows])
-            tangent_stiffness[rows] = np.diag(law_stiffness) if law.spatial else law_stiffness
+            by_eta = law.by_eta_n_per_m(eta_m[rows])
+            tangent[rows] = np.diag(by_eta) if law.spatial else by_eta
             if law.spatial:
-                coupling_stiffness += law_stiffness[0, 1] * (
-                    np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1])
-                )
-        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent_stiffness) @ eta_rows
-        return (
-            omega_squared * trial + forces_n @ eta_rows - modal_load,
-            stiffness + coupling_stiffness if coupling_stiffness.any() else stiffness,
-        )
+                coupling += by_eta[0, 1] * (np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1]))
+        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent) @ eta_rows
+        if coupling.any():
+            stiffness = stiffness + coupling
+        return omega_squared * trial + forces_n @ eta_rows - modal_load, stiffness
 
     for tie_stiffness in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor_q = q
+
+        def cost(trial: ModalVector, tie: float = tie_stiffness, anchor: ModalVector = anchor_q) -> float:
+            return float(energy(trial) + tie * np.sum((trial - anchor) ** 2) / 2)
+
         for _ in range(30):
-            unbalanced_force, stiffness = derivatives(q)
-            unbalanced_force = unbalanced_force + tie_stiffness * (q - anchor_q)
-            if np.linalg.norm(unbalanced_force) < 1e-9 * np.linalg.norm(modal_load):
+            unbalanced, stiffness = derivatives(q)
+            unbalanced = unbalanced + tie_stiffness * (q - anchor_q)
+            if np.linalg.norm(unbalanced) < 1e-9 * np.linalg.norm(modal_load):
                 break
-            q_step = np.linalg.solve(stiffness + tie_stiffness * np.eye(q.size), unbalanced_force)
-            cost_before = energy(q) + tie_stiffness * np.sum((q - anchor_q) ** 2) / 2
-            while energy(q - q_step) + tie_stiffness * np.sum(
-                (q - q_step - anchor_q) ** 2
-            ) / 2 > cost_before + 1e-12 * abs(cost_before):
+            q_step = np.linalg.solve(stiffness + tie_stiffness * np.eye(q.size), unbalanced)
+            cost_before = cost(q)
+            while cost(q - q_step) > cost_before + 1e-12 * abs(cost_before):
                 q_step = q_step / 2
             q = q - q_step
         if np.linalg.norm(q - anchor_q) < 1e-12 * np.linalg.norm(q):
             break
     for _ in range(3):
-        unbalanced_force, stiffness = derivatives(q)
-        q = q - np.linalg.lstsq(stiffness, unbalanced_force, rcond=1e-12)[0]
-    unbalanced_force, stiffness = derivatives(q)
-    return q, -unbalanced_force, stiffness
-
-
-def _signal_of(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
-    return np.fft.irfft(spectrum, sample_count)
+        unbalanced, stiffness = derivatives(q)
+        q = q - np.linalg.lstsq(stiffness, unbalanced, rcond=1e-12)[0]
+    unbalanced, stiffness = derivatives(q)
+    return q, -unbalanced, stiffness

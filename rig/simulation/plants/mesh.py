@@ -43,10 +43,8 @@ class Mesh:
 
     def transverse_indices_of(self, direction: Direction) -> Int[np.ndarray, " some"]:
         """Places of one direction's coordinates, node by node, among the body's transverse ones."""
-        direction_count = len(self.directions)
-        indices = np.arange(self.transverse_per_node * len(self.node_numbers)).reshape(
-            len(self.node_numbers), direction_count, -1
-        )
+        node_count = len(self.node_numbers)
+        indices = np.arange(self.transverse_per_node * node_count).reshape(node_count, len(self.directions), -1)
         return indices[:, self.directions.index(direction)].ravel()
 
     def node_coordinates_of(self, direction: Direction) -> list[int]:
@@ -81,25 +79,16 @@ class Mesh:
 def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
     """Node positions of about `element_count` elements, and one wherever something acts on the beam or is attached."""
     stations = [station for contact in rig.contacts for station in contact_stations(contact)]
-    stations += [
-        *rig.forces,
-        *(mass.station for mass in rig.masses),
-        *(spring.station for spring in attached_springs(rig)),
-    ]
-    stations += [
-        *(item.station for item in rig.loads),
-        *(item.station for item in rig.dampers),
-        *(item.station for item in rig.tones),
-    ]
-    corners_m = np.unique(
-        [0.0, beam.length_m, *(station.position_m for station in stations if station.body == beam.name)]
-    )
+    stations += [*rig.forces, *(mass.station for mass in rig.masses), *(load.station for load in rig.loads)]
+    stations += [*(spring.station for spring in attached_springs(rig)), *(damper.station for damper in rig.dampers)]
+    stations += [tone.station for tone in rig.tones]
+    acted_on_m = [station.position_m for station in stations if station.body == beam.name]
     max_element_m = beam.length_m / element_count * (1 + 1e-9)
-    node_pieces_m = [
+    pieces_m = [
         np.linspace(left_m, right_m, int(np.ceil((right_m - left_m) / max_element_m)) + 1)[:-1]
-        for left_m, right_m in pairwise(corners_m)
+        for left_m, right_m in pairwise(np.unique([0.0, beam.length_m, *acted_on_m]))
     ]
-    return np.append(np.concatenate(node_pieces_m), beam.length_m)
+    return np.append(np.concatenate(pieces_m), beam.length_m)
 
 
 def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[np.ndarray, " rows"]:
@@ -139,16 +128,15 @@ def by_node(
     meshes: list[Mesh], transverse_values: Float[np.ndarray, " rows"]
 ) -> list[Float[np.ndarray, " coordinates"]]:
     """Vector over all transverse coordinates as one vector per body over all its coordinates; zero axially."""
-    body_vectors, first_row = [], 0
+    vectors, first_row = [], 0
     for mesh in meshes:
-        row_count = mesh.transverse_per_node * len(mesh.node_numbers)
-        node_values = np.zeros((len(mesh.node_numbers), mesh.coordinates_per_node))
-        node_values[:, mesh.transverse_coordinates] = transverse_values[first_row : first_row + row_count].reshape(
-            len(mesh.node_numbers), -1
-        )
-        body_vectors.append(node_values.ravel())
+        node_count, row_count = len(mesh.node_numbers), mesh.transverse_per_node * len(mesh.node_numbers)
+        values = np.zeros((node_count, mesh.coordinates_per_node))
+        rows = transverse_values[first_row : first_row + row_count]
+        values[:, mesh.transverse_coordinates] = rows.reshape(node_count, -1)
+        vectors.append(values.ravel())
         first_row += row_count
-    return body_vectors
+    return vectors
 
 
 def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coordinates"]:

@@ -193,9 +193,7 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for contact in contacts for station in contact_stations(contact)}
     station_rows = {station: shape_row(body_modes, station) for station in stations}
-    eta_rows = np.array(
-        [station_rows[contact.at] - (station_rows[contact.against] if contact.against else 0) for contact in contacts]
-    )
+    eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
     eta_rows = eta_rows.reshape(len(contacts), omega.size)
     static_modal_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
     base_modal_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
@@ -233,21 +231,19 @@ def applied_inputs(
 
     Before the first sample the rig rests: no force, all static loads, no motion of the base.
     """
-    padded_span = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
-    rest_samples = int(padded_span.start == 0)
-    signals = [
-        np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, padded_span)) for signal in forces_n.signals
-    ]
+    padded = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
+    at_rest = np.zeros(int(padded.start == 0))
+    signals = [np.append(at_rest, true_force(rig, signal, step_s, padded)) for signal in forces_n.signals]
     if has_static_load(rig):
         signals.append(np.ones(signals[0].size))
     if base_signals:
-        signals.append(np.append(np.zeros(rest_samples), base_signals[2][padded_span]))
-    time_s = np.arange(padded_span.start - rest_samples, padded_span.stop) * step_s
+        signals.append(np.append(at_rest, base_signals[2][padded]))
+    time_s = np.arange(padded.start - at_rest.size, padded.stop) * step_s
     signals += [tone.force_n(time_s) for tone in rig.tones]
     inputs = np.array(signals)
-    first_kept = span.start - padded_span.start - 1 + rest_samples
-    kept_samples = slice(first_kept, first_kept + span.stop - span.start + 1)
-    return np.ascontiguousarray(inputs[:, kept_samples]), np.ascontiguousarray(_bends(inputs)[:, kept_samples])
+    first = span.start - padded.start - 1 + at_rest.size
+    kept = slice(first, first + span.stop - span.start + 1)
+    return np.ascontiguousarray(inputs[:, kept]), np.ascontiguousarray(_bends(inputs)[:, kept])
 
 
 def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
@@ -342,8 +338,6 @@ def _propagator(
     augmented[:, 1, 2] = step_s
     augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
     exponential = scipy.linalg.expm(augmented)
-    constant_response, linear_response, quadratic_response = exponential[:, :2, 2:].transpose(2, 1, 0)
+    constant, linear, quadratic = exponential[:, :2, 2:].transpose(2, 1, 0)
     propagator = np.ascontiguousarray(exponential[:, :2, :2].transpose(1, 2, 0))
-    return propagator, np.stack(
-        [constant_response - linear_response, linear_response, 6 * linear_response - 12 * quadratic_response]
-    )
+    return propagator, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])

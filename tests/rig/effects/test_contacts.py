@@ -33,10 +33,7 @@ def resting(run, machine, load_n=LOAD_N):
 def test_a_larger_play_and_a_stiffer_stop(run):
     law = MACHINE.contacts[0].law
     clearance_m, stiffness = law.upper_clearance_m, law.stiffness_n_per_m
-    for text, play, stiff in (
-        ("contact_clearance:factor=1.2", 1.2, 1.0),
-        ("contact_stiffness:factor=0.5", 1.0, 0.5),
-    ):
+    for text, play, stiff in (("contact_clearance:factor=1.2", 1.2, 1.0), ("contact_stiffness:factor=0.5", 1.0, 0.5)):
         for sign in (1, -1):
             eta, force_n = resting(run, effect_named(text).applied_to(MACHINE), sign * LOAD_N)
             expected = sign * clearance_m * play + force_n / (stiffness * stiff)

@@ -61,10 +61,7 @@ def test_elastic_force_is_continuous_and_never_falls(law, eta_a, eta_b):
 @given(clearances, stiffnesses, dampings, displacements, rates)
 def test_equal_sides_give_an_odd_law(clearance, stiffness, damping, eta, rate):
     law = DeadZone(
-        lower_clearance_m=clearance,
-        upper_clearance_m=clearance,
-        stiffness_n_per_m=stiffness,
-        damping_n_s_per_m=damping,
+        lower_clearance_m=clearance, upper_clearance_m=clearance, stiffness_n_per_m=stiffness, damping_n_s_per_m=damping
     )
     assert force(law, -eta, -rate) == -force(law, eta, rate)
     assert law.clearance_m == clearance

@@ -197,8 +197,7 @@ def test_effects_on_a_beam_are_refused(name):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["", "added_mass:mass_kg=0.2", "hardening_spring:body=cradle", "preload:body=cradle", "structural_damping"],
+    "text", ["", "added_mass:mass_kg=0.2", "hardening_spring:body=cradle", "preload:body=cradle", "structural_damping"]
 )
 def test_the_plant_moves_a_basis_as_the_beam(text):
     """Both are approximate with an attachment: 80 elements, and 24 modes of the bare beam."""

@@ -90,11 +90,7 @@ def test_settings_that_do_not_fit_are_refused(scenario, settings, sentence):
         (BarrelCradle, {"clearance_1_m": -1.0}, "contact law: clearance_m is -1.0; give"),
         (BarrelCradle, {"overlap_start_m": 1.5}, "off"),
         (Sdof, {"sensors": "strain"}, "measures strain of 'mass', a mass; put it on a beam"),
-        (
-            BarrelCradle,
-            {"sensors": "acceleration+speed"},
-            "no quantity 'speed'; join any of acceleration",
-        ),
+        (BarrelCradle, {"sensors": "acceleration+speed"}, "no quantity 'speed'; join any of acceleration"),
     ],
 )
 def test_a_rig_with_a_bad_setting_is_refused(kind, settings, sentence):

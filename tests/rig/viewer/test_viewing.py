@@ -160,11 +160,14 @@ def test_without_truth_the_displacement_sensors_are_shown(beams, tmp_path):
         assert series(tmp_path / "r.rrd", entity("contact_force", contact.name))[0].size == 0
 
 
+def with_sensors(recording, chosen):
+    machine = replace_struct(recording.rig, sensors=tuple(s for s in recording.rig.sensors if chosen(s)))
+    return replace(recording, rig=machine)
+
+
 def only_accelerometers(recording):
-    machine = recording.rig
-    sensors = tuple(s for s in machine.sensors if s.quantity == "acceleration")
-    machine = type(machine)(**{f: getattr(machine, f) for f in machine.__struct_fields__} | {"sensors": sensors})
-    return replace(recording, rig=machine, signals={k: recording.signals[k] for k in ("force", "acceleration")})
+    poor = with_sensors(recording, lambda s: s.quantity == "acceleration")
+    return replace(poor, signals={k: recording.signals[k] for k in ("force", "acceleration")})
 
 
 def test_accelerometers_alone_give_the_motion_above_one_hertz(beams, tmp_path):
@@ -227,9 +230,8 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
 
 def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
     recording, truth = mass
-    monkeypatch.setattr(
-        rig.viewer.viewing, "MAX_SCALARS", 4 * recording.samples // 8
-    )  # force, acceleration, two of the contact
+    curves = 4  # force, acceleration, two of the contact
+    monkeypatch.setattr(rig.viewer.viewing, "MAX_SCALARS", curves * recording.samples // 8)
     monkeypatch.setattr(rig.viewer.stage, "FRAME_RATES_HZ", (32.0, 32.0))
     write_rrd(recording, truth, tmp_path / "r.rrd")
     rate = recording.rig.sample_rate_hz
@@ -306,27 +308,29 @@ def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
     assert words == [["true \u00b11"], ["identified \u00b11.2"]]
 
 
+def with_law(machine, **changes):
+    (contact,) = machine.contacts
+    return replace_struct(machine, contacts=(replace_struct(contact, law=replace_struct(contact.law, **changes)),))
+
+
 def with_clearances(machine, factor):
     law = machine.contacts[0].law
-    law = replace_struct(law, **{f: factor * getattr(law, f) for f in ("lower_clearance_m", "upper_clearance_m")})
-    return replace_struct(machine, contacts=(replace_struct(machine.contacts[0], law=law),))
+    return with_law(machine, **{f: factor * getattr(law, f) for f in ("lower_clearance_m", "upper_clearance_m")})
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
 def test_the_figures_of_every_wall_stand_beyond_it_in_a_column_of_their_own(mass, tmp_path, scale):
     """The figures neither cross nor label another wall, however small the play is in the view."""
     recording, truth = mass
-    true_recording = replace(truth, rig=with_clearances(truth.rig, scale))
-    recording = replace(recording, rig=with_clearances(recording.rig, 1.3 * scale))
-    identified_law = with_clearances(recording.rig, 1.1).contacts[0].law
-    write_rrd(
-        recording, true_recording, tmp_path / "r.rrd", identified_contacts=IdentifiedContacts({"stop": identified_law})
-    )
-    laws = {
-        "true": true_recording.rig.contacts[0].law,
-        "identified": identified_law,
-        "believed": recording.rig.contacts[0].law,
+    rigs = {
+        "true": with_clearances(truth.rig, scale),
+        "believed": with_clearances(recording.rig, 1.3 * scale),
+        "identified": with_clearances(recording.rig, 1.43 * scale),
     }
+    laws = {name: machine.contacts[0].law for name, machine in rigs.items()}
+    recording, truth = replace(recording, rig=rigs["believed"]), replace(truth, rig=rigs["true"])
+    identified = IdentifiedContacts({"stop": laws["identified"]})
+    write_rrd(recording, truth, tmp_path / "r.rrd", identified_contacts=identified)
     columns = []
     for name, law in laws.items():
         for side, level, out in (("upper", -law.upper_clearance_m, -1), ("lower", law.lower_clearance_m, 1)):
@@ -368,17 +372,16 @@ def test_without_truth_the_identified_curves_are_shown_as_long_as_they_go(mass, 
     (tmp_path / "contact.json").write_text(json.dumps({"contacts": [contact]}))
     np.savetxt(tmp_path / "motion.csv", table, delimiter=",", header=CURVES.strip(), comments="")
     write_rrd(poor, None, tmp_path / "r.rrd", identified_contacts=read_identified(tmp_path, poor.rig, 8.0))
-    for origin, expected, scale in (
-        (entity("relative_displacement", "stop", "value"), eta, 1e3),
-        (entity("contact_force", "stop"), force, 1.0),
+    for names, expected in (
+        (("relative_displacement", "stop", "value"), 1e3 * eta),
+        (("contact_force", "stop"), force),
     ):
-        times, values = series(tmp_path / "r.rrd", origin)
+        times, values = series(tmp_path / "r.rrd", entity(*names))
         assert times.min() >= 2.0
         assert times.max() <= rows[-1] / rate
-        exported = np.isin(np.round(times * rate).astype(int), rows)
-        np.testing.assert_allclose(
-            values[0, exported], scale * expected[np.round(times[exported] * rate).astype(int)], atol=1e-12
-        )
+        samples = np.round(times * rate).astype(int)
+        exported = np.isin(samples, rows)
+        np.testing.assert_allclose(values[0, exported], expected[samples[exported]], atol=1e-12)
     times, words = column(tmp_path / "r.rrd", entity("events", "stop"), "TextLog:text")
     closed = np.abs(eta[2 * rate : rows[-1]]) > 0.9e-3
     assert abs(len(words) - np.count_nonzero(np.diff(closed.astype(int)))) <= 2  # splines may miss a graze
@@ -441,22 +444,18 @@ def test_a_file_that_is_no_contact_json_is_named(mass, tmp_path, text, said):
 def test_walls_are_the_true_ones_and_what_was_believed_is_drawn_too(mass, tmp_path):
     recording, truth = mass
     (contact,) = recording.rig.contacts
-    law = replace_struct(contact.law, upper_clearance_m=2 * contact.law.upper_clearance_m)
-    wider = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
+    wider = with_law(recording.rig, upper_clearance_m=2 * contact.law.upper_clearance_m)
     write_rrd(replace(recording, rig=wider), truth, tmp_path / "r.rrd")
-    for name, expected in (("0_true", contact.law), ("1_believed", law)):
+    for name, expected in (("0_true", contact.law), ("1_believed", wider.contacts[0].law)):
         _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", name))
         np.testing.assert_allclose(walls[:, 0], [1e3 * expected.upper_clearance_m, -1e3 * expected.lower_clearance_m])
 
 
 def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, mass, tmp_path):
     recording, _ = beams
-    barrel_only = only_accelerometers(recording)
-    machine = barrel_only.rig
-    sensors = tuple(s for s in machine.sensors if s.station.body == "barrel")
-    machine = type(machine)(**{f: getattr(machine, f) for f in machine.__struct_fields__} | {"sensors": sensors})
+    barrel_only = with_sensors(only_accelerometers(recording), lambda s: s.station.body == "barrel")
     with pytest.raises(RigError, match="'cradle' has no sensor"):
-        write_rrd(replace(barrel_only, rig=machine), None, tmp_path / "r.rrd")
+        write_rrd(barrel_only, None, tmp_path / "r.rrd")
     with pytest.raises(RigError, match="take it away"):
         write_rrd(recording, mass[1], tmp_path / "r.rrd")
     with pytest.raises(RigError, match="magnification is 0"):
@@ -467,13 +466,7 @@ def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, 
 
 
 def test_a_stop_that_is_not_there_has_no_wall(mass, tmp_path):
-    recording, truth = mass
-    rigs = []
-    for machine in (recording.rig, truth.rig):
-        (contact,) = machine.contacts
-        law = replace_struct(contact.law, lower_clearance_m=np.inf)
-        rigs.append(replace_struct(machine, contacts=(replace_struct(contact, law=law),)))
-    recording, truth = (replace(x, rig=machine) for x, machine in zip((recording, truth), rigs, strict=True))
+    recording, truth = (replace(x, rig=with_law(x.rig, lower_clearance_m=np.inf)) for x in mass)
     write_rrd(recording, truth, tmp_path / "r.rrd")
     _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "0_true"))
     assert len(walls) == 1
