@@ -5,10 +5,9 @@ import pytest
 
 from identify.contacts.results import ContactReport
 from rig.recording import read
-from rig.simulation.plants import modal
-from rig.simulation.record import record
 from rig.simulation.reference import Sdof
 from scenarios.compare import identify_against_truth, record_reference_rig
+from tests.recorded import recorded
 
 TRUE = Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
 BELIEVED = msgspec.structs.replace(TRUE, clearance_m=2.5e-3, stiffness_n_per_m=4e4)
@@ -18,17 +17,8 @@ BELIEVED = msgspec.structs.replace(TRUE, clearance_m=2.5e-3, stiffness_n_per_m=4
 def compared(tmp_path_factory):
     """A rig whose owner is wrong about its contact."""
     folder = tmp_path_factory.mktemp("compare")
-    record(
-        BELIEVED.rig(),
-        TRUE.force(),
-        plant=modal.simulate,
-        duration_s=TRUE.duration_s,
-        step_s=TRUE.step_s,
-        path=folder / "r.mcap",
-        progress=lambda _: None,
-        actual=TRUE.rig(),
-    )
-    return identify_against_truth(folder / "r.mcap", use="displacement", out=folder / "results"), folder / "results"
+    path = recorded(TRUE, folder / "r.mcap", BELIEVED.rig(), TRUE.rig())
+    return identify_against_truth(path, use="displacement", out=folder / "results"), folder / "results"
 
 
 def test_the_true_law_is_found_whatever_is_believed(compared):

@@ -5,28 +5,17 @@ import pytest
 
 from rig.errors import RigError
 from rig.recording import read, read_truth, truth_path
-from rig.simulation.plants import modal
-from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 from rig.viewer.deflection import deflection
 from scenarios import pictures
+from tests.recorded import recorded
 
 SETTINGS = BarrelCradle(duration_s=2.0)
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pictures") / "r.mcap"
-    record(
-        SETTINGS.rig(),
-        SETTINGS.force(),
-        plant=modal.simulate,
-        duration_s=SETTINGS.duration_s,
-        step_s=SETTINGS.step_s,
-        path=path,
-        progress=lambda _: None,
-    )
-    return path
+    return recorded(SETTINGS, tmp_path_factory.mktemp("pictures") / "r.mcap")
 
 
 def test_a_stop_is_red_while_its_contact_is_closed(recording):

@@ -9,12 +9,11 @@ from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording, Signals, read
-from rig.simulation.plants import modal
-from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 from tests.campaigns.spoiling.alteration import delayed, mapped, with_rows, with_sensors
 from tests.campaigns.spoiling.alterations import alterations
 from tests.campaigns.spoilt import names_it
+from tests.recorded import recorded
 
 NAMED = (
     "one polarity turned",
@@ -85,17 +84,7 @@ def test_the_beginning_of_a_force_is_no_discontinuity(tmp_path):
         duration_s=32.0,
     )
     machine = effect_named("contact_clearance:factor=1.1").applied_to(settings.rig())
-    record(
-        settings.rig(),
-        settings.force(),
-        plant=modal.simulate,
-        duration_s=settings.duration_s,
-        step_s=settings.step_s,
-        path=tmp_path / "r.mcap",
-        actual=machine,
-        progress=lambda _: None,
-    )
-    assert check_recording(read(tmp_path / "r.mcap")) == ()
+    assert check_recording(read(recorded(settings, tmp_path / "r.mcap", actual=machine))) == ()
 
 
 @pytest.mark.parametrize("name", NAMED)
