@@ -65,7 +65,7 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
     axes = figure.subplots()
     drawn_curves = [("the model as it is", RED, 3.2, "-", [band.before for band in gap.bands])]
     if gap.causes and is_effective(gap.causes[0]):
-        drawn_curves.append(("with the likeliest causes", BLUE, 1.4, "-", [band.after for band in gap.bands]))
+        drawn_curves.append(("with the likeliest cause", BLUE, 1.4, "-", [band.after for band in gap.bands]))
     drawn_curves.append(("95 % limit of tolerances and noise", GREEN, 1.4, ":", [band.usual for band in gap.bands]))
     for label, colour, line_width, line_style, band_shares in drawn_curves:
         line_options = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
@@ -86,7 +86,7 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     axes = figure.subplots()
     drawn_rigs = [("the model as it is", quantities, RED, "s", 0.0)]
     if gap.causes and is_effective(gap.causes[0]):
-        drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.28))
+        drawn_rigs.append(("with the likeliest cause", gap.evidence.quantities_after, BLUE, "o", 0.28))
     right_percent = 200.0
     for label, rig_quantities, colour, marker, row_offset in drawn_rigs:
         rows = row_offset + np.arange(len(rig_quantities))

@@ -119,7 +119,7 @@ def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
     steps = {patch.get_label(): patch.get_data() for patch in axes.patches}
     fields = {"the model as it is": "before", "95 % limit of tolerances and noise": "usual"}
     if gap.causes[0].interval_95[0] > 0.01:
-        fields["with the likeliest causes"] = "after"
+        fields["with the likeliest cause"] = "after"
     assert set(steps) == set(fields)
     for label, field in fields.items():
         np.testing.assert_allclose(steps[label].values, [100 * getattr(b, field) for b in gap.bands])

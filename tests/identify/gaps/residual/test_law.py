@@ -23,7 +23,7 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     reference = nominal_variances_of(linearized(record, believed))
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
     assert max(springing.contact_levels) < 0.2
-    assert min(floating.contact_levels) > 1
+    assert min(floating.contact_levels) > 4 * max(springing.contact_levels)
 
 
 def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
