@@ -26,6 +26,7 @@ SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
 
 _UNIT = re.compile(r"(\d) (?=(?:N|mm|m|kg|g|Hz|s|ms|dB)\b|[%±])")
+_OPTION = re.compile(r"--[a-z-]+")
 _BEFORE_NUMBER = re.compile(r"(\bp|\w(?= =)|[=±]|&[lg]t;) (?=[\d=&])")
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
@@ -44,7 +45,7 @@ h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;paddi
 .wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}
 table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
 th,td{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid var(--line);vertical-align:top;
-overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-space:nowrap}
+overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number,.option{white-space:nowrap}
 .pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.8rem;margin:.8rem 0;
 align-items:start}
 img{width:100%;max-width:34rem;height:auto;background:#fff;border:1px solid var(--line);border-radius:.3rem}
@@ -158,7 +159,8 @@ def list_html(texts: Iterable[str]) -> str:
 
 
 def unbroken_html(html: str) -> str:
-    """Text whose numbers stay on a line with their unit and interval, and with "p =" and "<" before them."""
+    """Text whose options stay whole, numbers on a line with unit and interval, and with "p =" and "<" before them."""
+    html = _OPTION.sub(r"<span class='option'>\g<0></span>", html)
     return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html)).replace("N s/m", "N\u00a0s/m")
 
 

@@ -54,6 +54,9 @@ DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("larg
 }
 """Figures beside the drawing of the rig, by verdict: the first that there is."""
 
+MAX_FINDINGS = 2
+"""Findings of the check that the page lists. Display."""
+
 
 def write_all(
     gap: Gap, corrected_rig: Rig, title: str, folder: Path, sources: Sequence[Path] = (), findings: Sequence[str] = ()
@@ -84,7 +87,7 @@ def write_page(
     The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
     pictures = dict(figure_by_name)
-    first_column = f"<p>{escape(findings_heading(gap))}</p>{page.list_html(findings)}" if findings else ""
+    first_column = _findings_html(gap, findings) if findings else ""
     first_column += f"<figure>{drawing}</figure>" if drawing else ""
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
     second_column = ""
@@ -136,6 +139,12 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
     return DECISIVE_FIGURES[gap.verdict]
+
+
+def _findings_html(gap: Gap, findings: Sequence[str]) -> str:
+    """Findings of the check, the first `MAX_FINDINGS` of them, so that the drawing stays in sight."""
+    more = [f"{len(findings) - MAX_FINDINGS} more: identify check lists them."] * (len(findings) > MAX_FINDINGS)
+    return f"<p>{escape(findings_heading(gap))}</p>{page.list_html([*findings[:MAX_FINDINGS], *more])}"
 
 
 def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> str:

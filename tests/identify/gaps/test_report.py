@@ -49,7 +49,7 @@ class Page(HTMLParser):
     def __init__(self, content):
         super().__init__()
         self.open, self.tags, self.texts, self.headings, self.images = [], [], [], [], []
-        self.feed(content)
+        self.feed(re.sub("<span class='option'>(.*?)</span>", r"\1", content))
         self.close()
         assert not self.open
 
@@ -222,6 +222,19 @@ def test_findings_of_the_check_turn_the_page_amber_and_stand_on_top(gaps, tmp_pa
     html = html_of(gaps["explained"], tmp_path, findings=("barrel_6 is upside down <",))
     assert '<div class="verdict yellow"><b>explained' in html
     assert html.index("barrel_6 is upside down &lt;") < html.index("What to do next")
+
+
+def test_two_findings_stand_on_top_and_the_others_are_counted(gaps, tmp_path):
+    findings = [f"barrel_{number} is upside down" for number in range(5)]
+    texts = Page(html_of(gaps["explained"], tmp_path, findings=findings)).texts
+    assert [text for text in texts if "upside" in text] == findings[:2]
+    assert "3 more: identify check lists them." in texts
+
+
+def test_an_option_stays_whole():
+    assert unbroken_html("use --next-experiment (--out writes") == (
+        "use <span class='option'>--next-experiment</span> (<span class='option'>--out</span> writes"
+    )
 
 
 def test_what_the_verdict_names_is_marked_at_its_place(gaps, rig_of):
