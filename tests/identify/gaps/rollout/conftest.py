@@ -24,7 +24,7 @@ from rig.simulation.reference import BarrelCradle
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=30.0, rms_n=18.0)
 BELIEVED = SETTINGS.rig()
 CLEARANCE = "contact_clearance:factor=1.1,contact=contact_1"
-DAMPING = "contact_damping:damping_n_s_per_m=10"
+DAMPING = "contact_damping:damping_n_s_per_m=40"
 FRICTION = "coulomb_friction:force_n=0.8"
 
 
