@@ -210,14 +210,7 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
     gain, delay_s = fit.gain, fit.delay_s
     gains, unexplained, centres_hz = gain_by_band(omega, measured, implied, line_weights)
     if unexplained < 0.3 and 1 - fit.coherence > 2.5 * unexplained and gains.max() > 1.25 * gains.min():
-        return Finding(
-            cause="filtered",
-            channels=(name,),
-            evidence=f"{subject} is {gains[0]:.3g} times what all sensors imply at {centres_hz[0]:.3g} Hz and "
-            f"{gains[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: {'it' if gains[-1] < gains[0] else 'all sensors'} "
-            "went through a low-pass",
-            mend="undo the filter, or put the force and the sensors through the same",
-        )
+        return _filter_finding(name, (float(gains[0]), float(gains[-1])), (centres_hz[0], centres_hz[-1]))
     if fit.coherence < MIN_COHERENCE:
         return Finding(
             cause="force",
@@ -256,4 +249,23 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
         channels=(name,),
         evidence=f"{subject} is {gain:.4g} times what all sensors and the masses of rig.json imply",
         mend="calibrate the load cell, or check all masses of rig.json",
+    )
+
+
+def _filter_finding(name: str, gains: tuple[float, float], centres_hz: tuple[float, float]) -> Finding:
+    """Finding: the force over the implied one changes from the lowest to the highest frequency, at which one is right.
+
+    The end that is nearer to one was passed: of a high-pass the upper, of a low-pass the lower one.
+    """
+    low_gain, high_gain = gains
+    is_high_pass = bool(abs(np.log(high_gain)) < abs(np.log(low_gain)))
+    filtered_channels = "it" if (high_gain < low_gain) != is_high_pass else "all sensors"
+    return Finding(
+        cause="filtered",
+        channels=(name,),
+        evidence=f"{force_in_words(name)} is {low_gain:.3g} times what all sensors imply at {centres_hz[0]:.3g} Hz and "
+        f"{high_gain:.3g} times at {centres_hz[1]:.3g} Hz: {filtered_channels} went through a "
+        f"{'high' if is_high_pass else 'low'}-pass",
+        mend="undo the filter, or put the force and the sensors through the same"
+        + "; springs that rig.json lacks look alike" * is_high_pass,
     )

@@ -140,6 +140,11 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
         return all_hold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
 
     @property
+    def matters(self) -> bool:
+        """Criteria D and not B: a certain difference that is not bounded."""
+        return self.differs and not self.bounded
+
+    @property
     def verdict(self) -> Verdict:
         if not self.differs:
             return Verdict.CONSISTENT if self.bounded else Verdict.CANNOT_TELL

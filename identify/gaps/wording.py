@@ -149,7 +149,8 @@ def findings_heading(gap: Diagnosis) -> str:
     if gap.unknown and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
         unmeasured.append("what the difference looks like")
     reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
-    return f"The check of the recordings{reservation} says:"
+    order_words = " (it may be what the difference above does: settle that first)" * gap.evidence.matters
+    return f"The check of the recordings{reservation} says{order_words}:"
 
 
 def interval(estimate: Value) -> str:

@@ -82,14 +82,16 @@ def write_page(
     findings: Sequence[str] = (),
     drawing: str = "",
 ) -> None:
-    """Write the page atomically, pictures included; `findings` of the check and the drawing of the rig stand on top.
+    """Write the page atomically, pictures included; `findings` of the check stand above the drawing of the rig, and
+    below what to do next where a difference matters, which may be what causes them.
 
     The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
     pictures = dict(figure_by_name)
-    first_column = _findings_html(gap, findings) if findings else ""
-    first_column += f"<figure>{drawing}</figure>" if drawing else ""
+    findings_html = _findings_html(gap, findings) if findings else ""
+    first_column = f"<figure>{drawing}</figure>" if drawing else ""
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
+    first_column = first_column + findings_html if gap.evidence.matters else findings_html + first_column
     second_column = ""
     if decisive := next((name for name in _decisive_figures(gap) if name in pictures), None):
         caption = CAPTION_BY_FIGURE.get(decisive, "")

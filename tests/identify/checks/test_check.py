@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.signal import butter, sosfilt
 
 from identify.checks import check_recording, naming_first_finding
 from rig.effects import effect_named
@@ -94,6 +95,26 @@ def test_an_alteration_is_named(sound, name):
     findings = check_recording(alteration.change(recording))
     assert findings
     assert names_it(findings[0], alteration), findings[0]
+
+
+@pytest.mark.parametrize(
+    ("channel", "corner_hz", "kind", "words"),
+    [
+        ("force", 8, "high", "it went through a high-pass"),
+        ("force", 40, "low", "it went through a low-pass"),
+        ("acceleration", 8, "high", "all sensors went through a high-pass"),
+        ("acceleration", 40, "low", "all sensors went through a low-pass"),
+    ],
+)
+def test_what_was_filtered_is_told_by_the_end_of_the_band_that_is_right(sound, channel, corner_hz, kind, words):
+    recording = sound("cantilever")
+    signals, rate_hz = recording.signals, recording.rig.sample_rate_hz
+    sections = butter(1 if kind == "high" else 2, corner_hz, kind, fs=rate_hz, output="sos")
+    measured = signals[channel]
+    filtered = Signals(measured.channels, measured.start_s, sosfilt(sections, measured.values))
+    (finding,) = check_recording(Recording(recording.rig, {**signals, channel: filtered}, recording.provenance))
+    assert finding.cause == "filtered"
+    assert words in finding.evidence
 
 
 @pytest.mark.parametrize(
