@@ -15,7 +15,7 @@ from identify.contacts.results import ContactEstimate, ContactReport, Estimate, 
 from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
-from identify.pages.wording import interval, number, percent
+from identify.pages.wording import COVERED, interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, to_json
@@ -119,7 +119,7 @@ def drawing(rig: Rig, report: ContactReport) -> str:
         clearance = () if contact.is_spring else (_interval_text(contact.clearance_m, "mm", 1e3),)
         lines[contact.name] = (*clearance, stiffness)
     lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
-    found_words = "; clearance and stiffness found (± 95 %)" if report.contacts else ""
+    found_words = "; clearance and stiffness with 95 % intervals" if report.contacts else ""
     caption = f"<figcaption>The rig, to scale along the bodies{found_words}.</figcaption>"
     return f"<figure>{rig_drawing(rig, lines)}{caption}</figure>"
 
@@ -186,7 +186,7 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
     table = page.table(("", "", "identified", laws_name, "differs by"), rows)
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{words}</p>"
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval; inside: it holds the value beside it.{words}</p>"
     return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 
@@ -208,14 +208,20 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("sliding speed", contact.sliding_speed_m_per_s, getattr(law, "sliding_speed_m_per_s", 0.0), "mm/s", 1e3),
     ):
         if estimate is not None and not (contact.is_spring and name == "clearance"):
-            is_comparable = reference and np.isfinite(reference)
             yield (
                 contact.name if name == first_quantity else "",
                 name if unit == "1" else f"{name}, {unit}",
                 _interval_text(estimate, "1", scale),
                 number(scale * reference) if np.isfinite(reference) else "no stop",
-                f"{100 * (estimate.value / reference - 1):+.3f} %" if is_comparable else "",
+                _difference_text(estimate, reference) if np.isfinite(reference) else "",
             )
+
+
+def _difference_text(estimate: Estimate, reference: float) -> str:
+    """Difference from the reference value in per cent, if that is not zero, and whether the 95 % interval holds it."""
+    is_inside = abs(estimate.value - reference) <= COVERED * estimate.standard_error
+    share = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
+    return f"{share}{'inside' if is_inside else 'outside'}"
 
 
 def refusals(report: ContactReport) -> str:
