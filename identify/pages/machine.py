@@ -186,7 +186,8 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
         foot_px = layout.tops_px[carriers[0]]
     css_class = "found" if len(text.lines) > 1 else "fork"
     if contact.law.has_stops:
-        yield _path_element(css_class, f"M{left_px:g},{top_px - STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}V{foot_px:g}")
+        foot_path = f"V{foot_px:g}" + f"h{-STOP_HALF_WIDTH:g}" * bool(carriers)  # back to the carrier's station
+        yield _path_element(css_class, f"M{left_px:g},{top_px - STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}{foot_path}")
         yield _path_element(css_class, f"M{left_px:g},{bottom_px + STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}")
     else:
         step_px = (foot_px - bottom_px) / 8
