@@ -22,7 +22,7 @@ from identify.gaps.page.sections import (
     unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import findings_heading, verdict_words
+from identify.gaps.wording import findings_heading, interval, verdict_words
 from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
@@ -67,7 +67,8 @@ def write_all(
     make_folder(folder)
     drawn_marks = marks(gap, corrected_rig)
     caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
-    drawing = f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{caption}</figcaption>"
+    caption += _intervals_sentence(gap)
+    drawing = f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(caption)}</figcaption>"
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")
     write_json(gap, folder / "gap.json")
@@ -141,6 +142,13 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
     return DECISIVE_FIGURES[gap.verdict]
+
+
+def _intervals_sentence(gap: Gap) -> str:
+    """Sentence " 95 %: added_mass.mass_kg 0.150 ± 0.019 kg." of the likeliest cause, if its effects are named."""
+    if not (gap.causes and gap.causes[0].named):
+        return ""
+    return f" 95 %: {', '.join(f'{name} {interval(value)}' for name, value in gap.causes[0].parameters.items())}."
 
 
 def _findings_html(gap: Gap, findings: Sequence[str]) -> str:

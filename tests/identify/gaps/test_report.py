@@ -236,6 +236,14 @@ def test_two_findings_stand_on_top_and_the_others_are_counted(gaps, tmp_path):
     assert "3 more: identify check lists them." in texts
 
 
+def test_the_values_of_what_is_named_stand_below_the_drawing(gaps, rig_of, tmp_path):
+    for name, is_there in (("explained", True), ("consistent", False)):
+        write_all(gaps[name], rig_of(gaps[name]), name, tmp_path)
+        caption = re.search("<figcaption>The rig, (.*?)</figcaption>", (tmp_path / "gap.html").read_text("utf-8"))[1]
+        values = "95 %: added_mass.mass_kg 0.1414 ± 0.0021 kg (at the limit of its range), added_mass.relative_position"
+        assert (values in caption.replace("\xa0", " ")) == is_there
+
+
 def test_an_option_stays_whole():
     assert unbroken_html("use --next-experiment (--out writes") == (
         "use <span class='option'>--next-experiment</span> (<span class='option'>--out</span> writes"
