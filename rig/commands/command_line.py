@@ -4,7 +4,9 @@ import os
 import re
 import signal
 import sys
+import threading
 import warnings
+from _thread import interrupt_main
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
@@ -26,6 +28,8 @@ from rig.errors import RigError, is_plain, one_line
 from rig.files import check_target, part_of
 
 INTERRUPTED_STATUS = 130
+LOST_INTERRUPT_S = 0.05
+"""Time after which a swallowed interrupt is repeated: callbacks are shorter."""
 SPEED_PERIOD_S = 3600.0
 """Time over which the speed is averaged that tells the time left: steps may last minutes."""
 
@@ -119,6 +123,7 @@ def _prepare(command_name: str) -> None:
     for signal_name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, signal_name) and signal.getsignal(getattr(signal, signal_name)) == signal.SIG_DFL:
             signal.signal(getattr(signal, signal_name), _interrupt)
+    sys.unraisablehook = repeat_lost_interrupt
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
 
@@ -128,6 +133,14 @@ def _interrupt(*_: object) -> None:
     if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL):
         raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
+
+
+def repeat_lost_interrupt(unraisable: Any) -> None:
+    """Interrupt again, a little later, where a callback of compiled code, such as a compiler's, swallowed it."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        threading.Timer(LOST_INTERRUPT_S, interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def say(text: str) -> None:

@@ -47,3 +47,20 @@ def test_a_command_that_is_ended_says_so_and_leaves_nothing_half(sound, tmp_path
         assert not list(out.rglob("*.part"))
         for recording in out.glob("o.mcap"):
             read(recording)
+
+
+def test_an_interrupt_that_a_callback_of_compiled_code_swallows_comes_again():
+    program = """
+import ctypes, sys, time
+from rig.commands.command_line import repeat_lost_interrupt
+sys.unraisablehook = repeat_lost_interrupt
+def interrupted(): raise KeyboardInterrupt
+ctypes.CFUNCTYPE(None)(interrupted)()
+print("goes on", flush=True)
+begun_s = time.monotonic()
+while time.monotonic() < begun_s + 10: pass
+print("never ended")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.stdout == "goes on\n"
+    assert ended.stderr.rstrip().endswith("KeyboardInterrupt")
