@@ -267,5 +267,5 @@ def _filter_finding(name: str, gains: tuple[float, float], centres_hz: tuple[flo
         f"{high_gain:.3g} times at {centres_hz[1]:.3g} Hz: {filtered_channels} went through a "
         f"{'high' if is_high_pass else 'low'}-pass",
         mend="undo the filter, or put the force and the sensors through the same"
-        + "; springs that rig.json lacks look alike" * is_high_pass,
+        + "; a spring that rig.json lacks would look alike" * is_high_pass,
     )

@@ -152,9 +152,9 @@ def _delays_over_time(
         np.stack([spectra.acceleration[channel_index], predicted]) / check.error_scale[channel_index]
     )
     delays_s = []
-    for part in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
-        measured, predicted = np.fft.rfft(part * np.hanning(part.shape[1]))[:, 1:]
-        omega = 2 * np.pi * np.fft.rfftfreq(part.shape[1], 1 / spectra.compared_rate_hz)[1:]
+    for segment in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
+        measured, predicted = np.fft.rfft(segment * np.hanning(segment.shape[1]))[:, 1:]
+        omega = 2 * np.pi * np.fft.rfftfreq(segment.shape[1], 1 / spectra.compared_rate_hz)[1:]
         fit = relation(omega, measured, predicted, np.ones(omega.size))
         if fit.coherence >= MIN_PART_COHERENCE:
             delays_s.append(fit.delay_s)

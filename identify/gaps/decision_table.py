@@ -140,7 +140,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
         return all_hold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
 
     @property
-    def matters(self) -> bool:
+    def difference_matters(self) -> bool:
         """Criteria D and not B: a certain difference that is not bounded."""
         return self.differs and not self.bounded
 

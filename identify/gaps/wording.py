@@ -146,11 +146,11 @@ def findings_heading(gap: Diagnosis) -> str:
         for effect, words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
-    if gap.unknown and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
-        unmeasured.append("what the difference looks like")
+    if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
+        unmeasured.append("the unmeasured force described above")
     reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
-    order_words = " (it may be what the difference above does: settle that first)" * gap.evidence.matters
-    return f"The check of the recordings{reservation} says{order_words}:"
+    cause_words = ", perhaps because of the difference above" * gap.evidence.difference_matters
+    return f"The check of the recordings{reservation} says{cause_words}:"
 
 
 def interval(estimate: Value) -> str:

@@ -60,9 +60,9 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
     )
 
 
-def _share(part: Float[np.ndarray, "*part"], whole: Float[np.ndarray, "*whole"]) -> float:
-    """Sum of a part over that of the whole; zero where that is zero."""
-    return float(part.sum() / max(whole.sum(), 1e-300))
+def _share(squares: Float[np.ndarray, "*some"], total_squares: Float[np.ndarray, "*all"]) -> float:
+    """Sum of squares over that of all; zero where that is zero."""
+    return float(squares.sum() / max(total_squares.sum(), 1e-300))
 
 
 def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMap]:

@@ -68,7 +68,9 @@ def write_all(
     drawn_marks = marks(gap, corrected_rig)
     caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
     caption += _intervals_sentence(gap)
-    drawing = f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(caption)}</figcaption>"
+    drawing = (
+        f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
+    )
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")
     write_json(gap, folder / "gap.json")
@@ -92,7 +94,7 @@ def write_page(
     findings_html = _findings_html(gap, findings) if findings else ""
     first_column = f"<figure>{drawing}</figure>" if drawing else ""
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
-    first_column = first_column + findings_html if gap.evidence.matters else findings_html + first_column
+    first_column = first_column + findings_html if gap.evidence.difference_matters else findings_html + first_column
     second_column = ""
     if decisive := next((name for name in _decisive_figures(gap) if name in pictures), None):
         caption = CAPTION_BY_FIGURE.get(decisive, "")

@@ -42,19 +42,19 @@ def colour(gap: Gap) -> Colour:
 
 def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
-    parts: list[RenderableType] = [
+    renderables: list[RenderableType] = [
         Text.assemble((verdict_words(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
         _cause_table(gap),
     ]
     if gap.unknown:
         summary = f"; {_unknown_summary(gap.unknown)}"
-        parts.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, summary))
-    parts += [Text(note) for note in failed_analysis_sentences(gap)]
-    parts.append(Text("what to do next:", style="bold"))
+        renderables.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, summary))
+    renderables += [Text(note) for note in failed_analysis_sentences(gap)]
+    renderables.append(Text("what to do next:", style="bold"))
     steps = Table.grid(padding=(0, 1))
     for step_number, step in enumerate(next_steps(gap), 1):
         steps.add_row(f" {step_number}.", Text(step))
-    return Group(*parts, steps)
+    return Group(*renderables, steps)
 
 
 def _unknown_summary(unknown: UnmeasuredForce) -> str:

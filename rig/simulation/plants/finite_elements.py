@@ -38,7 +38,7 @@ def build(
     The connectors are those of the contacts, an annular one twice, then those of cubic springs, dampers and the extra
     forces. The loads are the exciting forces, with their first values, and the tones.
     """
-    sections = [part for part in extra_physics if isinstance(part, Section)]
+    sections = [section for section in extra_physics if isinstance(section, Section)]
     rig = _with_nodes_for(rig, extra_physics)
     ground_node = mbs.AddNode(item("NodePointGround")())
     ground_marker = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
@@ -63,9 +63,9 @@ def build(
         marker = position_marker if contact.law.spatial else displacement_marker
         connector = add_contact(exu, mbs, marker(contact.against), marker(contact.at), contact.law)
         connectors += [connector] * (len(rig.directions) if contact.law.spatial else 1)
-    for part in extra_physics:
-        if isinstance(part, GroundedForce):
-            connectors.append(add_grounded(exu, mbs, ground_marker, displacement_marker(part.station), part))
+    for force in extra_physics:
+        if isinstance(force, GroundedForce):
+            connectors.append(add_grounded(exu, mbs, ground_marker, displacement_marker(force.station), force))
     stations = [*(None if rig.is_on_ground(station) else station for station in rig.forces)]
     stations += [tone.station for tone in rig.tones]
     loads = []
@@ -77,12 +77,12 @@ def build(
 
 def _with_nodes_for(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
     """Rig with springs of zero stiffness where grounded forces act and sections end, so that nodes are placed there."""
-    stations = [part.station for part in extra_physics if isinstance(part, GroundedForce)]
+    stations = [force.station for force in extra_physics if isinstance(force, GroundedForce)]
     stations += [
-        Station(part.beam, position_m)
-        for part in extra_physics
-        if isinstance(part, Section)
-        for position_m in (part.start_m, part.end_m)
+        Station(section.beam, position_m)
+        for section in extra_physics
+        if isinstance(section, Section)
+        for position_m in (section.start_m, section.end_m)
     ]
     return replace(rig, springs=(*rig.springs, *(PointSpring(station=station) for station in stations)))
 
@@ -137,9 +137,11 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, element_count:
     middles_m = (positions_m[1:] + positions_m[:-1]) / 2
     axial_stiffness_n = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
     for pair, length_m, middle_m in zip(pairwise(nodes), np.diff(positions_m), middles_m, strict=True):
-        local = [part for part in sections if part.beam == body.name and part.start_m < middle_m < part.end_m]
-        stiffness_factor = float(np.prod([part.stiffness_factor for part in local]))
-        mass_factor = float(np.prod([part.mass_factor for part in local]))
+        local = [
+            section for section in sections if section.beam == body.name and section.start_m < middle_m < section.end_m
+        ]
+        stiffness_factor = float(np.prod([section.stiffness_factor for section in local]))
+        mass_factor = float(np.prod([section.mass_factor for section in local]))
         cable = item(cable_type)(
             nodeNumbers=[*pair],
             length=length_m,

@@ -209,15 +209,15 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
 
 def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
     assert findings_heading(gaps["consistent"]) == "The check of the recordings says:"
-    order_words = "(it may be what the difference above does: settle that first)"
+    cause_words = "perhaps because of the difference above"
     hum = "an unmeasured tone of 12.2 Hz on the frame at 0.30 m"
     frequency = {"tone.frequency_hz": (12.2, 0.1, "Hz")}
     tone = diagnoses.cause(("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, frequency)
     heading = findings_heading(replace(gaps["explained"], causes=(tone,)))
-    assert heading == f"The check of the recordings, which does not know {hum}, says {order_words}:"
+    assert heading == f"The check of the recordings, which does not know {hum}, says, {cause_words}:"
     heading = findings_heading(gaps["unexplained"])
-    unknown_words = "which does not know what the difference looks like"
-    assert heading == f"The check of the recordings, {unknown_words}, says {order_words}:"
+    unknown_words = "which does not know the unmeasured force described above"
+    assert heading == f"The check of the recordings, {unknown_words}, says, {cause_words}:"
 
 
 @pytest.mark.parametrize(("name", "stands_on_top"), [("explained", False), ("consistent", True)])
