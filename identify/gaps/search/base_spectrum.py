@@ -6,8 +6,10 @@ edges the means of their posterior; standard errors are Fisher's and the posteri
 leaves independent.
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 from msgspec.structs import replace as changed
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
@@ -25,26 +27,62 @@ WINDOW_BANDWIDTH_LINES, WINDOW_POWER_CORRELATION = 1.5, 35 / 18
 mean of w^4 over (mean of w^2)^2."""
 TRIAL_DENSITIES = 10.0 ** np.arange(-9, 3, 0.5)
 """Trial spectral densities, (m/s^2)^2/Hz. Derived: the best is within a factor 1.8, then refined."""
-LEAST_PATTERN_SHARE = 0.5
-"""Share of the band's power beyond the sensors' noise that has the pattern of a base motion, below which something else
-moves the machine there: near a resonance its errors have nearly that pattern. Set by hand: the greater part."""
+LEAST_PATTERN_SHARE, LEAST_SETTLED_SHARE = 0.5, 0.8
+"""Share of a band's power beyond the sensors' noise that has the pattern of a base motion, below which something else
+moves the machine there: near a resonance its errors have nearly that pattern. Set by hand: the greater part, and nearly
+all beside a set that explains the rest."""
+MAX_BANDS = 3
+"""Bands that are looked at beside a set: something else in the best one may hide a base motion in another. Effort."""
+
+
+@dataclass(frozen=True)
+class _PatternSpectra:
+    """Residual on a record's lines, as far as it has the pattern of a base motion.
+
+    pattern_power is |p'y|^2/s in noise, pattern_size s; excess_of_pattern and excess_power are the power beyond the
+    sensors' noise that has the pattern, and all of it.
+    """
+
+    lines_hz: Float[np.ndarray, " lines"]
+    pattern_power: Float[np.ndarray, " lines"]
+    pattern_size: Float[np.ndarray, " lines"]
+    excess_of_pattern: Float[np.ndarray, " lines"]
+    excess_power: Float[np.ndarray, " lines"]
+
+    def in_band(self, low_hz: float, high_hz: float) -> Bool[np.ndarray, " lines"]:
+        return (self.lines_hz >= low_hz) & (self.lines_hz <= high_hz)
 
 
 def fit_base_spectrum(
-    linearization: Linearization, residual: Residual, candidate: Candidate, min_gain: float
+    linearization: Linearization, residual: Residual, candidate: Candidate, min_gain: float, beside_set: bool = False
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """Most likely base motion (rms acceleration in m/s^2, lower and upper end of its band in Hz) and standard errors.
 
     None where the residual holds no base motion, -2 ln p falls by no more than `min_gain`, or other patterns have more
-    of the band's power. With y the residual and p the pattern of a base motion of unit density, both of unit noise, a
-    density S lowers the cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is
-    the interval of lines of largest sum. Each sensor is scaled by the level of its residual around each line, so that a
-    model error at some sensors does not hide the pattern at the others; the noise is then the power of the other
-    patterns.
+    of the band's power; `beside_set` beside a set that explains the rest, where a further band may hold it, and must
+    hold little else. With y the residual and p
+    the pattern of a base motion of unit density, both of unit noise, a density S lowers the cost of a line by
+    2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is the interval of lines of largest sum.
     """
-    record = linearization.record
-    if len(record.sensors) < len(linearization.observations) + 2:
+    if len(linearization.record.sensors) < len(linearization.observations) + 2:
         return None  # any residual has the pattern of a base motion
+    spectra = _pattern_spectra(linearization, residual)
+    least_share, max_bands = (LEAST_SETTLED_SHARE, MAX_BANDS) if beside_set else (LEAST_PATTERN_SHARE, 1)
+    for _ in range(max_bands):
+        estimate = _band_estimate(linearization, spectra, candidate, min_gain)
+        if estimate is None:
+            return None
+        is_in_band = spectra.in_band(*estimate[0][1:])
+        if np.sum(spectra.excess_of_pattern[is_in_band]) >= least_share * np.sum(spectra.excess_power[is_in_band]):
+            return estimate
+        spectra = replace(spectra, pattern_power=np.where(is_in_band, 0.0, spectra.pattern_power))
+    return None
+
+
+def _pattern_spectra(linearization: Linearization, residual: Residual) -> _PatternSpectra:
+    """Residual by its pattern. Each sensor is scaled by the level of its residual around each line, so that a model
+    error at some sensors does not hide the pattern at the others; the noise is then the power of the other patterns."""
+    record = linearization.record
     lines_hz = record.omega / (2 * np.pi)
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
@@ -61,8 +99,23 @@ def fit_base_spectrum(
     remaining_power = np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power
     remaining_power = remaining_power / max(1, len(spectra) - contact_count - 1)
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
-    pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
-    ranges = candidate.parameters
+    noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
+    return _PatternSpectra(
+        lines_hz,
+        pattern_power / noise_power,
+        pattern_size / noise_power,
+        _power_and_size(spectra, pattern)[0] - noise_by_pattern,
+        np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern,
+    )
+
+
+def _band_estimate(
+    linearization: Linearization, spectra: _PatternSpectra, candidate: Candidate, min_gain: float
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
+    """Values and standard errors of the band of largest gain, whatever else moves the machine there; None below
+    `min_gain`."""
+    record, ranges, lines_hz = linearization.record, candidate.parameters, spectra.lines_hz
+    pattern_power, pattern_size = spectra.pattern_power, spectra.pattern_size
     is_in_range = (lines_hz >= ranges["low_hz"].low) & (lines_hz <= ranges["high_hz"].high)
     largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
@@ -71,9 +124,9 @@ def fit_base_spectrum(
         if interval_gain > largest_gain:
             largest_gain, best_lines, best_density = interval_gain, interval_lines, trial_density
     counted_count = (record.counted_slice.stop - record.counted_slice.start) * record.decimation
-    if not 2 * largest_gain * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES > min_gain:
-        return None
     counted_share = counted_count / record.transform_length
+    if not 2 * largest_gain * counted_share / WINDOW_BANDWIDTH_LINES > min_gain:
+        return None
     in_band = pattern_power[best_lines], pattern_size[best_lines]
     best_density, relative_error = _fitted_density(best_density, *in_band, counted_share)
     gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
@@ -83,12 +136,6 @@ def fit_base_spectrum(
     middle_line = (best_lines.start + best_lines.stop) // 2
     low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative[:middle_line], resolution_hz)
     high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative[middle_line:-1], resolution_hz)
-    is_in_band = (lines_hz >= low_hz) & (lines_hz <= high_hz)
-    noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
-    excess_power = np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern
-    excess_of_pattern = _power_and_size(spectra, pattern)[0] - noise_by_pattern
-    if np.sum(excess_of_pattern[is_in_band]) < LEAST_PATTERN_SHARE * np.sum(excess_power[is_in_band]):
-        return None
     rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
     base_motion_values = np.array([np.clip(rms_m_per_s2, 0, ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2

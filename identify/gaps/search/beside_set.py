@@ -6,6 +6,8 @@ spectrum alone.
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
@@ -16,6 +18,7 @@ from identify.gaps.search.hypothesis import (
     combined,
     fit_briefly,
     fit_spectrum,
+    fit_with_values,
     refined,
     reset_saturated_nuisance,
 )
@@ -60,14 +63,25 @@ def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
 
 
 def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
-    """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
+    """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`.
+
+    The tolerances of the set have taken up a part of the base motion, so that its values in the nominal rig are tried,
+    too.
+    """
     base_candidates = [candidate for candidate in search.candidates if candidate.kind.stochastic]
     if not base_candidates or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
         return best_set
     base_search = search_about(search, best_set, ())
+    set_fit = base_search.nominal_fit()
     for candidate in base_candidates:
-        base_motion_fit = fit_spectrum(base_search, base_search.nominal_fit(), candidate)
-        if base_motion_fit and best_set.cost - base_motion_fit.cost > MIN_GAIN:
+        base_motion_fit = fit_spectrum(base_search, set_fit, candidate, beside_set=True)
+        if base_motion_fit is None:
+            continue
+        if in_nominal_rig := fit_spectrum(search, search.nominal_fit(), candidate, beside_set=True):
+            values, variances = in_nominal_rig.hypothesis.values, np.diag(in_nominal_rig.hypothesis.covariance)
+            other_fit = fit_with_values(base_search, set_fit, candidate, values, np.sqrt(variances))
+            base_motion_fit = min(filter(None, (base_motion_fit, other_fit)), key=lambda fitted: fitted.cost)
+        if best_set.cost - base_motion_fit.cost > MIN_GAIN:
             joined_hypothesis = combined(best_set, base_motion_fit)
             return FittedHypothesis(joined_hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
     return best_set

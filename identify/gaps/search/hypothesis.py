@@ -267,14 +267,25 @@ def _fitted_hypothesis(
     return FittedHypothesis(Hypothesis(candidates, values, covariance, record_misfit), linearization, residual)
 
 
-def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candidate) -> FittedHypothesis | None:
-    """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
+def fit_spectrum(
+    search: Search, nominal_fit: FittedHypothesis, candidate: Candidate, beside_set: bool = False
+) -> FittedHypothesis | None:
+    """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time;
+    `beside_set` as in `fit_base_spectrum`."""
     if not nominal_fit.hypothesis.is_incomplete:
         return None
-    estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
-    if estimate is None:
-        return None
-    values, standard_errors = estimate
+    estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN, beside_set)
+    return None if estimate is None else fit_with_values(search, nominal_fit, candidate, *estimate)
+
+
+def fit_with_values(
+    search: Search,
+    nominal_fit: FittedHypothesis,
+    candidate: Candidate,
+    values: Float[np.ndarray, " parameters"],
+    standard_errors: Float[np.ndarray, " parameters"],
+) -> FittedHypothesis | None:
+    """Fit of the nuisance parameters beside an effect of given values; None where the rig does not take it."""
     try:
         rig = candidate.applied(search.linearization.rig, values)
     except RigError:
