@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from threadpoolctl import threadpool_limits
 
-from identify.checks import Finding, check_recording, unchecked
+from identify.checks import Finding, check_recording, unchecked_notes
 from identify.contacts.acceptance import without_dead_force
 from identify.contacts.space_contacts import space_findings
 from identify.contacts.space_identification import identify_recording
@@ -21,7 +21,7 @@ from identify.history.observations import observations
 from identify.laws import identify_law
 from identify.planning.plan_result import PlanResult
 from identify.planning.planned_test import planned_test
-from identify.planning.ranking import MAX_CHANGES, ranked_plan
+from identify.planning.ranking import MAX_CHANGE_COUNT, ranked_plan
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
@@ -49,7 +49,7 @@ def check(
         if not record.rig.in_space:
             check_plane(record.rig, "identify check without annular contacts")
         findings = _findings_of(record, _tolerances(tolerances), use)
-    return CheckResult(findings, _title([recording], record), unchecked(record.rig))
+    return CheckResult(findings, _title([recording], record), unchecked_notes(record.rig))
 
 
 def contact(
@@ -212,7 +212,7 @@ def plan(
     band_hz: tuple[float, float] | None = None,
     tolerances: Tolerances | str | None = None,
     simulator: str = "modal",
-    most_changes: int = MAX_CHANGES,
+    most_changes: int = MAX_CHANGE_COUNT,
     workers: int = 1,
     base_rms_m_per_s2: float | None = None,
     progress: Progress = lambda _: None,

@@ -17,9 +17,9 @@ MAX_WORKERS = 8
 
 def plan_words() -> dict[str, str]:
     """Word for the help: the number of changes that are tried at most."""
-    from identify.planning.ranking import MAX_CHANGES
+    from identify.planning.ranking import MAX_CHANGE_COUNT
 
-    return {"changes": str(MAX_CHANGES)}
+    return {"changes": str(MAX_CHANGE_COUNT)}
 
 
 def plan(
@@ -68,7 +68,7 @@ def plan(
     """
     from identify.api import plan as plan_test
     from identify.planning import page
-    from identify.planning.ranking import MAX_CHANGES
+    from identify.planning.ranking import MAX_CHANGE_COUNT
 
     if out is not None:
         for file_name in ("plan.html", "plan.json"):
@@ -82,7 +82,7 @@ def plan(
             band_hz=band,
             tolerances=tolerances,
             simulator=simulator,
-            most_changes=MAX_CHANGES if changes is None else changes,
+            most_changes=MAX_CHANGE_COUNT if changes is None else changes,
             workers=workers or min(os.cpu_count() or 1, MAX_WORKERS),
             progress=progress,
         )
