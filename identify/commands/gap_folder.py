@@ -21,9 +21,9 @@ from rig.model.description import from_json, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-TABLE_NAME, NULL_REFERENCES = "gaps", "null_references"
-RESULT_NAMES = ("gap.json", "gap.html", "rig.json")
-COLUMNS = (
+TABLE_NAME, REFERENCE_FOLDER = "gaps", "null_references"
+RESULT_FILE_NAMES = ("gap.json", "gap.html", "rig.json")
+COLUMN_NAMES = (
     "recording",
     "rig",
     "verdict",
@@ -70,19 +70,19 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
     first_tasks: dict[str, RecordingTask] = {}
     tasks = []
     with working(f"reading {folder}"):
-        for task in tasks_of(folder, out, settings, RESULT_NAMES, force):
-            reference = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
-            tasks.append(msgspec.structs.replace(task, shared=reference))
-            first_tasks.setdefault(reference, tasks[-1])
-    make_folder(out / NULL_REFERENCES)
+        for task in tasks_of(folder, out, settings, RESULT_FILE_NAMES, force):
+            reference_file = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
+            tasks.append(msgspec.structs.replace(task, shared=reference_file))
+            first_tasks.setdefault(reference_file, tasks[-1])
+    make_folder(out / REFERENCE_FOLDER)
     stages = [list(first_tasks.values()), [task for task in tasks if task not in first_tasks.values()]]
-    answers = answer_all(gap_rows, stages, out, settings, RESULT_NAMES[0], dask, force)
-    positions = {task.path.name: position for position, task in enumerate(tasks)}
-    answers.sort(key=lambda answer: positions[str(answer.rows[0]["recording"])])
+    answers = answer_all(gap_rows, stages, out, settings, RESULT_FILE_NAMES[0], dask, force)
+    position_by_name = {task.path.name: position for position, task in enumerate(tasks)}
+    answers.sort(key=lambda answer: position_by_name[str(answer.rows[0]["recording"])])
     if not as_json:
         _print_diagnoses(answers)
-    parameters = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
-    finish(answers, (*COLUMNS, *parameters), out, TABLE_NAME, as_json)
+    parameter_columns = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMN_NAMES))
+    finish(answers, (*COLUMN_NAMES, *parameter_columns), out, TABLE_NAME, as_json)
 
 
 def gap_rows(task: RecordingTask) -> TableRows:
@@ -103,10 +103,10 @@ def gap_rows(task: RecordingTask) -> TableRows:
     result.save(task.folder)
     if settings.export is not None:
         save_tables(curves(result.report), task.folder, settings.export)
-    return TableRows((_row(task.path.name, result),))
+    return TableRows((_diagnosis_row(task.path.name, result),))
 
 
-def _row(recording_name: str, result: GapResult) -> dict[str, str | float | None]:
+def _diagnosis_row(recording_name: str, result: GapResult) -> dict[str, str | float | None]:
     gap_report = result.report
     row: dict[str, str | float | None] = {
         "recording": recording_name,
@@ -153,7 +153,7 @@ def _null_reference_path(out: Path, recording: Path, rig_text: str | None) -> Pa
         rig_json = rig_text.encode() if rig_text else to_json(next(iter(segments(recording, FIRST_SEGMENT_S, 0.0))).rig)
     except RigError:
         rig_json = b""  # its own task says what is wrong
-    return (out / NULL_REFERENCES / f"{hashlib.sha256(rig_json).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
+    return (out / REFERENCE_FOLDER / f"{hashlib.sha256(rig_json).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
 
 
 def _print_diagnoses(answers: list[TableRows]) -> None:

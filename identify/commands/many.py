@@ -96,8 +96,8 @@ def tasks_of(
     A folder of results goes on with the settings that it began with, which it keeps in SETTINGS_NAME; with `force` it
     begins anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
     """
-    recordings = sorted_by_name(recordings_in(folder))
-    if not recordings:
+    recording_paths = sorted_by_name(recordings_in(folder))
+    if not recording_paths:
         raise RigError(f"{folder}: holds no recordings (*.mcap); give another folder")
     settings_json, settings_path = msgspec.json.encode(settings), out / SETTINGS_NAME
     is_continued = settings_path.exists() and not force
@@ -112,7 +112,7 @@ def tasks_of(
             str((out / recording_path.stem).absolute()),
             msgspec.Raw(settings_json),
         )
-        for recording_path in recordings
+        for recording_path in recording_paths
     ]
     for task in tasks if not is_continued else ():
         for result_name in result_names:

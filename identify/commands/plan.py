@@ -9,9 +9,9 @@ import typer
 from identify.commands.options import TolerancesOption, print_json
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
-SHOWN_CHANGES = 8
+SHOWN_CHANGE_COUNT = 8
 """Number of ranked changes on the terminal."""
-MAX_WORKERS = 8
+MAX_WORKER_COUNT = 8
 """Most processes, each of which takes some 0.4 GB."""
 
 
@@ -83,7 +83,7 @@ def plan(
             tolerances=tolerances,
             simulator=simulator,
             most_changes=MAX_CHANGE_COUNT if changes is None else changes,
-            workers=workers or min(os.cpu_count() or 1, MAX_WORKERS),
+            workers=workers or min(os.cpu_count() or 1, MAX_WORKER_COUNT),
             progress=progress,
         )
     if out is not None:
@@ -101,7 +101,7 @@ def plan(
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:
-        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
+        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGE_COUNT]
         title = "What would help, ranked by the widest interval"
         change_table = console_table(title, page.CHANGE_HEAD, rows=change_rows)
         change_table.columns[-1].justify = "left"
