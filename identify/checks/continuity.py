@@ -20,8 +20,8 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
 
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    ratio, time_s = discontinuity_and_time(rig, spectra, channel_indices)
-    if ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
+    worst_ratio, time_s = discontinuity_and_time(rig, spectra, channel_indices)
+    if worst_ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     for k in range(len(spectra.forces) if len(spectra.forces) > 1 else 0):
         if discontinuity_and_time(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:

@@ -180,11 +180,11 @@ def _open_mask(
     return is_open
 
 
-def _passages(is_open: Bool[np.ndarray, " fewer"], min_start_index: int) -> list[slice]:
-    """Runs of open samples that begin at `min_start_index` or later and are long enough."""
+def _passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) -> list[slice]:
+    """Runs of open samples that begin at `min_start` or later and are long enough."""
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
     runs = zip(run_edges[::2], run_edges[1::2], strict=True)
-    return [slice(first, end) for first, end in runs if first >= min_start_index and end - first >= MIN_PASSAGE_SAMPLES]
+    return [slice(start, stop) for start, stop in runs if start >= min_start and stop - start >= MIN_PASSAGE_SAMPLES]
 
 
 def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:

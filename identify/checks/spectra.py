@@ -92,14 +92,14 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     line_numbers = np.arange(first_line, last_line, line_step)
     omega = 2 * np.pi * line_numbers * rate_hz / padded_length
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    per_signal = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
-    acceleration = rfft(signals * end_taper, padded_length)[:, line_numbers] * per_signal
+    acceleration_per_signal = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
+    acceleration = rfft(signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
     quiet_count = quiet_sample_count(forces_n, rate_hz)
     if quiet_count:
         noise_rms = signals[:, :quiet_count].std(axis=1)
     else:
         noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
-    line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(per_signal)
+    line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(acceleration_per_signal)
     duration_s = sample_count / rate_hz
     span_s = (quiet_count / rate_hz, max(duration_s - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz))
     if span_s[1] - span_s[0] < MIN_COMPARED_S:

@@ -226,7 +226,7 @@ def noise_finding(
     if quiet_share < MAX_QUIET_SHARE:
         return None
     quiet_roughness, driven_roughness = (
-        float(np.diff(part).std() / part.std()) for part in (samples[:quiet_count], samples[quiet_count:])
+        float(np.diff(segment).std() / segment.std()) for segment in (samples[:quiet_count], samples[quiet_count:])
     )
     if quiet_roughness < NOISE_ROUGHNESS_RATIO * driven_roughness:
         return Finding(

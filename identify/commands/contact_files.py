@@ -62,8 +62,8 @@ def identify_file(
     options: dict[str, Any] = {"use": settings.use, "averaging": settings.averaging, "equation": settings.equation}
     options |= {"tolerances": settings.tolerances, "progress": progress}
     if segment_s is None:
-        result = identify.contact(file, **options)
-        return FileAnswer(result.report, lambda out: _save(result, out, settings.export))
+        contact_result = identify.contact(file, **options)
+        return FileAnswer(contact_result.report, lambda out: _save(contact_result, out, settings.export))
     report, segment_results = identify_long(file, segment_s=segment_s, **options)
     return FileAnswer(report, lambda out: _save_pooled(file, segment_s, report, segment_results, out))
 

@@ -89,7 +89,7 @@ def gap_rows(task: RecordingTask) -> TableRows:
     """Row of a recording, or of the reason for its refusal; its files are written."""
     settings = msgspec.json.decode(task.settings, type=GapSettings)
     try:
-        result = diagnose(
+        gap_result = diagnose(
             task.path,
             simulator=settings.simulator,
             null_reference=task.shared,
@@ -100,17 +100,17 @@ def gap_rows(task: RecordingTask) -> TableRows:
         )
     except RigError as error:
         return refused_row(task.path, error)
-    result.save(task.folder)
+    gap_result.save(task.folder)
     if settings.export is not None:
-        save_tables(curves(result.report), task.folder, settings.export)
-    return TableRows((_diagnosis_row(task.path.name, result),))
+        save_tables(curves(gap_result.report), task.folder, settings.export)
+    return TableRows((_diagnosis_row(task.path.name, gap_result),))
 
 
-def _diagnosis_row(recording_name: str, result: GapResult) -> dict[str, str | float | None]:
-    gap_report = result.report
+def _diagnosis_row(recording_name: str, gap_result: GapResult) -> dict[str, str | float | None]:
+    gap_report = gap_result.report
     row: dict[str, str | float | None] = {
         "recording": recording_name,
-        "rig": result.corrected.name,
+        "rig": gap_result.corrected.name,
         "verdict": gap_report.verdict,
         "sentence": gap_report.sentence,
         "named": " | ".join(gap_report.criteria.named),
@@ -125,7 +125,7 @@ def _diagnosis_row(recording_name: str, result: GapResult) -> dict[str, str | fl
         "unexplained_share_after": gap_report.after.share,
         "code": "",
         "reason": "",
-        "findings": " | ".join(finding.sentence for finding in result.findings),
+        "findings": " | ".join(finding.sentence for finding in gap_result.findings),
     }
     return row | _cause_cells(gap_report)
 

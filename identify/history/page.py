@@ -157,12 +157,12 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
 
 def _recording_rows(history: History) -> Iterator[Sequence[str]]:
     """Yield for each recording its number if it is used, name, digits of the SHA-256, date and remark."""
-    used_count = 0
+    compared_count = 0
     for observation in history.observations:
         number_text, remark = "", f"left out: {observation.reason}"
         if observation.report is not None:
-            used_count += 1
+            compared_count += 1
             findings = "; ".join(finding.sentence for finding in observation.report.findings)
-            number_text, remark = str(used_count), f"not to be relied on: {findings}" if findings else "used"
+            number_text, remark = str(compared_count), f"not to be relied on: {findings}" if findings else "used"
         date_text = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
         yield number_text, observation.name, observation.sha256[: page.SHOWN_DIGITS], date_text, remark

@@ -303,15 +303,15 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
         return (force_n - samples.low_passed(law_of_logarithms(logarithms))[rows]) / force_span_n
 
-    starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASH_SHARES, START_STIFFNESS_RATIOS)]
-    starts.sort(key=lambda start: float(np.sum(relative_residual(start) ** 2)))
+    log_starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASH_SHARES, START_STIFFNESS_RATIOS)]
+    log_starts.sort(key=lambda log_start: float(np.sum(relative_residual(log_start) ** 2)))
     bounds = (np.full(4, -12.0), np.full(4, 8.0))
     fit_from = partial(least_squares, relative_residual, bounds=bounds, diff_step=LOG_STEP, max_nfev=30)
-    rough_fits = (fit_from(start, ftol=ROUGH_TOLERANCE) for start in starts[:ROUGH_START_COUNT])
+    rough_fits = (fit_from(log_start, ftol=ROUGH_TOLERANCE) for log_start in log_starts[:ROUGH_START_COUNT])
     optimum = fit_from(min(rough_fits, key=lambda fit: float(fit.cost)).x).x
-    steps = LOG_STEP * np.eye(optimum.size)
-    differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in steps]
-    slopes = np.stack(differences, axis=1) / (2 * LOG_STEP)
-    scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -relative_residual(optimum))
+    log_steps = LOG_STEP * np.eye(optimum.size)
+    residual_differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in log_steps]
+    derivatives = np.stack(residual_differences, axis=1) / (2 * LOG_STEP)
+    scores = part_scores(derivatives @ np.linalg.pinv(derivatives.T @ derivatives), -relative_residual(optimum))
     standard_errors = np.exp(log_scales + optimum) * np.sqrt(np.sum(scores**2, axis=0))
     return replace(law_of_logarithms(optimum), standard_errors=tuple(standard_errors.tolist()))

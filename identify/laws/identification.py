@@ -238,14 +238,14 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
     if len(estimates) > 1:
         damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
         record = replace(record, force_n=record.force_n - damping_n)
-    first = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
+    start = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     stop = record.force_n.size - EDGE_SAMPLE_COUNT
-    if stop - first < MIN_SAMPLE_COUNT:
+    if stop - start < MIN_SAMPLE_COUNT:
         raise RigError(
-            f"the excited part of the record holds {max(stop - first, 0)} samples of the contact force; record longer"
+            f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record longer"
         )
-    middle = (first + stop) // 2
-    return _ContactSamples(record, velocity_m_per_s, estimates, slice(first, middle), slice(middle, stop))
+    middle = (start + stop) // 2
+    return _ContactSamples(record, velocity_m_per_s, estimates, slice(start, middle), slice(middle, stop))
 
 
 def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:

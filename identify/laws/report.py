@@ -158,8 +158,8 @@ def _draw_over_time(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     for force_axes, motion_axes, law in zip(force_panels, motion_panels, laws, strict=True):
         force_n = law.record.force_n
         largest_index = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
-        first = min(max(largest_index - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0))
-        section = slice(first, first + SECTION_SAMPLE_COUNT)
+        start = min(max(largest_index - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0))
+        section = slice(start, start + SECTION_SAMPLE_COUNT)
         time_s, eta_mm = law.time_s[section], 1e3 * law.record.eta_at_force_m[section]
         force_axes.plot(time_s, force_n[section], color=GREY, lw=2.4, label="force, no law assumed")
         force_axes.plot(time_s, law.plotted_force_n[section], color=RED, lw=1.0, label=law.plotted_law)

@@ -232,5 +232,5 @@ def _sensor_removals(test: PlannedTest) -> Iterator[PlannedChange]:
     sensor_counts = Counter((s.station.body, s.station.direction) for s in sensors if s.measures.translates)
     for sensor in sensors:
         if sensor_counts[sensor.station.body, sensor.station.direction] > sensor.measures.translates:
-            remaining_sensors = tuple(kept_sensor for kept_sensor in sensors if kept_sensor != sensor)
+            remaining_sensors = tuple(other_sensor for other_sensor in sensors if other_sensor != sensor)
             yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

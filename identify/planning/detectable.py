@@ -87,9 +87,9 @@ def detectable_effects(
         record = record_of(recording, tolerances=test.tolerances)
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
-        scale = scale_of(record, record.rig)
+        range_scale = scale_of(record, record.rig)
         estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
-        library = candidates(scale, record.channel_names, record.zero_known, record.has_force)
+        library = candidates(range_scale, record.channel_names, record.zero_known, record.has_force)
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         hypothesis = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
         model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)

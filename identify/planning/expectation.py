@@ -183,11 +183,11 @@ def expected_contacts(rig: Rig, tests: Sequence[SimulatedTest]) -> tuple[Expecte
 def largest_miss_and_contact(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
     """Largest difference between an estimate and the simulated value in standard errors, and the contact's name."""
     misses_and_contacts = [
-        (abs(parts.estimate - parts.simulated_value) / parts.stated_error, name)
+        (abs(error_parts.estimate - error_parts.simulated_value) / error_parts.stated_error, name)
         for test in tests
         for name, parts_by_quantity in test.error_parts.items()
-        for parts in parts_by_quantity.values()
-        if parts.stated_error > 0
+        for error_parts in parts_by_quantity.values()
+        if error_parts.stated_error > 0
     ]
     return max(misses_and_contacts, default=(0.0, ""))
 
@@ -263,12 +263,12 @@ def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedCont
     return ExpectedContact(name=name, determined_share=determined_share, **expected_quantities)
 
 
-def _expected_quantity(parts_by_record: Sequence[ErrorParts]) -> ExpectedQuantity:
-    log_errors = np.log([max(parts.stated_error, np.finfo(float).tiny) for parts in parts_by_record])
-    median_parts = sorted(parts_by_record, key=lambda parts: parts.stated_error)[len(parts_by_record) // 2]
+def _expected_quantity(record_parts: Sequence[ErrorParts]) -> ExpectedQuantity:
+    log_errors = np.log([max(error_parts.stated_error, np.finfo(float).tiny) for error_parts in record_parts])
+    median_parts = sorted(record_parts, key=lambda error_parts: error_parts.stated_error)[len(record_parts) // 2]
     return ExpectedQuantity(
-        value=parts_by_record[0].simulated_value,
+        value=record_parts[0].simulated_value,
         standard_error=float(np.exp(np.median(log_errors))) if median_parts.stated_error else 0.0,
-        spread_factor=float(np.exp(np.std(log_errors, ddof=1))) if len(parts_by_record) > 1 else 1.0,
+        spread_factor=float(np.exp(np.std(log_errors, ddof=1))) if len(record_parts) > 1 else 1.0,
         limited_by=median_parts.source,
     )

@@ -74,11 +74,11 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
     def with_duration(self, duration_s: float) -> "PlannedTest":
         return replace(self, duration_s=duration_s)
 
-    def at_level(self, factor: float) -> "PlannedTest":
+    def at_level(self, level_factor: float) -> "PlannedTest":
         """Test with every level that many times as high."""
         if self.base_rms_m_per_s2 is not None:
-            return replace(self, base_rms_m_per_s2=factor * self.base_rms_m_per_s2)
-        return replace(self, force_rms_n=tuple(factor * rms_n for rms_n in self.force_rms_n))
+            return replace(self, base_rms_m_per_s2=level_factor * self.base_rms_m_per_s2)
+        return replace(self, force_rms_n=tuple(level_factor * rms_n for rms_n in self.force_rms_n))
 
     @property
     def levels(self) -> tuple[float, ...]:
