@@ -260,8 +260,8 @@ def _with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | No
         raise RigError(
             f"{rig_name}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
         )
-    signals = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
-    return replace(recording, rig=rig, signals=signals)
+    signals_by_quantity = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
+    return replace(recording, rig=rig, signals=signals_by_quantity)
 
 
 def _tolerances(tolerances: Tolerances | str | None) -> Tolerances | None:

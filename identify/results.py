@@ -320,8 +320,8 @@ def _finding_fields(finding: Finding) -> dict[str, Any]:
 
 def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
     row: Row = {}
-    for name, estimate in estimates.items():
-        row[name], row[f"{name}_within"] = estimate.value, COVERED * estimate.standard_error
+    for quantity_name, estimate in estimates.items():
+        row[quantity_name], row[f"{quantity_name}_within"] = estimate.value, COVERED * estimate.standard_error
     return row
 
 

@@ -24,9 +24,9 @@ DelaysOnDemand = Callable[[], Float[np.ndarray, " parts"] | None]
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause, and the share of the channel's power that it leaves unexplained.
+    """Cause of a fault, and the share of the channel's power that it leaves unexplained.
 
-    A cause with more freedom has a larger allowance, by which its share counts more.
+    A cause with more freedom has a larger freedom_factor, by which its share counts more.
     """
 
     unexplained_share: float
@@ -89,20 +89,20 @@ def _gain_and_delay_explanations(
         yield Explanation(residual_share(delay_phase_factor * predicted), delay_finding)
 
 
-def gain_finding(name: str, gain: float) -> Finding:
+def gain_finding(channel_name: str, gain: float) -> Finding:
     """Finding: a sign, a unit or a calibration is wrong, and the channel delivers `gain` times what it should."""
     if gain < 0 and 0.5 < -gain < 2:
         return Finding(
             cause="polarity",
-            channels=(name,),
-            evidence=f"{name} has the opposite sign of what {REFERENCE_WORDS} predict (gain {gain:.4g})",
+            channels=(channel_name,),
+            evidence=f"{channel_name} has the opposite sign of what {REFERENCE_WORDS} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
     unit_words = unit_mistake(gain)
     return Finding(
         cause="units" if unit_words else "gain",
-        channels=(name,),
-        evidence=f"{name} delivers {gain:.4g} times what {REFERENCE_WORDS} predict",
+        channels=(channel_name,),
+        evidence=f"{channel_name} delivers {gain:.4g} times what {REFERENCE_WORDS} predict",
         mend=f"correct its unit or scale in the import map, it looks like {unit_words}"
         if unit_words
         else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
@@ -187,13 +187,13 @@ def _filter_explanations(
         yield Explanation(unexplained_share, finding, 4.0)
 
 
-def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
+def _slipped_finding(channel_name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
     """Finding: the delay changes over the record."""
     delay_change_s = float(delays_s[-1] - delays_s[0])
     return Finding(
         cause="slipped samples",
-        channels=(name,),
-        evidence=f"{name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
+        channels=(channel_name,),
+        evidence=f"{channel_name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
         "against the others at the record's end than at its beginning",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
     )

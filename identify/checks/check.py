@@ -241,8 +241,8 @@ def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     used_names = {*recording.force_names[: count_on_bodies(rig)]}
     used_names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
     rate_hz, excitation, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
-    for group, signals in recording.signals.items():
-        for name, samples in zip(signals.channels.names, signals.values, strict=True):
+    for group, group_signals in recording.signals.items():
+        for name, samples in zip(group_signals.channels.names, group_signals.values, strict=True):
             if name in used_names:
                 yield _Channel(group, name, samples, rate_hz, excitation, force_names, _impact_sensor_names(rig, name))
 
@@ -260,26 +260,26 @@ def _impact_sensor_names(rig: Rig, channel_name: str) -> frozenset[str]:
 
 def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
-    name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
+    channel_name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
     excitation, force_names = channel.excitation, channel.force_names
     fault_checks: list[Callable[[], Finding | None]] = [
-        lambda: waveforms.dead_finding(name, samples, force_names),
-        lambda: waveforms.clipped_finding(name, samples),
-        lambda: waveforms.quantised_finding(name, samples),
-        lambda: waveforms.held_finding(name, samples, excitation, force_names),
+        lambda: waveforms.dead_finding(channel_name, samples, force_names),
+        lambda: waveforms.clipped_finding(channel_name, samples),
+        lambda: waveforms.quantised_finding(channel_name, samples),
+        lambda: waveforms.held_finding(channel_name, samples, excitation, force_names),
     ]
     if not channel.is_force:
         fault_checks += [
-            lambda: waveforms.hum_finding(name, rate_hz, samples, excitation),
-            lambda: waveforms.noise_finding(name, rate_hz, samples, excitation, force_names),
+            lambda: waveforms.hum_finding(channel_name, rate_hz, samples, excitation),
+            lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names),
         ]
     if channel.group == "acceleration":
         fault_checks += [
-            lambda: waveforms.drift_finding(name, rate_hz, samples),
-            lambda: waveforms.offset_finding(name, samples),
+            lambda: waveforms.drift_finding(channel_name, rate_hz, samples),
+            lambda: waveforms.offset_finding(channel_name, samples),
         ]
     elif not channel.is_force and (quiet_count := quiet_sample_count(excitation, rate_hz)):
-        fault_checks.append(lambda: waveforms.offset_finding(name, samples[:quiet_count], float(samples.std())))
+        fault_checks.append(lambda: waveforms.offset_finding(channel_name, samples[:quiet_count], float(samples.std())))
     return next((fault for check in fault_checks if (fault := check()) is not None), None)
 
 

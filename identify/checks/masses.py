@@ -141,7 +141,7 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
         residual = centred[0] - coefficients @ centred[1:]
         boundaries = np.cumsum([segment.shape[1] for segment in segments])[:-1]
         by_passage = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
-        passage_scores = [influence @ error for influence, error in by_passage]
+        passage_scores = [influence @ residual_part for influence, residual_part in by_passage]
         standard_errors = np.sqrt(np.sum(np.square(passage_scores), axis=0)) / motion_rms
         explained_share = 1 - float(np.mean(residual**2) / np.mean(centred[0] ** 2))
         return MassFit(coefficients, standard_errors, delay_s, explained_share)

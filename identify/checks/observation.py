@@ -36,7 +36,7 @@ def observed_motion(
     """
     sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
     prediction, response_cache = check.prediction(channel_indices), ResponseCache(omega, 0)
-    signals = prediction.accelerations[channel_indices]
+    accelerations = prediction.accelerations[channel_indices]
     input_spectra = np.concatenate([prediction.force_spectra, prediction.contact_force_spectra])
     body_responses = [response_of(rig, body, response_cache) for body in rig.bodies]
     return ObservedSignals(
@@ -44,10 +44,10 @@ def observed_motion(
         displaced_by=sensors,
         tolerances=tolerances,
         omega=omega,
-        sensor_response=np.ones_like(signals),
-        signals=signals,
+        sensor_response=np.ones_like(accelerations),
+        signals=accelerations,
         force_accelerations=check.acceleration_by_force[:, channel_indices],
-        displacements=np.zeros_like(signals),
+        displacements=np.zeros_like(accelerations),
         bodies=tuple(_body_motion(rig, response, input_spectra) for response in body_responses),
         further_changes=tuple(
             c for response in body_responses for c in _truncation_changes(rig, response, sensors, input_spectra)

@@ -176,13 +176,13 @@ class Projector:
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
         line_noise = check.spectra.line_noise[channel_indices]
-        level = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
-        scale = np.hypot(MIN_MODEL_ERROR_SHARE * level, line_noise)
-        scale = np.maximum(scale, 1e-9 * scale.max())
+        levels = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
+        error_scale = np.hypot(MIN_MODEL_ERROR_SHARE * levels, line_noise)
+        error_scale = np.maximum(error_scale, 1e-9 * error_scale.max())
         accelerances = check.free_accelerance(doubted_force_index)[:, channel_indices]
-        self._projection = projection(accelerances / scale, scale, len(accelerances))
+        self._projection = projection(accelerances / error_scale, error_scale, len(accelerances))
         self._spectra = check.spectra
-        scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / scale)
+        scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
         duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
         self._count_factor = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(scaled_motion.T))))
 

@@ -98,8 +98,8 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "damping": tolerances.damping,
         "modes left out at": 1.0,
     }[parameter.kind]
-    name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
-    return Suspect(parameter.kind, name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
+    owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    return Suspect(parameter.kind, owner_name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
 
 
 @dataclass(frozen=True)
@@ -205,8 +205,8 @@ class _Column:
         largest_value = np.float32(max(float(np.max(np.abs(values))), 1e-30))
         return cls((values / largest_value).astype(np.float16), largest_value)
 
-    def values(self, samples: slice = slice(None)) -> np.ndarray:
-        return np.asarray(self.largest_value * self.half_values[:, samples].astype(np.float32))
+    def values(self, sample_slice: slice = slice(None)) -> np.ndarray:
+        return np.asarray(self.largest_value * self.half_values[:, sample_slice].astype(np.float32))
 
 
 def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
@@ -240,12 +240,12 @@ def _scores(
     prior_precisions = np.r_[np.ones(prior_count), np.full(len(free_indices), 1e-9)]
     covariance = np.linalg.inv(column_products[np.ix_(fitted_indices, fitted_indices)] + np.diag(prior_precisions))
     with_fitted = column_products[:, fitted_indices]
-    estimates = covariance @ residual_products[fitted_indices]
-    unexplained_products = residual_products - with_fitted @ estimates
+    fitted_estimates = covariance @ residual_products[fitted_indices]
+    unexplained_products = residual_products - with_fitted @ fitted_estimates
     explained_variance = np.einsum("ij,jk,ik->i", with_fitted, covariance, with_fitted)
     variances = np.maximum(np.diag(column_products) - explained_variance, 1e-12)
     scores, errors = unexplained_products / np.sqrt(variances), unexplained_products / variances
-    return _Scores(scores, errors, pulls=estimates[:prior_count], free_errors=estimates[prior_count:])
+    return _Scores(scores, errors, pulls=fitted_estimates[:prior_count], free_errors=fitted_estimates[prior_count:])
 
 
 def required_pull(kind: str) -> float:

@@ -66,12 +66,12 @@ def rig_trials(rig: Rig, spectra: Spectra, usable_indices: list[int]) -> Iterato
 
         log_factors = np.linspace(-np.log(max_factor), np.log(max_factor), 13)
         best_index = int(np.argmin([misfit_at(log_factor) for log_factor in log_factors]))
-        bounds = (log_factors[max(best_index - 1, 0)], log_factors[min(best_index + 1, len(log_factors) - 1)])
-        optimum = minimize_scalar(misfit_at, bounds=bounds, method="bounded", options={"xatol": 2e-3})
+        log_bounds = (log_factors[max(best_index - 1, 0)], log_factors[min(best_index + 1, len(log_factors) - 1)])
+        optimum = minimize_scalar(misfit_at, bounds=log_bounds, method="bounded", options={"xatol": 2e-3})
         return float(np.exp(optimum.x)), float(optimum.fun)
 
     for body in rig.bodies:
-        for changed_body, ends_words in _other_ends(rig, body):
+        for changed_body, ends_words in _beams_with_other_ends(rig, body):
             trial_rig = _with_body(rig, changed_body)
             yield trial(misfit_of(trial_rig), partial(_ends_finding, body.name, ends_words), trial_rig)
         if body.length_m:
@@ -119,7 +119,7 @@ def _with_body(rig: Rig, body: Body) -> Rig:
     return replace(rig, bodies=tuple(body if b.name == body.name else b for b in rig.bodies))
 
 
-def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
+def _beams_with_other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
     for beam in (b for b in rig.beams if b == body):
         for ends, ends_words in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
             if beam.ends != ends:

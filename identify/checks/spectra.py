@@ -63,9 +63,9 @@ class Spectra:
         line_end = int(self.line_numbers[-1]) + 1
         full_spectra = np.zeros((*line_values.shape[:-1], line_end + 1), np.complex64)
         full_spectra[..., self.line_numbers] = line_values
-        signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
+        time_signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
         start_sample, stop_sample = (round(time_s * self.compared_rate_hz) for time_s in self.compared_span_s)
-        return np.asarray(signals[..., start_sample:stop_sample])
+        return np.asarray(time_signals[..., start_sample:stop_sample])
 
     @property
     def force_names(self) -> tuple[str, ...]:
@@ -91,12 +91,12 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     line_step = 1 if max_line_count is None else max(1, (last_line - first_line) // max_line_count)
     line_numbers = np.arange(first_line, last_line, line_step)
     omega = 2 * np.pi * line_numbers * rate_hz / padded_length
-    signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+    sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
     acceleration_per_signal = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
-    acceleration = rfft(signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
+    acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
     quiet_count = quiet_sample_count(forces_n, rate_hz)
     if quiet_count:
-        noise_rms = signals[:, :quiet_count].std(axis=1)
+        noise_rms = sensor_signals[:, :quiet_count].std(axis=1)
     else:
         noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
     line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(acceleration_per_signal)

@@ -95,11 +95,11 @@ def clipped_finding(name: str, samples: Row) -> Finding | None:
 
 def quantised_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the usual step between levels is large, and levels recur, unlike those of a single blow."""
-    levels, level_counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
-    mean_recurrence = (level_counts.sum() - level_counts.max()) / levels.size
-    if levels.size > 2000 or levels.size < 3 or mean_recurrence < MIN_RECURRENCE:
+    value_levels, level_counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
+    mean_recurrence = (level_counts.sum() - level_counts.max()) / value_levels.size
+    if value_levels.size > 2000 or value_levels.size < 3 or mean_recurrence < MIN_RECURRENCE:
         return None
-    level_step, rms = float(np.median(np.diff(levels))), float(samples.std())
+    level_step, rms = float(np.median(np.diff(value_levels))), float(samples.std())
     if level_step < MAX_STEP_SHARE * rms:
         return None
     return Finding(
@@ -167,11 +167,11 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
         ]
     elif spike_indices:
         middle = interior[1:-1]
-        peaks = np.sort(middle[(middle > interior[:-2]) & (middle > interior[2:])])[::-1][: MAX_SPIKES + 1]
-        peak_ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        peak_deviations = np.sort(middle[(middle > interior[:-2]) & (middle > interior[2:])])[::-1][: MAX_SPIKES + 1]
+        peak_ratios = peak_deviations[:-1] / np.maximum(peak_deviations[1:], 1e-300)
         gap_index = int(np.argmax(peak_ratios))
         stands_out = peak_ratios[gap_index] > SPIKE_TO_IMPACT_RATIO
-        spike_indices = [k for k in spike_indices if stands_out and deviation[k] >= peaks[gap_index]]
+        spike_indices = [k for k in spike_indices if stands_out and deviation[k] >= peak_deviations[gap_index]]
     if not 0 < len(spike_indices) <= MAX_SPIKES:
         return None
     return Finding(
@@ -194,10 +194,10 @@ def _is_single(deviation: Row, k: int) -> bool:
 
 def _moving_mean(samples: Row, window_count: int) -> Row:
     """Moving mean of both sides, without the middle sample."""
-    sums = np.cumsum(np.r_[0.0, samples])
+    cumsums = np.cumsum(np.r_[0.0, samples])
     low_index = np.clip(np.arange(samples.size) - window_count // 2, 0, samples.size)
     high_index = np.clip(np.arange(samples.size) + window_count // 2 + 1, 0, samples.size)
-    return np.asarray((sums[high_index] - sums[low_index] - samples) / np.maximum(high_index - low_index - 1, 1))
+    return np.asarray((cumsums[high_index] - cumsums[low_index] - samples) / np.maximum(high_index - low_index - 1, 1))
 
 
 def copy_findings(names: list[str], sample_rows: list[Row]) -> Iterator[Finding]:
@@ -206,13 +206,13 @@ def copy_findings(names: list[str], sample_rows: list[Row]) -> Iterator[Finding]
     centred = (row - row.mean() for row in thinned)
     unit_vectors = np.array([row / (float(np.linalg.norm(row)) or 1.0) for row in centred])
     correlation = np.abs(unit_vectors @ unit_vectors.T)
-    for i, name in enumerate(names):
+    for i, channel_name in enumerate(names):
         for k in range(i):
             if correlation[i, k] > 1 - 1e-9:
                 yield Finding(
                     cause="copy",
-                    channels=(names[k], name),
-                    evidence=f"{names_in_words((names[k], name))} hold the same samples",
+                    channels=(names[k], channel_name),
+                    evidence=f"{names_in_words((names[k], channel_name))} hold the same samples",
                     mend="check the channel map: one of them was recorded or imported twice",
                 )
 

@@ -60,11 +60,11 @@ def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str
     verdict = "not_to_be_relied_on" if findings_text else "identified"
     common: dict[str, str | float | None] = {"recording": recording_name, "rig": report.rig, "findings": findings_text}
     common |= {"law": "", "code": "", "reason": ""}
-    rows = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
+    contact_cells = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
     for contact in report.unanswered:
         reason_cells: dict[str, str | float | None] = {"code": contact.code or "", "reason": contact.reason}
-        rows.append(common | {"contact": contact.name, "verdict": "not_told"} | reason_cells)
-    return rows
+        contact_cells.append(common | {"contact": contact.name, "verdict": "not_told"} | reason_cells)
+    return contact_cells
 
 
 def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
@@ -85,16 +85,16 @@ def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
 
 def _print_contacts(answers: list[TableRows]) -> None:
     """Print the table of all contacts, then a line for each that is undetermined or refused."""
-    table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
+    contact_table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
     reason_lines = []
     for row in (row for answer in answers for row in answer.rows):
         interval_texts = _interval_text(row, "clearance", "m", 1e3), _interval_text(row, "stiffness", "n_per_m", 1.0)
         recording, contact, verdict = row["recording"], row.get("contact") or "", str(row["verdict"]).replace("_", " ")
-        table.add_row(str(recording), str(contact), *interval_texts, verdict * (verdict != "identified"))
+        contact_table.add_row(str(recording), str(contact), *interval_texts, verdict * (verdict != "identified"))
         if row.get("reason"):
             reason_lines.append(f"{recording}{contact and f', {contact}'}: {verdict}: {row['reason']}")
     console = literal_console()
-    console.print(table)
+    console.print(contact_table)
     for reason in reason_lines:
         print_sentence(reason, console)
 

@@ -158,11 +158,11 @@ def _null_reference_path(out: Path, recording: Path, rig_text: str | None) -> Pa
 
 def _print_diagnoses(answers: list[TableRows]) -> None:
     """Print the table of verdicts and likeliest causes, then the sentences."""
-    table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
+    diagnosis_table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
     sentences = []
     for row in (row for answer in answers for row in answer.rows):
         probability = row.get("probability")
-        table.add_row(
+        diagnosis_table.add_row(
             str(row["recording"]),
             str(row["verdict"]).replace("_", " "),
             str(row.get("effects", "")),
@@ -170,6 +170,6 @@ def _print_diagnoses(answers: list[TableRows]) -> None:
         )
         sentences.append(f"{row['recording']}: {row.get('sentence') or row['reason']}")
     console = literal_console()
-    console.print(table)
+    console.print(diagnosis_table)
     for sentence in sentences:
         print_sentence(sentence, console)

@@ -28,9 +28,9 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    changes = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
-    text = "; ".join(changes) or "nothing changed by more than chance"
-    return f"{len(history.compared)} recordings of {history.rig}: {text}."
+    change_texts = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
+    changes_text = "; ".join(change_texts) or "nothing changed by more than chance"
+    return f"{len(history.compared)} recordings of {history.rig}: {changes_text}."
 
 
 def quantity_name(quantity: QuantityHistory) -> str:
@@ -74,7 +74,7 @@ def csv_of(history: History) -> bytes:
     for q in history.quantities:
         for recording, value, *errors in zip(history.compared, q.values, q.standard_errors, q.own_errors, strict=True):
             if value is not None:
-                half_widths = ["" if not error else repr(COVERED * error) for error in errors]
+                half_widths = ["" if not value_error else repr(COVERED * value_error) for value_error in errors]
                 date_text = f"{recording.recorded:%Y-%m-%dT%H:%M:%SZ}" if recording.recorded else ""
                 writer.writerow([recording.name, date_text, q.of, q.quantity, q.unit, repr(value), *half_widths])
     return csv_buffer.getvalue().encode()
@@ -88,8 +88,8 @@ def _axis_positions_and_label(history: History) -> tuple[Float[np.ndarray, " rec
     if since_first_s.size < len(history.compared) or not np.all(np.diff(since_first_s) > 0):
         return np.arange(1.0, len(history.compared) + 1), ORDER_LABEL
     large_units = (time_unit for time_unit in TIME_UNITS_S if since_first_s[-1] >= 2 * time_unit[1])
-    unit, unit_s = next(large_units, TIME_UNITS_S[-1])
-    return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
+    time_unit_name, unit_s = next(large_units, TIME_UNITS_S[-1])
+    return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {time_unit_name}"
 
 
 def history_figure(history: History) -> Picture:

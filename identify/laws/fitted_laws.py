@@ -176,14 +176,14 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     The knees are found by nonlinear least squares, the slopes by linear ones within. Standard errors are sandwich
     estimates over sixteenths of the rows: of the scatter alone, not of errors of the rig's description.
     """
-    law, error_n = _pieces_and_error_n(samples, rows, np.sort(knees_m))
-    while law.knees_m.size:
-        weakest_index = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced_law, reduced_error_n = _pieces_and_error_n(samples, rows, np.delete(law.knees_m, weakest_index))
+    pieces, error_n = _pieces_and_error_n(samples, rows, np.sort(knees_m))
+    while pieces.knees_m.size:
+        weakest_index = int(np.argmin(np.abs(np.diff(pieces.slopes_n_per_m))))
+        reduced_law, reduced_error_n = _pieces_and_error_n(samples, rows, np.delete(pieces.knees_m, weakest_index))
         if reduced_error_n > DROPPED_KNEE_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
-        law, error_n = reduced_law, reduced_error_n
-    return law
+        pieces, error_n = reduced_law, reduced_error_n
+    return pieces
 
 
 def _pieces_and_error_n(

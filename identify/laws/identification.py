@@ -250,14 +250,14 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
 
 def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:
     """Simplest formula whose error equals the least, searched on samples spread evenly over eta."""
-    record, rows = samples.record, samples.training_rows
-    eta_m, force_n = record.eta_at_force_m[rows], force_without_low_pass(record, rows)
+    record, training_rows = samples.record, samples.training_rows
+    eta_m, force_n = record.eta_at_force_m[training_rows], force_without_low_pass(record, training_rows)
     chosen_indices = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
     eta_m, force_n = eta_m[chosen_indices], force_n[chosen_indices]
     eta_unit_m, force_unit_n = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
     formula_search = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
     formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in formula_search.formulas]
-    training_errors_n = [record.error_n(candidate, rows) for candidate in formulas]
+    training_errors_n = [record.error_n(candidate, training_rows) for candidate in formulas]
     formula = formulas[_simplest_equivalent_index(training_errors_n, samples.error_resolution_n)]
     return _FormulaFit(formula, min(training_errors_n), eta_m, force_n, formula_search.out_of_time)
 
@@ -275,7 +275,7 @@ def _fit_straight_pieces(
         piecewise_laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
     if len(samples.estimates) > 1:  # soft stops before a hard one
         stops_m = np.array(
-            [side * estimate.values[k] for estimate in samples.estimates for k, side in ((0, -1), (1, 1))]
+            [side_sign * estimate.values[k] for estimate in samples.estimates for k, side_sign in ((0, -1), (1, 1))]
         )
         piecewise_laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
     return min(piecewise_laws, key=lambda law: record.error_n(law, rows))

@@ -197,13 +197,13 @@ def curves(laws: Sequence[ContactLawFit]) -> dict[str, Table]:
 
 def _over_time(laws: Sequence[ContactLawFit]) -> Table:
     row_count = min(law.record.force_n.size for law in laws)
-    table: Table = {"time_s": laws[0].time_s[:row_count]}
+    columns: Table = {"time_s": laws[0].time_s[:row_count]}
     for law in laws:
         contact_name = law.result.contact
-        table[f"{contact_name} relative displacement m"] = law.record.eta_at_force_m[:row_count]
-        table[f"{contact_name} contact force N"] = law.record.force_n[:row_count]
-        table[f"{contact_name} {law.plotted_law} N"] = law.plotted_force_n[:row_count]
-    return table
+        columns[f"{contact_name} relative displacement m"] = law.record.eta_at_force_m[:row_count]
+        columns[f"{contact_name} contact force N"] = law.record.force_n[:row_count]
+        columns[f"{contact_name} {law.plotted_law} N"] = law.plotted_force_n[:row_count]
+    return columns
 
 
 def _over_displacement(law: ContactLawFit) -> Table:

@@ -129,8 +129,8 @@ def _factor_and_rest(formula: Formula) -> tuple[float, Formula]:
     if formula.operation == "abs" and formula.operands[0].operation == "x":
         return abs(formula.operands[0].value), Formula("abs", operands=(Formula("x"),))
     if formula.operation == "*":
-        factor, first = _factor_and_rest(formula.operands[0])
-        return factor, replace(formula, operands=(first, formula.operands[1]))
+        factor, first_operand = _factor_and_rest(formula.operands[0])
+        return factor, replace(formula, operands=(first_operand, formula.operands[1]))
     return 1.0, formula
 
 

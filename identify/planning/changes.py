@@ -96,8 +96,8 @@ def _displacement_sensor_changes(test: PlannedTest) -> Iterator[PlannedChange]:
                 tuple(new_sensors.values()),
             )
     if len(contact_names) > 1:
-        words = f"{_count_text(all_added)} at {', '.join(contact_names)} ({_places_text(test.rig, all_added)})"
-        yield _sensor_addition(test, words, tuple(all_added.values()))
+        addition_words = f"{_count_text(all_added)} at {', '.join(contact_names)} ({_places_text(test.rig, all_added)})"
+        yield _sensor_addition(test, addition_words, tuple(all_added.values()))
 
 
 def _side_stations(contact: Contact) -> tuple[Station, ...]:
@@ -140,10 +140,10 @@ def _accelerometer_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     sides = (side for contact in rig.contacts for side in _side_stations(contact) if side not in measured_stations)
     interval_middles = (station for body in rig.bodies if (station := _widest_interval_middle(rig, body)))
     for place in dict.fromkeys(replace(station, direction="y") for station in (*sides, *interval_middles)):
-        stations = [s for d in rig.directions if (s := replace(place, direction=d)) not in measured_stations]
-        count_text = "an accelerometer" if len(stations) == 1 else f"{len(stations)} accelerometers"
-        sensors = tuple(_added_sensor(rig, station, "acceleration", noise_density) for station in stations)
-        yield _sensor_addition(test, f"{count_text} at {_places_text(rig, stations)}", sensors)
+        new_stations = [s for d in rig.directions if (s := replace(place, direction=d)) not in measured_stations]
+        count_text = "an accelerometer" if len(new_stations) == 1 else f"{len(new_stations)} accelerometers"
+        new_sensors = tuple(_added_sensor(rig, station, "acceleration", noise_density) for station in new_stations)
+        yield _sensor_addition(test, f"{count_text} at {_places_text(rig, new_stations)}", new_sensors)
 
 
 def _widest_interval_middle(rig: Rig, body: Body) -> Station | None:
@@ -207,8 +207,8 @@ def _band_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for end_factor in BAND_END_FACTORS:
         new_high_hz = end_factor * high_hz
         if low_hz < new_high_hz <= MAX_BAND_TO_RATE * test.rig.sample_rate_hz:
-            words = f"excite from {low_hz:.3g} to {new_high_hz:.3g} Hz with the same {test.level_text}"
-            yield PlannedChange("band", words, replace(test, band_hz=(low_hz, new_high_hz)))
+            band_words = f"excite from {low_hz:.3g} to {new_high_hz:.3g} Hz with the same {test.level_text}"
+            yield PlannedChange("band", band_words, replace(test, band_hz=(low_hz, new_high_hz)))
 
 
 def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
@@ -228,9 +228,9 @@ def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 def _sensor_removals(test: PlannedTest) -> Iterator[PlannedChange]:
     """Each sensor left out, except the only one of a body in its direction."""
-    sensors = test.rig.sensors
-    sensor_counts = Counter((s.station.body, s.station.direction) for s in sensors if s.measures.translates)
-    for sensor in sensors:
+    all_sensors = test.rig.sensors
+    sensor_counts = Counter((s.station.body, s.station.direction) for s in all_sensors if s.measures.translates)
+    for sensor in all_sensors:
         if sensor_counts[sensor.station.body, sensor.station.direction] > sensor.measures.translates:
-            remaining_sensors = tuple(other_sensor for other_sensor in sensors if other_sensor != sensor)
+            remaining_sensors = tuple(other_sensor for other_sensor in all_sensors if other_sensor != sensor)
             yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

@@ -92,9 +92,9 @@ def detectable_effects(
         library = candidates(range_scale, record.channel_names, record.zero_known, record.has_force)
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         hypothesis = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
-        model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)
+        quadratic_model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)
     contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in searched}
-    return _smallest_effects(model, library, contact_info, test.duration_s / simulated_s)
+    return _smallest_effects(quadratic_model, library, contact_info, test.duration_s / simulated_s)
 
 
 def _contact_information(
@@ -142,7 +142,7 @@ def _smallest_effects(
         candidate = terms[term_indices[0]].candidate
         log_odds = float(np.log(NAMED_ODDS) + log_prior((), kind_count) - log_prior((candidate.kind.name,), kind_count))
         named_steps = [_named_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_indices]
-        sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_indices, named_steps, strict=True))
+        effect_sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_indices, named_steps, strict=True))
         largest_correlations = np.max(correlations[term_indices], axis=0)
         alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE_CORRELATION)} - {name}
         strength_parameter = next(p for p in candidate.parameters if p.neutral is not None)
@@ -151,9 +151,9 @@ def _smallest_effects(
                 effect=candidate.kind.name,
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 unit=strength_parameter.unit,
-                size=_finite_or_none(sizes[len(sizes) // 2]),
-                least=_finite_or_none(sizes[0]),
-                greatest=_finite_or_none(sizes[-1]),
+                size=_finite_or_none(effect_sizes[len(effect_sizes) // 2]),
+                least=_finite_or_none(effect_sizes[0]),
+                greatest=_finite_or_none(effect_sizes[-1]),
                 alike=tuple(sorted(alike)),
             )
         )
@@ -180,8 +180,8 @@ def _named_step(information: float, contact_info: float, required_log_odds: floa
     if not total_information > 0:
         return np.inf
     power_margin = POWER_QUANTILE * (1.0 if contact_info else 1 / np.sqrt(TEMPERATURE))
-    step = (np.sqrt(2 * required_log_odds) + power_margin) / np.sqrt(total_information)
-    return float(step if contact_info else max(step, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
+    steps = (np.sqrt(2 * required_log_odds) + power_margin) / np.sqrt(total_information)
+    return float(steps if contact_info else max(steps, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
 
 
 def _effect_size(term: CandidateTerm, step: float) -> float:

@@ -204,8 +204,8 @@ def _estimates_and_refusals(
         outcomes = find_contacts(recording, "auto", tolerances, FORMS).outcomes
         return outcomes.estimates, outcomes.refusals
     check_directions(recording.rig, "auto")
-    contacts = space_contacts(recording, "auto", tolerances)
-    return {**contacts.annular, **contacts.plane.estimates}, {**contacts.refusals, **contacts.plane.refusals}
+    identified = space_contacts(recording, "auto", tolerances)
+    return {**identified.annular, **identified.plane.estimates}, {**identified.refusals, **identified.plane.refusals}
 
 
 def _gradient_by_quantity(estimate: JointEstimate | AnnularEstimate) -> dict[str, Float[np.ndarray, " parameters"]]:

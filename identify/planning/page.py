@@ -85,8 +85,8 @@ def _interval_text(quantity: ExpectedQuantity, quantity_name: str, *, without_un
     """Expected interval; empty of the clearance of a spring, which is no estimate."""
     if not quantity.standard_error:
         return ""
-    _, unit, scale = PRINTED_QUANTITIES[quantity_name]
-    return interval(scale * quantity.value, scale * quantity.standard_error, "1" if without_unit else unit)
+    _, unit, unit_factor = PRINTED_QUANTITIES[quantity_name]
+    return interval(unit_factor * quantity.value, unit_factor * quantity.standard_error, "1" if without_unit else unit)
 
 
 def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
@@ -170,12 +170,12 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     """Write plan.html."""
     lines: dict[str, Sequence[str]] = {
         contact.name: [
-            text
-            for text in (
+            interval_text
+            for interval_text in (
                 _interval_text(contact.clearance_m, "clearance_m"),
                 _interval_text(contact.stiffness_n_per_m, "stiffness_n_per_m"),
             )
-            if text
+            if interval_text
         ]
         for contact in plan.contacts
     }
@@ -207,8 +207,8 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     rings_html = page.list_html(f"{text}." for text in ring_sentences(plan)) if any(ring_sentences(plan)) else ""
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
-        rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
-        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
+        undetermined_rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
+        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), undetermined_rows)))
     if plan.effects:
         intro_html = (
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "

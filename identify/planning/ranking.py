@@ -147,8 +147,8 @@ def _simulated_run(run: SimulationRun) -> SimulatedTest:
 
 def _interval_shares(outcome: SimulatedTest) -> IntervalShares:
     return {
-        (name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
-        for name, quantity_parts in outcome.error_parts.items()
+        (contact_name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
+        for contact_name, quantity_parts in outcome.error_parts.items()
         for quantity, parts in quantity_parts.items()
         if quantity in RANKED_QUANTITIES and parts.simulated_value
     }
