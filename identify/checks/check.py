@@ -197,7 +197,7 @@ def _channel_findings(
 
 @dataclass(frozen=True)
 class _Channel:
-    """Samples of one channel in a group (a quantity or "force"), with the forces of the record.
+    """Samples of one channel in a group (a quantity or "force"), with what excites the rig.
 
     impact_sensors are the other sensors that show an impact of this channel.
     """
@@ -236,7 +236,7 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 
 
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
-    """The forces on bodies, and the sensors of the quantity in use."""
+    """Channels of the forces on bodies, and of the sensors of the quantity in use."""
     rig = recording.rig
     used_names = {*recording.force_names[: count_on_bodies(rig)]}
     used_names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
@@ -284,7 +284,7 @@ def _first_fault(channel: _Channel) -> Finding | None:
 
 
 def _spike_findings(channels: Sequence[_Channel], faulty_channel_names: set[str]) -> Iterator[Finding]:
-    """Spikes in the channels that show no fault of another kind."""
+    """Findings on spikes in the channels that show no fault of another kind."""
     deviation_by_channel = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
         if channel.name not in faulty_channel_names:
@@ -304,7 +304,7 @@ def _runs_backwards(channels: Sequence[_Channel], excitation: Rows, rate_hz: flo
 
 
 def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
-    """Channels that move from the record's first samples on; none if only few do."""
+    """Findings on channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
         waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])
         for channel in channels

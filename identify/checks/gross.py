@@ -217,7 +217,7 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
 
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
-    spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
+    spectra, sensor_gains = check.spectra, np.ones(len(check.spectra.sensors))
     scaled = spectra.acceleration
     for _ in range(3):
         check = check.with_spectra(spectra.with_acceleration(scaled), usable_indices)
@@ -231,11 +231,11 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
             return
         scaled = scaled.copy()
         scaled[usable_indices] *= correction_factors[:, None]
-        gains[usable_indices] /= correction_factors
+        sensor_gains[usable_indices] /= correction_factors
     misfit = check.misfit(spectra.with_acceleration(scaled), usable_indices)
-    miscalibrated_indices = [i for i in usable_indices if abs(gains[i] - 1) > MIN_GAIN_ERROR]
+    miscalibrated_indices = [i for i in usable_indices if abs(sensor_gains[i] - 1) > MIN_GAIN_ERROR]
     if miscalibrated_indices:
-        findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated_indices]
+        findings = [gain_finding(spectra.sensors[i].name, float(sensor_gains[i])) for i in miscalibrated_indices]
         trusted_indices = [i for i in usable_indices if i not in miscalibrated_indices]
         find = partial(merge_by_cause, findings, rig)
         yield Trial(misfit, trusted_indices, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR**2)
@@ -244,7 +244,7 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
 def _multiple_channel_faults(
     rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> GrossFaults | None:
-    """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
+    """Faults of several channels, excluded one by one, the worst first, while three more than the contacts remain."""
     trusted_indices, excluded_indices = list(usable_indices), list[int]()
     while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
         misfit, worst_index = min(

@@ -123,14 +123,14 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
     signals = decimated(np.stack([force_n, *(row[station_index] for row in motion_rows)]), decimation)
     is_open = _open_mask(rig, motion, station_index, decimation, quantile)
     passages = _passages(is_open, motion.excited_from // decimation + 1)
-    if sum(p.stop - p.start for p in passages) < 50:
+    if sum(passage.stop - passage.start for passage in passages) < 50:
         return None
-    if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
+    if np.concatenate([signals[0, passage] for passage in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
     def fit_at_delay(delay_s: float) -> MassFit:
         delayed = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
-        segments = [np.stack([delayed[p], *signals[1:, p]]) for p in passages]
+        segments = [np.stack([delayed[passage], *signals[1:, passage]]) for passage in passages]
         centred = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
         motion_rms = centred[1:].std(axis=1)
         scaled_motion = centred[1:] / motion_rms[:, None]
@@ -172,11 +172,11 @@ def _open_mask(
         if None in rows:
             continue
         relative_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
-        distance_m = np.abs(relative_m - np.median(relative_m))[::decimation]
-        is_open &= distance_m < np.quantile(distance_m[motion.excited_from // decimation :], quantile)
+        from_middle_m = np.abs(relative_m - np.median(relative_m))[::decimation]
+        is_open &= from_middle_m < np.quantile(from_middle_m[motion.excited_from // decimation :], quantile)
         if len(group_laws) > 1:
             clearances_m = [x for law in group_laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
-            is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
+            is_open &= from_middle_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
 
 

@@ -56,7 +56,7 @@ def observed_motion(
 
 
 def _body_motion(rig: Rig, response: Response, input_spectra: InputSpectra) -> BodyMotion:
-    """Modal accelerations by the forces and the contact forces."""
+    """Modal accelerations of a body by the forces and the contact forces."""
     modal_force = real_product(input_shapes(rig, response, rig.forces).T, input_spectra)
     elastic_indices = elastic_modes(response, modes_near_band(response, MODE_BAND_RATIO))
     return BodyMotion(response, response.accelerance * modal_force, elastic_indices)

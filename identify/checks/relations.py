@@ -51,8 +51,8 @@ def relation(
     covariances = np.concatenate(
         [(np.exp(1j * delay_s[:, None] * omega) @ cross_spectrum).real for delay_s in batches_s]
     )
-    best_index = int(np.argmax(np.abs(covariances)))
-    delay_s = tried_delays_s[best_index]
+    best_delay_index = int(np.argmax(np.abs(covariances)))
+    delay_s = tried_delays_s[best_delay_index]
     for _ in range(4):  # of the real part's slope
         delayed_cross_spectrum = np.exp(1j * delay_s * omega) * cross_spectrum
         covariance_slope = float(np.sum((1j * omega * delayed_cross_spectrum).real))

@@ -184,11 +184,11 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
 
 def _is_single(deviation: Row, k: int) -> bool:
     """True if sample k alone is off: two thirds of its deviation then show at its neighbours, a sixth at the next."""
-    nearest, second_nearest = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
+    nearest_pair, second_pair = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
     return bool(
-        deviation[k] > 1.3 * nearest.max()
-        and nearest.min() > 0.45 * deviation[k]
-        and second_nearest.max() < 0.35 * deviation[k]
+        deviation[k] > 1.3 * nearest_pair.max()
+        and nearest_pair.min() > 0.45 * deviation[k]
+        and second_pair.max() < 0.35 * deviation[k]
     )
 
 

@@ -61,9 +61,9 @@ def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str
     common: dict[str, str | float | None] = {"recording": recording_name, "rig": report.rig, "findings": findings_text}
     common |= {"law": "", "code": "", "reason": ""}
     contact_cells = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
-    for contact in report.unanswered:
-        reason_cells: dict[str, str | float | None] = {"code": contact.code or "", "reason": contact.reason}
-        contact_cells.append(common | {"contact": contact.name, "verdict": "not_told"} | reason_cells)
+    for unanswered in report.unanswered:
+        reason_cells: dict[str, str | float | None] = {"code": unanswered.code or "", "reason": unanswered.reason}
+        contact_cells.append(common | {"contact": unanswered.name, "verdict": "not_told"} | reason_cells)
     return contact_cells
 
 

@@ -45,7 +45,7 @@ def checked_use(use: str) -> MotionQuantity:
 
 
 def check_export(export: str | None, out: Path | None) -> None:
-    """Raises typer.BadParameter for an unknown format, or without a folder."""
+    """Raise typer.BadParameter for an unknown format, or without a folder."""
     from identify.pages.tables import WRITERS
 
     if export is not None and (export not in WRITERS or out is None):

@@ -65,7 +65,7 @@ class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class History(msgspec.Struct, frozen=True):
-    """history.json."""
+    """Quantities of one machine over its recordings: the structure of history.json."""
 
     rig: str
     observations: tuple[Observation, ...]

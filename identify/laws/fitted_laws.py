@@ -50,7 +50,7 @@ class MonotonicRuns:
 
 
 def monotonic_runs(eta_m: Float[np.ndarray, " more"]) -> MonotonicRuns:
-    """Turning points of a relative displacement."""
+    """Monotonic runs of a relative displacement, from turning point to turning point."""
     turn_indices = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
     run_starts = np.concatenate([[0], turn_indices])
     run_indices = np.repeat(np.arange(run_starts.size), np.diff(run_starts, append=eta_m.size))
@@ -149,10 +149,10 @@ def law_knees_m(law: LawFunction, low_m: float, high_m: float, jump_share: float
     Of many the largest are kept: the slope of a law that is nearly constant is all rounding.
     """
     eta_m = np.linspace(low_m, high_m, 4001)
-    slopes = np.gradient(law(eta_m), eta_m)
+    local_slopes = np.gradient(law(eta_m), eta_m)
     window_count = 8
-    slope_changes = np.abs(slopes[window_count:] - slopes[:-window_count])
-    is_jump = slope_changes > jump_share * max(float(np.ptp(slopes)), 1e-9 * float(np.abs(slopes).max()))
+    slope_changes = np.abs(local_slopes[window_count:] - local_slopes[:-window_count])
+    is_jump = slope_changes > jump_share * max(float(np.ptp(local_slopes)), 1e-9 * float(np.abs(local_slopes).max()))
     run_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
     change_positions_m = eta_m[window_count // 2 : -window_count // 2]
     jump_runs = [(a, b) for a, b in zip(run_edges[::2], run_edges[1::2], strict=True) if b - a <= 3 * window_count]
@@ -200,19 +200,19 @@ def _pieces_and_error_n(
                 [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in knees)]
             )
 
-        columns = samples.low_passed(pieces)[:, rows].T
-        heights = np.linalg.lstsq(columns, force_n, rcond=None)[0]
-        return columns, heights, force_n - columns @ heights
+        piece_columns = samples.low_passed(pieces)[:, rows].T
+        coefficients = np.linalg.lstsq(piece_columns, force_n, rcond=None)[0]
+        return piece_columns, coefficients, force_n - piece_columns @ coefficients
 
-    def knee_derivatives(knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
+    def knee_derivatives(knees: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
         knee_steps = samples.low_passed(lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in knees]))
-        return (heights[2:, None] * knee_steps[:, rows]).T
+        return (coefficients[2:, None] * knee_steps[:, rows]).T
 
     def jacobian(knees: np.ndarray) -> np.ndarray:
-        columns, heights, _ = linear_fit(knees)
-        knee_columns = knee_derivatives(knees, heights)
-        height_derivatives = np.linalg.lstsq(columns, knee_columns, rcond=None)[0]  # the slopes follow
-        return knee_columns - columns @ height_derivatives
+        piece_columns, coefficients, _ = linear_fit(knees)
+        knee_columns = knee_derivatives(knees, coefficients)
+        coefficient_derivatives = np.linalg.lstsq(piece_columns, knee_columns, rcond=None)[0]  # the slopes follow
+        return knee_columns - piece_columns @ coefficient_derivatives
 
     knees = np.clip(start_knees_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
     if knees.size:
@@ -226,16 +226,16 @@ def _pieces_and_error_n(
             max_nfev=30,
         )
         knees = np.sort(optimum.x)
-    columns, heights, residual = linear_fit(knees)
+    piece_columns, coefficients, residual = linear_fit(knees)
     if knees.size:
-        columns = np.concatenate([columns, knee_derivatives(knees, heights)], axis=1)
-    parameter_scores = part_scores(columns @ np.linalg.pinv(columns.T @ columns), residual)
-    slope_scores = np.cumsum(parameter_scores[:, 1 : heights.size], axis=1)
+        piece_columns = np.concatenate([piece_columns, knee_derivatives(knees, coefficients)], axis=1)
+    parameter_scores = part_scores(piece_columns @ np.linalg.pinv(piece_columns.T @ piece_columns), residual)
+    slope_scores = np.cumsum(parameter_scores[:, 1 : coefficients.size], axis=1)
     law = PiecewiseLinear(
-        offset_n=float(heights[0]),
+        offset_n=float(coefficients[0]),
         knees_m=knees * span_m,
-        slopes_n_per_m=np.cumsum(heights[1:]) / span_m,
-        knee_errors_m=span_m * np.sqrt(np.sum(parameter_scores[:, heights.size :] ** 2, axis=0)),
+        slopes_n_per_m=np.cumsum(coefficients[1:]) / span_m,
+        knee_errors_m=span_m * np.sqrt(np.sum(parameter_scores[:, coefficients.size :] ** 2, axis=0)),
         slope_errors_n_per_m=np.sqrt(np.sum(slope_scores**2, axis=0)) / span_m,
     )
     return law, float(np.sqrt(np.mean(residual**2)))

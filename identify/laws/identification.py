@@ -121,8 +121,8 @@ def identify_law(
     progress(0.1)
     separation, refusals = accepted.separation, accepted.outcomes.refusals
     groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
-    members = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
-    chosen_groups = [member for member in members if contact_name is None or contact_name in member[0]]
+    named_groups = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
+    chosen_groups = [member for member in named_groups if contact_name is None or contact_name in member[0]]
     law_fits: list[ContactLawFit] = []
     refused: dict[str, Refusal] = {}
     for contact_number, (group_names, group, record) in enumerate(chosen_groups, start=1):

@@ -65,7 +65,7 @@ class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawReport(msgspec.Struct, frozen=True, kw_only=True):
-    """law.json."""
+    """Laws of the contacts of a recording: the structure of law.json."""
 
     rig: str
     laws: tuple[ContactLawEstimate, ...]

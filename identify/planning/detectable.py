@@ -117,8 +117,8 @@ def _contact_information(
         quantity_difference = estimate.quantity_weights @ (
             parameters_of_law(changed_contact.law) - parameters_of_law(contact.law)
         )
-        covariance = law_distance(estimate, contact, contact, tolerances).covariance
-        information += float(quantity_difference @ np.linalg.solve(covariance, quantity_difference))
+        distance_covariance = law_distance(estimate, contact, contact, tolerances).covariance
+        information += float(quantity_difference @ np.linalg.solve(distance_covariance, quantity_difference))
     return information
 
 

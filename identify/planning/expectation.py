@@ -264,11 +264,11 @@ def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedCont
 
 
 def _expected_quantity(record_parts: Sequence[ErrorParts]) -> ExpectedQuantity:
-    log_errors = np.log([max(error_parts.stated_error, np.finfo(float).tiny) for error_parts in record_parts])
+    log_stated_errors = np.log([max(error_parts.stated_error, np.finfo(float).tiny) for error_parts in record_parts])
     median_parts = sorted(record_parts, key=lambda error_parts: error_parts.stated_error)[len(record_parts) // 2]
     return ExpectedQuantity(
         value=record_parts[0].simulated_value,
-        standard_error=float(np.exp(np.median(log_errors))) if median_parts.stated_error else 0.0,
-        spread_factor=float(np.exp(np.std(log_errors, ddof=1))) if len(record_parts) > 1 else 1.0,
+        standard_error=float(np.exp(np.median(log_stated_errors))) if median_parts.stated_error else 0.0,
+        spread_factor=float(np.exp(np.std(log_stated_errors, ddof=1))) if len(record_parts) > 1 else 1.0,
         limited_by=median_parts.source,
     )
