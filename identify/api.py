@@ -97,7 +97,7 @@ def law(
     check_plane(record.rig, "identify law")
     laws = identify_law(
         record,
-        contact_name=contact,
+        contact=contact,
         use=use,
         seconds=seconds,
         seed=seed,

@@ -40,7 +40,7 @@ FILE = "F16Data_FullMSine_Level{}.mat"
 LOWEST_LEVEL, LEVEL_PAIRS = "1", (("3", "2_Validation"), ("5", "4_Validation"))
 """The level that the modes are fitted to; and the levels that are diagnosed, each with the one that validates."""
 RATE_HZ, PERIOD_SAMPLES = 400.0, 8192
-SENSOR_POSITIONS_M = (0.0, 1.0, 1.2)
+PLACES_M = (0.0, 1.0, 1.2)
 """Positions of the sensors at the force, on the wing and on the payload at its joint: labels only, as no drawing is
 published."""
 SENSOR_PLACE_WORDS = ("at the force", "wing at the joint", "payload at the joint")
@@ -114,8 +114,8 @@ def measured_rig(data: Path) -> MeasuredRig:
         force_column="Force",
         columns=tuple(f"Acceleration[{k}]" for k in (1, 2, 3)),
         unit="m/s^2",
-        positions_m=SENSOR_POSITIONS_M,
-        force_m=SENSOR_POSITIONS_M[0],
+        positions_m=PLACES_M,
+        force_m=PLACES_M[0],
         sample_rate_hz=RATE_HZ,
     )
 
@@ -174,7 +174,7 @@ def equivalent_linear(believed: Rig, recording: Recording) -> Rig:
     """Rig with the modes fitted to the recording itself."""
     response = MeasuredResponse(recording.force_n, accelerations(recording), 2, RATE_HZ)
     (body,) = believed.bodies
-    fit = fit_record(response, SENSOR_POSITIONS_M, 0, body.length_m, name=body.name)
+    fit = fit_record(response, PLACES_M, 0, body.length_m, name=body.name)
     return replace(believed, bodies=(fit.body,))
 
 

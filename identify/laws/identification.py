@@ -96,7 +96,7 @@ class Laws:
 def identify_law(
     recording: Recording,
     *,
-    contact_name: str | None = None,
+    contact: str | None = None,
     use: MotionQuantity = "auto",
     seconds: float = 60.0,
     seed: int = 0,
@@ -114,15 +114,15 @@ def identify_law(
     if not (np.isfinite(seconds) and seconds >= 1):
         raise RigError(f"seconds is {seconds}; give 1 or more")
     names = [c.name for c in recording.rig.contacts]
-    if contact_name is not None and contact_name not in names:
-        raise RigError(f"no contact {contact_name!r} in the recording; there are {', '.join(names)}")
+    if contact is not None and contact not in names:
+        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # raises before the long computation if it is missing
     accepted = checked_contacts(recording, use, tolerances)
     progress(0.1)
     separation, refusals = accepted.separation, accepted.outcomes.refusals
     groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
     named_groups = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
-    chosen_groups = [member for member in named_groups if contact_name is None or contact_name in member[0]]
+    chosen_groups = [member for member in named_groups if contact is None or contact in member[0]]
     law_fits: list[ContactLawFit] = []
     refused: dict[str, Refusal] = {}
     for contact_number, (group_names, group, record) in enumerate(chosen_groups, start=1):

@@ -200,7 +200,7 @@ def test_the_law_of_two_stops_one_behind_the_other_is_that_of_their_sum():
         law=DeadZone(lower_clearance_m=1.8e-3, upper_clearance_m=1.8e-3, stiffness_n_per_m=5e4),
     )
     both = msgspec.structs.replace(record.rig, contacts=(*record.rig.contacts, behind))
-    (law,) = identify_law(dataclasses.replace(record, rig=both), contact_name="behind", seconds=2.0).fits
+    (law,) = identify_law(dataclasses.replace(record, rig=both), contact="behind", seconds=2.0).fits
     assert law.result.contact == "stop + behind"
     assert np.allclose(law.pieces.knees_m, [-farther_m, -LOWER_M, UPPER_M, farther_m], atol=1e-5)
     assert np.allclose(law.pieces.slopes_n_per_m[[0, 1, 3, 4]], [1.1e5, 1e4, 1e4, 1.1e5], rtol=0.01)
