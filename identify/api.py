@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from threadpoolctl import threadpool_limits
 
-from identify.checks import Finding, check_recording, unchecked
+from identify.checks import Finding, check_recording, unchecked_notes
 from identify.contacts.acceptance import without_dead_force
 from identify.contacts.space_contacts import space_findings
 from identify.contacts.space_identification import identify_recording
@@ -21,7 +21,7 @@ from identify.history.observations import observations
 from identify.laws import identify_law
 from identify.planning.plan_result import PlanResult
 from identify.planning.planned_test import planned_test
-from identify.planning.ranking import MAX_CHANGES, ranked_plan
+from identify.planning.ranking import MAX_CHANGE_COUNT, ranked_plan
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
@@ -33,7 +33,7 @@ from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, channel_groups, read
 
 Source = Recording | str | Path
-MAX_NAME = 100
+MAX_NAME_SIZE = 100
 Progress = Callable[[float], None]
 
 
@@ -49,7 +49,7 @@ def check(
         if not record.rig.in_space:
             check_plane(record.rig, "identify check without annular contacts")
         findings = _findings_of(record, _tolerances(tolerances), use)
-    return CheckResult(findings, _title([recording], record), unchecked(record.rig))
+    return CheckResult(findings, _title([recording], record), unchecked_notes(record.rig))
 
 
 def contact(
@@ -75,8 +75,8 @@ def contact(
         tolerances=_tolerances(tolerances),
         progress=progress,
     )
-    laws = {contact.name: contact.law for contact in record.rig.contacts}
-    return ContactResult(identification, _title([recording], record), laws, sources=_files([recording]))
+    law_by_contact = {contact.name: contact.law for contact in record.rig.contacts}
+    return ContactResult(identification, _title([recording], record), law_by_contact, sources=_paths([recording]))
 
 
 def law(
@@ -104,7 +104,7 @@ def law(
         tolerances=_tolerances(tolerances),
         progress=progress,
     )
-    return LawResult(laws, _title([recording], record), _files([recording]))
+    return LawResult(laws, _title([recording], record), _paths([recording]))
 
 
 def gap(
@@ -127,23 +127,23 @@ def gap(
     Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
     sources = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
-    by_identity = {_identity(source): source for source in sources}
-    if len(by_identity) < len(sources):
+    source_by_identity = {_identity(source): source for source in sources}
+    if len(source_by_identity) < len(sources):
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
-    records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
-    first = next(iter(records.values()))
-    if not first.rig.in_space:
-        check_plane(first.rig, "identify gap without annular contacts")
+    records = {identity: _with_rig(source, nominal, rig) for identity, source in source_by_identity.items()}
+    first_record = next(iter(records.values()))
+    if not first_record.rig.in_space:
+        check_plane(first_record.rig, "identify gap without annular contacts")
     reference_path = None if null_reference is None else Path(null_reference)
     if reference_path and reference_path.is_dir():
-        reference_path /= f"{quote(first.rig.name, safe=' ')[:MAX_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
+        reference_path /= f"{quote(first_record.rig.name, safe=' ')[:MAX_NAME_SIZE]}-{simulator}{NULL_REFERENCE_SUFFIX}"
     if reference_path:
-        inputs = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
-        check_target(reference_path, *inputs, new_folder=True)
+        input_paths = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
+        check_target(reference_path, *input_paths, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
-        findings = [_findings_of(record, _tolerances(tolerances)) for record in records.values()]
-        report, corrected = (diagnose_in_space if first.rig.in_space else diagnose)(
+        findings_by_record = [_findings_of(record, _tolerances(tolerances)) for record in records.values()]
+        report, corrected_rig = (diagnose_in_space if first_record.rig.in_space else diagnose)(
             list(records.values()),
             None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
             simulator_named(simulator),
@@ -154,14 +154,14 @@ def gap(
             next_experiment,
         )
         remaining_findings = [
-            _remaining_findings(record_findings, record, corrected, _tolerances(tolerances))
-            for record_findings, record in zip(findings, records.values(), strict=True)
+            _remaining_findings(record_findings, record, corrected_rig, _tolerances(tolerances))
+            for record_findings, record in zip(findings_by_record, records.values(), strict=True)
         ]
     all_sources = sources if validation is None else [*sources, validation]
     all_findings = [finding for record_findings in remaining_findings for finding in record_findings]
     # zeros: the force of a free decay
-    unique_findings = dict.fromkeys(without_dead_force(all_findings, first.force_names))
-    return GapResult(report, corrected, _title(sources, first), tuple(unique_findings), _files(all_sources))
+    unique_findings = dict.fromkeys(without_dead_force(all_findings, first_record.force_names))
+    return GapResult(report, corrected_rig, _title(sources, first_record), tuple(unique_findings), _paths(all_sources))
 
 
 def _findings_of(record: Recording, tolerances: Tolerances | None, use: MotionQuantity = "auto") -> tuple[Finding, ...]:
@@ -171,17 +171,17 @@ def _findings_of(record: Recording, tolerances: Tolerances | None, use: MotionQu
 
 
 def _remaining_findings(
-    findings: Sequence[Finding], record: Recording, corrected: Rig, tolerances: Tolerances | None
+    findings: Sequence[Finding], record: Recording, corrected_rig: Rig, tolerances: Tolerances | None
 ) -> Sequence[Finding]:
     """Findings of the check of a record that it also has with the corrected rig; all where that cannot be checked."""
-    if not findings or to_json(corrected) == to_json(record.rig):
+    if not findings or to_json(corrected_rig) == to_json(record.rig):
         return findings
     try:
-        with_corrected = _findings_of(replace(record, rig=corrected), tolerances)
+        corrected_findings = _findings_of(replace(record, rig=corrected_rig), tolerances)
     except RigError:
         return findings
-    remaining = {(finding.cause, finding.channels, finding.of) for finding in with_corrected}
-    return [finding for finding in findings if (finding.cause, finding.channels, finding.of) in remaining]
+    remaining_keys = {(finding.cause, finding.channels, finding.of) for finding in corrected_findings}
+    return [finding for finding in findings if (finding.cause, finding.channels, finding.of) in remaining_keys]
 
 
 def compare(
@@ -212,7 +212,7 @@ def plan(
     band_hz: tuple[float, float] | None = None,
     tolerances: Tolerances | str | None = None,
     simulator: str = "modal",
-    most_changes: int = MAX_CHANGES,
+    most_changes: int = MAX_CHANGE_COUNT,
     workers: int = 1,
     base_rms_m_per_s2: float | None = None,
     progress: Progress = lambda _: None,
@@ -223,15 +223,15 @@ def plan(
     processes: a script that asks for them needs `if __name__ == "__main__"`.
     Raises RigError if the rig or the values make no test.
     """
-    described: Rig | Recording
+    rig_or_recording: Rig | Recording
     if isinstance(source, str | Path):
-        described = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
+        rig_or_recording = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
     else:
-        described = source
-    rig = described if isinstance(described, Rig) else described.rig
+        rig_or_recording = source
+    rig = rig_or_recording if isinstance(rig_or_recording, Rig) else rig_or_recording.rig
     if not rig.in_space:
         check_plane(rig, "identify plan without annular contacts")
-    test = planned_test(described, duration_s, force_rms_n, band_hz, _tolerances(tolerances), base_rms_m_per_s2)
+    test = planned_test(rig_or_recording, duration_s, force_rms_n, band_hz, _tolerances(tolerances), base_rms_m_per_s2)
     report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 
@@ -260,18 +260,18 @@ def _with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | No
         raise RigError(
             f"{rig_name}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
         )
-    signals = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
-    return replace(recording, rig=rig, signals=signals)
+    signals_by_quantity = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
+    return replace(recording, rig=rig, signals=signals_by_quantity)
 
 
 def _tolerances(tolerances: Tolerances | str | None) -> Tolerances | None:
     return tolerances_named(tolerances) if isinstance(tolerances, str) else tolerances
 
 
-def _title(sources: Sequence[Source], first: Recording) -> str:
-    files = ", ".join(Path(source).name for source in sources if not isinstance(source, Recording))
-    return f"{first.rig.name}: {files}" if files else first.rig.name
+def _title(sources: Sequence[Source], first_record: Recording) -> str:
+    file_names = ", ".join(Path(source).name for source in sources if not isinstance(source, Recording))
+    return f"{first_record.rig.name}: {file_names}" if file_names else first_record.rig.name
 
 
-def _files(sources: Sequence[Source]) -> tuple[Path, ...]:
+def _paths(sources: Sequence[Source]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(Path(source) for source in sources if not isinstance(source, Recording)))

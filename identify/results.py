@@ -28,7 +28,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 Row = dict[str, str | float]
-MAX_CAUSES = 5
+MAX_CAUSE_COUNT = 5
 """Causes of a diagnosis in its summary, the most probable first. Display."""
 
 
@@ -100,13 +100,13 @@ class ContactResult(Illustrated):
 
     def __getitem__(self, name: str) -> IdentifiedContact:
         """Contact of that name; raises RigError if the recording does not determine it, or there is none."""
-        contacts = {contact.name: contact for contact in self.contacts}
-        if name in contacts:
-            return contacts[name]
+        contact_by_name = {contact.name: contact for contact in self.contacts}
+        if name in contact_by_name:
+            return contact_by_name[name]
         for contact in self.report.unanswered:
             if contact.name == name:
                 raise RigError(f"contact {name!r} is not told by this record: {contact.reason}")
-        raise RigError(f"there is no contact {name!r}; there are {', '.join(contacts) or 'none'}")
+        raise RigError(f"there is no contact {name!r}; there are {', '.join(contact_by_name) or 'none'}")
 
     @property
     def contacts(self) -> tuple[IdentifiedContact, ...]:
@@ -129,9 +129,9 @@ class ContactResult(Illustrated):
 
     def table(self) -> list[Row]:
         """Row of each contact: values, and half their 95 % intervals; `pandas.DataFrame` takes it."""
-        names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
+        quantity_names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
         return [
-            {"contact": c.name, **_interval_fields({n: e for n in names if (e := getattr(c, n)) is not None})}
+            {"contact": c.name, **_interval_fields({n: e for n in quantity_names if (e := getattr(c, n)) is not None})}
             for c in self.report.contacts
         ]
 
@@ -150,11 +150,11 @@ class ContactResult(Illustrated):
 
     def summary(self) -> Summary:
         """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""
-        laws = [f"{sentence}." for contact in self.report.contacts if (sentence := contact.law_sentence)]
+        law_sentences = [f"{sentence}." for contact in self.report.contacts if (sentence := contact.law_sentence)]
         return Summary(
             tuple(contact.cells for contact in self.contacts),
             above=tuple(f"not to be relied on: {finding.sentence}" for finding in self.report.findings),
-            below=(*laws, *_unanswered_lines(self.report.unanswered)),
+            below=(*law_sentences, *_unanswered_lines(self.report.unanswered)),
         )
 
 
@@ -263,7 +263,7 @@ class GapResult(Illustrated):
                 "probability": percent(cause.probability),
                 "difference removed": percent(cause.explained),
             }
-            for cause in self.report.causes[:MAX_CAUSES]
+            for cause in self.report.causes[:MAX_CAUSE_COUNT]
         )
         return Summary(rows, above=(self.report.sentence,))
 
@@ -286,8 +286,8 @@ class HistoryResult(Illustrated):
 
     def table(self) -> list[Row]:
         """Row of each quantity: mean, change from the first recording to the last, and the p-values of both tests."""
-        names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
-        return [dict(zip(names, row, strict=True)) for row in history_page.quantity_rows(self.report)]
+        column_names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
+        return [dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report)]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
@@ -296,11 +296,11 @@ class HistoryResult(Illustrated):
 
     def save(self, folder: str | Path) -> None:
         """Write history.html, a self-contained page, history.csv and history.json."""
-        out = Path(folder)
-        make_folder(out)
-        history_page.write_page(self.report, self.figure(), out / "history.html")
-        write_bytes(history_page.csv_of(self.report), out / "history.csv")
-        write_json(self.report, out / "history.json")
+        folder_path = Path(folder)
+        make_folder(folder_path)
+        history_page.write_page(self.report, self.figure(), folder_path / "history.html")
+        write_bytes(history_page.csv_of(self.report), folder_path / "history.csv")
+        write_json(self.report, folder_path / "history.json")
 
     @property
     def sentence(self) -> str:
@@ -309,8 +309,8 @@ class HistoryResult(Illustrated):
 
     def summary(self) -> Summary:
         """Sentence on what changed, and each quantity with its change and the p-values of both tests."""
-        names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-        rows = tuple(dict(zip(names, row, strict=True)) for row in history_page.quantity_rows(self.report))
+        column_names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
+        rows = tuple(dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report))
         return Summary(rows, above=(self.sentence,))
 
 
@@ -320,8 +320,8 @@ def _finding_fields(finding: Finding) -> dict[str, Any]:
 
 def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
     row: Row = {}
-    for name, estimate in estimates.items():
-        row[name], row[f"{name}_within"] = estimate.value, COVERED * estimate.standard_error
+    for quantity_name, estimate in estimates.items():
+        row[quantity_name], row[f"{quantity_name}_within"] = estimate.value, COVERED * estimate.standard_error
     return row
 
 

@@ -42,13 +42,13 @@ class Comparison:
             in_band = (nifo.frequency_hz >= band_hz[0]) & (nifo.frequency_hz <= band_hz[1])
             true_frf = nifo.true_frf()[in_band]
             frf_error_share = float(np.sum(np.abs(nifo.frf[in_band] - true_frf) ** 2) / np.sum(np.abs(true_frf) ** 2))
-            for row, contact_index in enumerate(nifo.contacts):
-                contact = identification.rig.contacts[contact_index].name
-                true_n_per_m = self.true_laws[contact].stiffness_n_per_m
-                errors_percent = 100 * (nifo.stiffness_n_per_m[row, in_band] / true_n_per_m - 1)
+            for stiffness_row, contact_index in enumerate(nifo.contacts):
+                contact_name = identification.rig.contacts[contact_index].name
+                true_n_per_m = self.true_laws[contact_name].stiffness_n_per_m
+                errors_percent = 100 * (nifo.stiffness_n_per_m[stiffness_row, in_band] / true_n_per_m - 1)
                 table.add_row(
                     form,
-                    contact,
+                    contact_name,
                     f"{errors_percent.real.mean():+.4f}",
                     f"{np.sqrt(np.mean(np.abs(errors_percent) ** 2)):.4f}",
                     f"{100 * frf_error_share:.2g}",
@@ -62,29 +62,29 @@ class Comparison:
         table = console_table(title, headings, 2)
         report = self.identification.report
         surfaces = {s.equation: {c.contact: c.clearance_m.value for c in s.clearances} for s in report.surface.surfaces}
-        for equation in report.nifo:
-            for stiffness in equation.stiffness:
+        for equation_result in report.nifo:
+            for stiffness in equation_result.stiffness:
                 law = self.true_laws[stiffness.contact]
-                clearance_m = surfaces[equation.equation].get(stiffness.contact)
+                clearance_m = surfaces[equation_result.equation].get(stiffness.contact)
                 table.add_row(
-                    equation.equation,
+                    equation_result.equation,
                     stiffness.contact,
                     "not told" if clearance_m is None else f"{100 * (clearance_m / law.clearance_m - 1):+.4f}",
                     f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
                     f"{100 * stiffness.rms_deviation_n_per_m / law.stiffness_n_per_m:.3f}",
-                    "nearly invisible" if stiffness.contact in equation.nearly_invisible else "",
+                    "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",
                 )
         Console().print(table)
 
 
-def record_reference_rig(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant: str, path: Path) -> Path:
+def record_reference_rig(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant_name: str, path: Path) -> Path:
     """Path of the recording of a reference rig by a plant, made with its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with progress_bar(f"recording {path.name} ({plant})") as progress:
+    with progress_bar(f"recording {path.name} ({plant_name})") as progress:
         record(
             settings.rig(),
             settings.force(),
-            plant=plant_named(plant),
+            plant=plant_named(plant_name),
             duration_s=settings.duration_s,
             step_s=settings.step_s,
             path=path,

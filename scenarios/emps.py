@@ -27,11 +27,11 @@ from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read
 from scenarios.measured_data import SIMULATOR, free_run, one_mass_rig
 
-FILES = {"fit": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
+FILE_NAMES = {"fit": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 SAMPLE_RATE_HZ = 1000.0
 MASS_KG, VISCOUS_N_S_PER_M = 95.1, 203.0
 """Mass and viscous friction of the published linear model, which the owner believes."""
-MAP = """rig = "rig.json"
+IMPORT_MAP = """rig = "rig.json"
 sample_rate_hz = {rate}
 force = {{ column = "vir", unit = "N", scale = {scale} }}
 
@@ -54,7 +54,7 @@ class CarriageDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
 @app.command()
 def emps(
-    data: Annotated[Path, typer.Option(help=f"Folder with {' and '.join(FILES.values())}.")],
+    data: Annotated[Path, typer.Option(help=f"Folder with {' and '.join(FILE_NAMES.values())}.")],
     out: Annotated[Path, typer.Option(help="Folder for the records and the results.")] = Path("out/emps"),
     force: Force = False,
 ) -> None:
@@ -62,7 +62,7 @@ def emps(
     refuse_existing(out / "emps.json", force, new_folder=True)
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(to_json(carriage()), out / "rig.json")
-    recordings = {name: import_benchmark(data / file, out, name) for name, file in FILES.items()}
+    recordings = {name: import_benchmark(data / file, out, name) for name, file in FILE_NAMES.items()}
     with progress_bar("diagnosing") as progress:
         gap, corrected = diagnose(recordings["fit"], recordings["pulses"], SIMULATOR, None, lambda _, x: progress(x))
     believed_mm, corrected_mm = (
@@ -97,7 +97,7 @@ def import_benchmark(data_path: Path, folder: Path, name: str) -> Recording:
         gain_n_per_v = float(np.ravel(loadmat(data_path)["gtau"])[0])
     except (OSError, KeyError, ValueError) as error:
         raise RigError(f"{data_path}: cannot be read ({error}); give the benchmark's own file") from error
-    write_bytes(MAP.format(rate=SAMPLE_RATE_HZ, scale=gain_n_per_v).encode(), folder / f"map_{name}.toml")
+    write_bytes(IMPORT_MAP.format(rate=SAMPLE_RATE_HZ, scale=gain_n_per_v).encode(), folder / f"map_{name}.toml")
     import_file(data_path, folder / f"map_{name}.toml", folder / f"{name}.mcap")
     return read(folder / f"{name}.mcap")
 
@@ -111,9 +111,9 @@ def error_mm(rig: Rig, recording: Recording) -> float:
 
 def error_table(diagnosis: CarriageDiagnosis) -> Table:
     title = f"Free run, position error in mm rms; verdict: {diagnosis.verdict}, {' + '.join(diagnosis.effects)}"
-    table = console_table(title, ("rig", *FILES))
+    table = console_table(title, ("rig", *FILE_NAMES))
     for name, errors_mm in (("believed", diagnosis.believed_mm), ("corrected", diagnosis.corrected_mm)):
-        table.add_row(name, *(f"{errors_mm[record]:.1f}" for record in FILES))
+        table.add_row(name, *(f"{errors_mm[record]:.1f}" for record in FILE_NAMES))
     return table
 
 

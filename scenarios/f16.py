@@ -43,7 +43,7 @@ RATE_HZ, PERIOD_SAMPLES = 400.0, 8192
 PLACES_M = (0.0, 1.0, 1.2)
 """Positions of the sensors at the force, on the wing and on the payload at its joint: labels only, as no drawing is
 published."""
-SENSOR_PLACES = ("at the force", "wing at the joint", "payload at the joint")
+SENSOR_PLACE_WORDS = ("at the force", "wing at the joint", "payload at the joint")
 DIAGNOSED_SAMPLES = slice(0, 4 * PERIOD_SAMPLES)
 """Four periods of nine, from rest."""
 JOINT_BAND_HZ = (6.9, 7.5)
@@ -192,11 +192,11 @@ def joint_mode(rig: Rig) -> tuple[float, float]:
     """Natural frequency (Hz) and damping ratio of the mode that carries the joint."""
     (body,) = rig.bodies
     modes = modes_of(rig, body)
-    natural_hz, ratios = modes.frequencies_hz(body.max_modes), modes.damping_ratios(body.max_modes)
+    natural_hz, damping_ratios = modes.frequencies_hz(body.max_modes), modes.damping_ratios(body.max_modes)
     mode_indices = np.flatnonzero((natural_hz > JOINT_BAND_HZ[0]) & (natural_hz < JOINT_BAND_HZ[1]))
     if not mode_indices.size:
         raise RigError(f"no mode from {JOINT_BAND_HZ[0]} to {JOINT_BAND_HZ[1]} Hz; give the benchmark's own files")
-    return float(natural_hz[mode_indices[-1]]), float(ratios[mode_indices[-1]])
+    return float(natural_hz[mode_indices[-1]]), float(damping_ratios[mode_indices[-1]])
 
 
 def error_table(diagnosis: LevelDiagnosis, level: str) -> Table:
@@ -205,11 +205,11 @@ def error_table(diagnosis: LevelDiagnosis, level: str) -> Table:
         f"Level {level}: {diagnosis.verdict}, {' + '.join(diagnosis.effects)}; the joint's mode from {hz_before:.2f} "
         f"to {hz_after:.2f} Hz, damping ratio {100 * ratio_before:.2f} to {100 * ratio_after:.2f} %"
     )
-    table = console_table(title, ("free run, error % rms", *SENSOR_PLACES))
-    for free in diagnosis.runs:
+    table = console_table(title, ("free run, error % rms", *SENSOR_PLACE_WORDS))
+    for level_run in diagnosis.runs:
         for rig_name in ("believed", "corrected", "equivalent_linear"):
-            cells = (f"{error:.1f}" for error in getattr(free, rig_name))
-            table.add_row(f"level {free.level}, {rig_name.replace('_', ' ')}", *cells)
+            cells = (f"{error:.1f}" for error in getattr(level_run, rig_name))
+            table.add_row(f"level {level_run.level}, {rig_name.replace('_', ' ')}", *cells)
     return table
 
 

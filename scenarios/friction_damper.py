@@ -40,7 +40,7 @@ MASS_KG, NATURAL_HZ = 1.0, 0.05
 """Mass and natural frequency of the piston; of the force's kilonewtons it takes a newton, the damper the others."""
 SEARCH_S = 5.0
 """Length of the symbolic search, s; a law with a memory does not need it."""
-PANEL_COLUMNS = 3
+PANEL_COLUMN_COUNT = 3
 UNIT_FACTORS = {"upper_n": 1e-3, "lower_n": 1e-3, "backlash_m": 1e3, "stiffness_n_per_m": 1e-6}
 """Factors from the fields of a sliding law to the units of the table: kN, kN, mm, MN/m."""
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -79,13 +79,13 @@ def friction_damper(
     for path in paths:
         recording = write_and_read(read_damper_file(path), out / f"{path.stem}.mcap")
         with progress_bar(f"searching the law of {path.name}") as progress:
-            result = identify.law(recording, seconds=SEARCH_S, progress=progress)
-        result.save(out / path.stem)
+            law_result = identify.law(recording, seconds=SEARCH_S, progress=progress)
+        law_result.save(out / path.stem)
         frequency_hz, tension_lb = _frequency_and_tension(path)
-        (law,) = result.report.laws
+        (law,) = law_result.report.laws
         tension_n = tension_lb * NEWTONS_PER_POUND
         laws.append(DamperLaw(file=path.name, frequency_hz=frequency_hz, tension_n=tension_n, law=law))
-        plotted_laws.append(result.identification.fits[0])
+        plotted_laws.append(law_result.identification.fits[0])
     write_json(laws, out / "friction_damper.json")
     draw_laws(laws, plotted_laws, out / "friction_damper.png")
     console = Console()
@@ -96,18 +96,18 @@ def friction_damper(
 
 
 def _frequency_and_tension(path: Path) -> tuple[float, float]:
-    matched = FILE_NAME.fullmatch(path.name)
-    assert matched
-    return float(matched["hz"]), float(matched["tension"])
+    name_match = FILE_NAME.fullmatch(path.name)
+    assert name_match
+    return float(name_match["hz"]), float(name_match["tension"])
 
 
 def read_damper_file(path: Path) -> Recording:
     """Recording of the displacement and friction force in a file; raises RigError if it is not one of the data set."""
     try:
-        rows = np.array(msgspec.json.decode(path.read_bytes(), type=DamperFile).data)
+        file_rows = np.array(msgspec.json.decode(path.read_bytes(), type=DamperFile).data)
     except (OSError, msgspec.DecodeError) as error:
         raise RigError(f"{path}: is no file of the data set ({error}); fetch it again") from error
-    return damper_recording(rows[:, 1] * METRES_PER_INCH, rows[:, 2] * NEWTONS_PER_KIP, path.name)
+    return damper_recording(file_rows[:, 1] * METRES_PER_INCH, file_rows[:, 2] * NEWTONS_PER_KIP, path.name)
 
 
 def damper_recording(
@@ -141,10 +141,10 @@ def law_table(laws: list[DamperLaw]) -> Table:
 
 def draw_laws(laws: Sequence[DamperLaw], plotted_laws: Sequence[ContactLawFit], path: Path) -> None:
     """Draw the measured force and the law over the displacement, a panel for each recording."""
-    panel_rows = -(-len(laws) // PANEL_COLUMNS)
+    panel_row_count = -(-len(laws) // PANEL_COLUMN_COUNT)
 
     def draw(figure: Figure) -> None:
-        panels = figure.subplots(panel_rows, PANEL_COLUMNS, sharex=True, sharey=True, squeeze=False)
+        panels = figure.subplots(panel_row_count, PANEL_COLUMN_COUNT, sharex=True, sharey=True, squeeze=False)
         for axes, damper_law, law in zip(panels.ravel(), laws, plotted_laws, strict=False):
             samples = law.record
             axes.plot(1e3 * samples.eta_at_force_m, 1e-3 * samples.force_n, color=GREY, lw=0.5, label="measured")
@@ -160,7 +160,7 @@ def draw_laws(laws: Sequence[DamperLaw], plotted_laws: Sequence[ContactLawFit], 
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=2)
 
-    write_bytes(picture(draw, 9.0, 3.0 * panel_rows).png, path)
+    write_bytes(picture(draw, 9.0, 3.0 * panel_row_count).png, path)
 
 
 if __name__ == "__main__":

@@ -143,10 +143,10 @@ def identify_random_rig(task: Task) -> RigOutcome:
 def _with_sensors_of(recording: Recording, rig: Rig) -> Recording:
     """Recording with the accelerometers of this rig alone."""
     signals = recording.signals["acceleration"]
-    rows = [signals.channels.names.index(sensor.name) for sensor in rig.sensors]
+    channel_rows = [signals.channels.names.index(sensor.name) for sensor in rig.sensors]
     channels = channel_groups(rig)["acceleration"]
-    kept = Signals(channels, signals.start_s, signals.values[rows])
-    return Recording(rig, {**recording.signals, "acceleration": kept}, recording.provenance)
+    accelerations = Signals(channels, signals.start_s, signals.values[channel_rows])
+    return Recording(rig, {**recording.signals, "acceleration": accelerations}, recording.provenance)
 
 
 def estimate_errors(contacts: AcceptedContacts, true_laws: Sequence[tuple[str, float, float, float]]) -> EstimateErrors:
@@ -189,13 +189,13 @@ def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
 
 def _relative_errors(rigs: list[EstimateErrors], quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Errors in per cent (of damping: in N s/m), and errors in standard errors."""
-    values = [
+    value_rows = [
         row
         for rig in rigs
         for name, *row in zip(rig.names, rig.true_values, rig.estimates, rig.standard_errors, strict=True)
         if name.endswith(quantity)
     ]
-    true_values, estimates, standard_errors = np.array(values).reshape(-1, 3).T
+    true_values, estimates, standard_errors = np.array(value_rows).reshape(-1, 3).T
     differences = estimates - true_values
     return (differences if quantity == "damping" else 100 * differences / true_values), differences / standard_errors
 
@@ -223,17 +223,17 @@ def draw(rigs: list[EstimateErrors], path: Path, case: str) -> None:
     """Draw the errors of every contact with 95 % intervals, and their distribution in standard errors."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(8, 6), layout="constrained")
-        axes = figure.subplots(2, 2, width_ratios=(2, 1))
-        for panels, quantity in zip(axes, ("clearance", "stiffness"), strict=True):
+        panel_rows = figure.subplots(2, 2, width_ratios=(2, 1))
+        for panels, quantity in zip(panel_rows, ("clearance", "stiffness"), strict=True):
             errors, normalised_errors = _relative_errors(rigs, quantity)
             half_widths = COVERED * np.abs(errors / normalised_errors)
             panels[0].errorbar(np.arange(errors.size), errors, half_widths, fmt=".", color="#1f5fa8", elinewidth=0.8)
             panels[0].axhline(0, color="k", lw=0.8)
             panels[0].set(xlabel="contact", ylabel=f"error of the {quantity}, %")
-            ordered = np.sort(np.abs(normalised_errors))
-            limits = np.linspace(0, 5, 100)
-            panels[1].plot(ordered, np.linspace(0, 1, ordered.size), color="#1f5fa8", label="identified")
-            panels[1].plot(limits, erf(limits / np.sqrt(2)), "k:", label="Gaussian")
+            sorted_sizes = np.sort(np.abs(normalised_errors))
+            size_limits = np.linspace(0, 5, 100)
+            panels[1].plot(sorted_sizes, np.linspace(0, 1, sorted_sizes.size), color="#1f5fa8", label="identified")
+            panels[1].plot(size_limits, erf(size_limits / np.sqrt(2)), "k:", label="Gaussian")
             panels[1].set(xlim=(0, 5), xlabel="|error| / standard error", ylabel="share of the contacts")
             panels[1].legend(frameon=False)
         figure.suptitle(f"{case}: errors with 95 % intervals")

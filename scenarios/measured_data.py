@@ -57,8 +57,8 @@ def simulated(nominal: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"],
 
 def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
     """Recording of a rig from rest under a measured force, without the sensors' noise."""
-    silent = replace(rig, sensors=tuple(replace(sensor, noise_density=0.0) for sensor in rig.sensors))
-    return simulated(silent, silent, force_n, 1)
+    silent_rig = replace(rig, sensors=tuple(replace(sensor, noise_density=0.0) for sensor in rig.sensors))
+    return simulated(silent_rig, silent_rig, force_n, 1)
 
 
 SIMULATOR = Simulator("measured data", simulated, prediction.modal)

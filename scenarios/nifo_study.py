@@ -44,7 +44,7 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
     """Noise densities of the displacements, m/sqrt(Hz): the same motion is measured with each."""
 
     @property
-    def pieces(self) -> int:
+    def piece_count(self) -> int:
         return int(np.ceil((QUIET_S + record_length_s(max(self.block_s))) / PIECE_S))
 
 
@@ -108,19 +108,19 @@ def nifo_outcome(study: Study) -> NifoOutcome:
     for noise_index, noise_density in enumerate(study.noise_densities):
         rows = np.concatenate([piece[noise_index].rows for piece in pieces], axis=1)
         for block_s in study.block_s:
-            end_sample = round((QUIET_S + record_length_s(block_s)) * REDUCED_HZ)
-            force_n, displacement, velocity, acceleration, *depths_m = rows[:, :end_sample]
+            stop_index = round((QUIET_S + record_length_s(block_s)) * REDUCED_HZ)
+            force_n, displacement, velocity, acceleration, *penetrations_m = rows[:, :stop_index]
             averaging = Averaging(averages=AVERAGE_COUNT, block_s=block_s)
             block_set = blocks(force_n.size, REDUCED_HZ, averaging, (study.settings.low_hz, study.settings.high_hz))
             equation = replace(
                 pieces[0][noise_index].equation, displacement=displacement, velocity=velocity, acceleration=acceleration
             )
             for form in FORMS:
-                result = nifo(equation, force_n, np.array(depths_m), block_set, form)
-                estimates += _estimates(rig, result, form, block_s, noise_density)
+                nifo_result = nifo(equation, force_n, np.array(penetrations_m), block_set, form)
+                estimates += _estimates(rig, nifo_result, form, block_s, noise_density)
             if noise_index == 0 and block_s == max(study.block_s):
-                shares = incoherent_shares([force_n, *depths_m], block_set)
-    return NifoOutcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed_shares.tolist()), shares)
+                incoherent = incoherent_shares([force_n, *penetrations_m], block_set)
+    return NifoOutcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed_shares.tolist()), incoherent)
 
 
 def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_set: Blocks) -> tuple[float, ...]:
@@ -135,24 +135,24 @@ def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_se
     return tuple(np.sqrt(np.mean(1 / np.einsum("lii->li", inverse_normal).real, axis=0)).tolist())
 
 
-def reduced_piece(rig: Rig, values: Float[np.ndarray, "channels samples"]) -> ReducedRecord:
+def reduced_piece(rig: Rig, channel_values: Float[np.ndarray, "channels samples"]) -> ReducedRecord:
     """Piece of a record from its force and displacements with margins; the result is without the margins."""
     channels, rate_hz = channel_groups(rig), rig.sample_rate_hz
-    signals = {"force": values[:1], "displacement": values[1:]}
+    signals = {"force": channel_values[:1], "displacement": channel_values[1:]}
     recording = Recording(rig, {name: Signals(channels[name], 0.0, rows) for name, rows in signals.items()}, {})
     motion = kinematics(recording, "displacement")
     eta_m = relative_motion(rig, motion, motion.displacement_m)
-    depth_m = np.array(
+    penetrations_m = np.array(
         [
             penetration(eta, contact.law.lower_clearance_m, contact.law.upper_clearance_m, rate_hz)
             for eta, contact in zip(eta_m, rig.contacts, strict=True)
         ]
     )
-    contact_n = np.array([[contact.law.stiffness_n_per_m] for contact in rig.contacts]) * depth_m
-    equation = modal_equations(rig, motion, rig.body(EQUATION_BODY), contact_force_n=contact_n)[EQUATION_MODE - 1]
+    contact_force_n = np.array([[contact.law.stiffness_n_per_m] for contact in rig.contacts]) * penetrations_m
+    equation = modal_equations(rig, motion, rig.body(EQUATION_BODY), contact_force_n=contact_force_n)[EQUATION_MODE - 1]
     mode_signals = equation.displacement, equation.velocity, equation.acceleration
     sample_count = mode_signals[0].size
-    full_rate_rows = np.stack([motion.force_n[:sample_count], *mode_signals, *depth_m[:, :sample_count]])
+    full_rate_rows = np.stack([motion.force_n[:sample_count], *mode_signals, *penetrations_m[:, :sample_count]])
     reduced_rows = decimated(full_rate_rows, round(rate_hz / REDUCED_HZ))
     rows = reduced_rows[:, _within_margins(REDUCED_HZ)].copy()  # no view that holds the piece
     clearances_m = np.array([[contact.law.clearance_m] for contact in rig.contacts])
@@ -189,20 +189,20 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
     """
     settings, rng = study.settings, np.random.default_rng(study.settings.seed)
     sensor_count, noise_count = len(rig.sensors), len(rig.sensors) * any(study.noise_densities)
-    margin_samples, piece_samples = round(MARGIN_S * rig.sample_rate_hz), round(PIECE_S * rig.sample_rate_hz)
-    duration_s = needed_duration_s(rig, study.pieces * PIECE_S + MARGIN_S)
+    margin_count, samples_per_piece = round(MARGIN_S * rig.sample_rate_hz), round(PIECE_S * rig.sample_rate_hz)
+    duration_s = needed_duration_s(rig, study.piece_count * PIECE_S + MARGIN_S)
     force_n = force_signal(settings.force(), duration_s, settings.step_s)
     motion = modal.simulate(rig, force_n, settings.step_s, lambda _: None)
-    queue, queued_samples = [np.zeros((1 + sensor_count + noise_count, margin_samples))], margin_samples
+    queued_rows, queued_count = [np.zeros((1 + sensor_count + noise_count, margin_count))], margin_count
     for block in digitise(rig, motion, rng):
         sample_count = block.force_n.size
-        noise = rng.standard_normal((noise_count, sample_count))
-        queue.append(np.vstack([block.force_n, block.sensed["displacement"], noise]))
-        queued_samples += sample_count
-        if queued_samples >= piece_samples + 2 * margin_samples:
-            rows = np.concatenate(queue, axis=1)
-            yield rows[:, : piece_samples + 2 * margin_samples]
-            queue, queued_samples = [rows[:, piece_samples:]], queued_samples - piece_samples
+        unit_noise = rng.standard_normal((noise_count, sample_count))
+        queued_rows.append(np.vstack([block.force_n, block.sensed["displacement"], unit_noise]))
+        queued_count += sample_count
+        if queued_count >= samples_per_piece + 2 * margin_count:
+            rows = np.concatenate(queued_rows, axis=1)
+            yield rows[:, : samples_per_piece + 2 * margin_count]
+            queued_rows, queued_count = [rows[:, samples_per_piece:]], queued_count - samples_per_piece
 
 
 def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density: float) -> list[NifoEstimate]:

@@ -99,10 +99,10 @@ def nifo_sweep(
     for value, outcome in zip(values, outcomes, strict=True):
         closed_shares = dict(zip(outcome.contacts, outcome.closed_shares, strict=True))
         for estimate in outcome.estimates:
-            x = 1 / estimate.block_s if of_resolution else sweep.unit_factor * value
-            points.append(Point(x, estimate, closed_shares[estimate.contact], outcome.incoherent_shares))
-    noisy = [point for point in points if point.estimate.noise_density]
-    ideal = ideal_range(noisy) if noisy else None
+            axis_value = 1 / estimate.block_s if of_resolution else sweep.unit_factor * value
+            points.append(Point(axis_value, estimate, closed_shares[estimate.contact], outcome.incoherent_shares))
+    noisy_points = [point for point in points if point.estimate.noise_density]
+    ideal = ideal_range(noisy_points) if noisy_points else None
     print_and_draw(f"NIFO against {sweep.quantity}", sweep.axis, points, folder / f"{varied}.png", ideal)
     if ideal:
         Console().print(
@@ -187,10 +187,10 @@ def _table(title: str, quantity: str, points: Sequence[Point]) -> Table:
         "error of the spectral mean ± 95 % (rms spread over frequency), %; free: of force and penetrations, the "
         "amplitude that is no linear response to the others"
     )
-    rows: dict[tuple[str, float], list[Point]] = {}
+    points_by_row: dict[tuple[str, float], list[Point]] = {}
     for point in points:
-        rows.setdefault((point.case, point.value), []).append(point)
-    for (case, value), row_points in rows.items():
+        points_by_row.setdefault((point.case, point.value), []).append(point)
+    for (case, value), row_points in points_by_row.items():
         closed_shares = [
             np.mean([point.closed_share for point in row_points if point.estimate.contact == contact])
             for contact in dict.fromkeys(contact for _, contact in columns)

@@ -45,16 +45,16 @@ def animation(
 ) -> None:
     """Animate the bodies between their stops: displacements in mm, those of a contact in true scale."""
     with progress_bar(f"drawing {out.name}") as progress:
-        content = read(recording)
-        displacements = deflection(content, read_truth(truth_path(recording)))
-        first_sample = round(start * content.rig.sample_rate_hz)
-        samples = first_sample + np.linspace(0, seconds * content.rig.sample_rate_hz, FRAME_COUNT).astype(int)
-        if samples[-1] >= displacements.displacement_m.shape[1]:
+        record = read(recording)
+        displacements = deflection(record, read_truth(truth_path(recording)))
+        first_sample = round(start * record.rig.sample_rate_hz)
+        sample_indices = first_sample + np.linspace(0, seconds * record.rig.sample_rate_hz, FRAME_COUNT).astype(int)
+        if sample_indices[-1] >= displacements.displacement_m.shape[1]:
             raise RigError(f"{recording}: is shorter than {start + seconds:g} s; start earlier")
-        largest_mm = 1e3 * float(np.abs(displacements.displacement_m[:, samples]).max())
+        largest_mm = 1e3 * float(np.abs(displacements.displacement_m[:, sample_indices]).max())
         frames = []
-        for frame_number, sample in enumerate(samples):
-            frames.append(_frame(displacements, int(sample), sample / content.rig.sample_rate_hz, largest_mm))
+        for frame_number, sample in enumerate(sample_indices):
+            frames.append(_frame(displacements, int(sample), sample / record.rig.sample_rate_hz, largest_mm))
             progress((frame_number + 1) / FRAME_COUNT)
     swatches = [np.asarray(Image.new("RGB", (frames[0].width, 40), colour)) for colour in COLOURS.values()]
     palette = Image.fromarray(np.vstack([*swatches, *(np.asarray(frame) for frame in frames[::9])])).quantize(32)
@@ -67,7 +67,7 @@ def animation(
     print(f"{out}: {FRAME_COUNT} frames, {len(gif_bytes.getvalue()) / 1e3:.0f} kB")
 
 
-def _frame(displacements: Deflection, sample: int, time_s: float, largest_mm: float) -> "Image.Image":
+def _frame(displacements: Deflection, sample_index: int, time_s: float, largest_mm: float) -> "Image.Image":
     """Picture of a sample: the line of every body, and the two stops of every contact beside what they hold."""
     rig, left_m = displacements.rig, left_ends(displacements.rig)
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
@@ -75,12 +75,12 @@ def _frame(displacements: Deflection, sample: int, time_s: float, largest_mm: fl
     axes = figure.subplots()
     for body, colour in zip(rig.bodies, ("#444444", "#1f5fa8"), strict=False):
         x_m = np.linspace(0, body.length_m, NODE_COUNT)
-        w_mm = 1e3 * displacements.of_body(body, x_m, np.array([sample]))[:, 0]
+        w_mm = 1e3 * displacements.of_body(body, x_m, np.array([sample_index]))[:, 0]
         axes.plot(left_m[body.name] + x_m, w_mm, color=colour, lw=5, solid_capstyle="butt", label=body.name, zorder=3)
-    for contact, relative_m in zip(rig.contacts, displacements.relative_displacement_m()[:, sample], strict=True):
+    for contact, relative_m in zip(rig.contacts, displacements.relative_displacement_m()[:, sample_index], strict=True):
         law, carrier_mm = contact.law, 0.0
         if contact.against is not None:
-            carrier_mm = 1e3 * float(displacements.displacement_at(contact.against)[sample])
+            carrier_mm = 1e3 * float(displacements.displacement_at(contact.against)[sample_index])
         x_on_drawing_m = left_m[contact.at.body] + contact.at.position_m
         stops_mm = carrier_mm + 1e3 * law.upper_clearance_m, carrier_mm - 1e3 * law.lower_clearance_m
         is_closed = relative_m > law.upper_clearance_m, relative_m < -law.lower_clearance_m
@@ -117,16 +117,16 @@ def screens(
     if browser is None:
         raise RigError("there is no Chromium; install it, or say where it is by the variable CHROMIUM")
     for name in ("contact", "gap"):
-        page = folder / name / f"{name}.html"
-        if not page.exists():
-            raise RigError(f"{page}: is not there; make it by `rig demo --out {folder}`")
-        with TemporaryDirectory() as place:
-            picture = Path(place) / "screen.png"
+        page_path = folder / name / f"{name}.html"
+        if not page_path.exists():
+            raise RigError(f"{page_path}: is not there; make it by `rig demo --out {folder}`")
+        with TemporaryDirectory() as folder_path:
+            picture_path = Path(folder_path) / "screen.png"
             options = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=6000")
-            size = f"--window-size={SCREEN_PX[0]},{SCREEN_PX[1]}"
-            paths = (f"--user-data-dir={place}", f"--screenshot={picture}", page.resolve().as_uri())
-            subprocess.run([browser, *options, size, *paths], check=True, capture_output=True, timeout=180)
-            screen = Image.open(picture).convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
+            size_option = f"--window-size={SCREEN_PX[0]},{SCREEN_PX[1]}"
+            paths = (f"--user-data-dir={folder_path}", f"--screenshot={picture_path}", page_path.resolve().as_uri())
+            subprocess.run([browser, *options, size_option, *paths], check=True, capture_output=True, timeout=180)
+            screen = Image.open(picture_path).convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
             png_bytes = BytesIO()
             screen.save(png_bytes, "PNG", optimize=True)
         write_bytes(png_bytes.getvalue(), out / f"{name}_page.png")

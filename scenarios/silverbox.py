@@ -84,7 +84,7 @@ def silverbox(
         gap, diagnosed = diagnose(fit, validation, SIMULATOR, None, lambda _, x: progress(x))
     corrected = fit_free_run(diagnosed, fit)
     errors_mv_by_rig = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
-    result = SilverboxDiagnosis(
+    diagnosis = SilverboxDiagnosis(
         verdict=gap.verdict,
         effects=gap.causes[0].effects if gap.causes else (),
         linear_mv=rms(errors_mv_by_rig["linear"]),
@@ -95,11 +95,11 @@ def silverbox(
         corrected=corrected,
     )
     write_all(gap, diagnosed, "Silverbox", out)
-    write_json(result, out / "silverbox.json")
+    write_json(diagnosis, out / "silverbox.json")
     draw_figures(validation, corrected, arrow, errors_mv_by_rig, out)
     console = Console()
     console.print(gap.sentence)
-    console.print(error_table(result))
+    console.print(error_table(diagnosis))
     console.print(
         f"records, gap.html, gap.json, rig.json, silverbox.json, where.png, arrow.png: in {out}", soft_wrap=True
     )
@@ -167,14 +167,14 @@ def rms(values: Float[np.ndarray, " samples"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def error_table(result: SilverboxDiagnosis) -> Table:
+def error_table(diagnosis: SilverboxDiagnosis) -> Table:
     headings = ("rig", "error, mV rms", "frequency, Hz", "damping", "mass, kg", "cubic spring, N/m^3")
-    title = f"Free run on the arrow; verdict: {result.verdict}, {' + '.join(result.effects)}"
+    title = f"Free run on the arrow; verdict: {diagnosis.verdict}, {' + '.join(diagnosis.effects)}"
     table = console_table(title, headings)
     for rig_name, rig, error_mv in (
-        ("linear", result.linear, result.linear_mv),
-        ("diagnosed", result.diagnosed, result.diagnosed_mv),
-        ("identified again", result.corrected, result.corrected_mv),
+        ("linear", diagnosis.linear, diagnosis.linear_mv),
+        ("diagnosed", diagnosis.diagnosed, diagnosis.diagnosed_mv),
+        ("identified again", diagnosis.corrected, diagnosis.corrected_mv),
     ):
         body, cubic_n_per_m3 = mass_of(rig), sum(spring.cubic_n_per_m3 for spring in rig.springs)
         (natural_hz,) = modes_of(rig, body).frequencies_hz(1)

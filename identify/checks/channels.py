@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding, force_in_words
-from identify.checks.prediction import LinearCheck, Prediction, acceleration_by_forces, driven_lines
-from identify.checks.relations import MIN_COHERENCE, Lines, Relation, Spectrum, gain_by_band, relation, unit_mistake
+from identify.checks.prediction import LinearCheck, Prediction, driven_masks, predicted_acceleration_at
+from identify.checks.relations import MIN_COHERENCE, PerLine, Relation, Spectrum, band_gain_fit, relation, unit_mistake
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig, Station
 
@@ -24,14 +24,14 @@ DelaysOnDemand = Callable[[], Float[np.ndarray, " parts"] | None]
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause, and the share of the channel's power that it leaves unexplained.
+    """Cause of a fault, and the share of the channel's power that it leaves unexplained.
 
-    A cause with more freedom has a larger allowance, by which its share counts more.
+    A cause with more freedom has a larger freedom_factor, by which its share counts more.
     """
 
     unexplained_share: float
     finding: Finding
-    share_factor: float = 1.0
+    freedom_factor: float = 1.0
 
 
 def channel_finding(
@@ -47,36 +47,36 @@ def channel_finding(
     fit = relation(omega, measured, predicted, line_weights)
     measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
 
-    def unexplained_by(explained: Spectrum) -> float:
+    def residual_share(explained: Spectrum) -> float:
         return float(np.sum(np.abs((measured - explained) * line_weights) ** 2)) / measured_power
 
     explanations = [
-        *_gain_or_delay(name, fit, omega, predicted, unexplained_by),
-        *_wrong_station(rig, spectra, channel_index, prediction, line_weights, unexplained_by),
-        *_wrong_derivative(spectra, channel_index, predicted, line_weights),
-        *_filtered(name, omega, measured, predicted, line_weights),
+        *_gain_and_delay_explanations(name, fit, omega, predicted, residual_share),
+        *_station_explanations(rig, spectra, channel_index, prediction, line_weights, residual_share),
+        *_derivative_explanations(spectra, channel_index, predicted, line_weights),
+        *_filter_explanations(name, omega, measured, predicted, line_weights),
     ]
-    best = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.share_factor)
-    if best.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
+    likeliest = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.freedom_factor)
+    if likeliest.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
         return _slipped_finding(name, delays_s)
-    if best.unexplained_share > 1 - MIN_COHERENCE:
+    if likeliest.unexplained_share > 1 - MIN_COHERENCE:
         return Finding(
             cause="unrelated",
             channels=(name,),
             evidence=f"{name} follows {100 * max(fit.coherence, 0):.2g} % of what all other channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
-    return best.finding
+    return likeliest.finding
 
 
-def _gain_or_delay(
-    name: str, fit: Relation, omega: Lines, predicted: Spectrum, unexplained_by: Callable[[Spectrum], float]
+def _gain_and_delay_explanations(
+    name: str, fit: Relation, omega: PerLine, predicted: Spectrum, residual_share: Callable[[Spectrum], float]
 ) -> Iterator[Explanation]:
     """Explanations by a sign, a unit or a gain; and by a delay."""
     gain, delay_s = fit.gain, fit.delay_s
-    delay_factor = np.exp(-1j * omega * delay_s)
+    delay_phase_factor = np.exp(-1j * omega * delay_s)
     gain_is_wrong = gain < 0 or abs(gain - 1) > 0.3
-    unexplained_share = unexplained_by(gain * (delay_factor if gain_is_wrong else 1.0) * predicted)
+    unexplained_share = residual_share(gain * (delay_phase_factor if gain_is_wrong else 1.0) * predicted)
     yield Explanation(unexplained_share, gain_finding(name, gain))
     if 0.7 < gain < 1.3:
         delay_finding = Finding(
@@ -86,75 +86,75 @@ def _gain_or_delay(
             f"{REFERENCE_WORDS} predict",
             mend=f"set delay_s = {delay_s:.3g} in rig.json, or synchronise its clock",
         )
-        yield Explanation(unexplained_by(delay_factor * predicted), delay_finding)
+        yield Explanation(residual_share(delay_phase_factor * predicted), delay_finding)
 
 
-def gain_finding(name: str, gain: float) -> Finding:
+def gain_finding(channel_name: str, gain: float) -> Finding:
     """Finding: a sign, a unit or a calibration is wrong, and the channel delivers `gain` times what it should."""
     if gain < 0 and 0.5 < -gain < 2:
         return Finding(
             cause="polarity",
-            channels=(name,),
-            evidence=f"{name} has the opposite sign of what {REFERENCE_WORDS} predict (gain {gain:.4g})",
+            channels=(channel_name,),
+            evidence=f"{channel_name} has the opposite sign of what {REFERENCE_WORDS} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
     unit_words = unit_mistake(gain)
     return Finding(
         cause="units" if unit_words else "gain",
-        channels=(name,),
-        evidence=f"{name} delivers {gain:.4g} times what {REFERENCE_WORDS} predict",
+        channels=(channel_name,),
+        evidence=f"{channel_name} delivers {gain:.4g} times what {REFERENCE_WORDS} predict",
         mend=f"correct its unit or scale in the import map, it looks like {unit_words}"
         if unit_words
         else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
     )
 
 
-def _wrong_station(
+def _station_explanations(
     rig: Rig,
     spectra: Spectra,
     channel_index: int,
     prediction: Prediction,
-    line_weights: Lines,
-    unexplained_by: Callable[[Spectrum], float],
+    line_weights: PerLine,
+    residual_share: Callable[[Spectrum], float],
 ) -> Iterator[Explanation]:
     """Explanations: the sensor shows what another one should, or stands at another place of its body."""
     sensor, measured = spectra.sensors[channel_index], spectra.acceleration[channel_index]
-    for other, predicted in zip(spectra.sensors, prediction.accelerations, strict=True):
-        if other.station != sensor.station:
+    for other_sensor, predicted in zip(spectra.sensors, prediction.accelerations, strict=True):
+        if other_sensor.station != sensor.station:
             fit = relation(spectra.omega, measured, predicted, line_weights, 0.0)
             if 0.8 < abs(fit.gain) < 1.25:
                 finding = Finding(
                     cause="station",
-                    channels=(sensor.name, other.name),
-                    evidence=f"{sensor.name} shows the motion at {other.station.position_m:g} m of "
-                    f"{other.station.body} ({100 * fit.coherence:.4g} % of its power), not that of its station",
-                    mend=f"check its place, its cable and its column; it may be a copy of {other.name}",
+                    channels=(sensor.name, other_sensor.name),
+                    evidence=f"{sensor.name} shows the motion at {other_sensor.station.position_m:g} m of "
+                    f"{other_sensor.station.body} ({100 * fit.coherence:.4g} % of its power), not that of its station",
+                    mend=f"check its place, its cable and its column; it may be a copy of {other_sensor.name}",
                 )
                 yield Explanation(1 - fit.coherence, finding, 2.0)
-    body, stated_m = sensor.station.body, sensor.station.position_m
-    length_m = rig.body(body).length_m
+    body_name, stated_m = sensor.station.body, sensor.station.position_m
+    length_m = rig.body(body_name).length_m
     if not length_m:
         return
     positions_m = np.linspace(0, length_m, POSITION_COUNT)
     for _ in range(2):
-        stations = [Station(body, float(position_m)) for position_m in positions_m]
-        shares = [*map(unexplained_by, acceleration_by_forces(rig, prediction, spectra.omega, stations))]
-        best = int(np.argmin(shares))
-        bracket_m = positions_m[max(best - 1, 0)], positions_m[min(best + 1, positions_m.size - 1)]
-        fitted_m, positions_m = float(positions_m[best]), np.linspace(*bracket_m, POSITION_COUNT)
+        stations = [Station(body_name, float(position_m)) for position_m in positions_m]
+        residual_shares = [*map(residual_share, predicted_acceleration_at(rig, prediction, spectra.omega, stations))]
+        best_index = int(np.argmin(residual_shares))
+        bracket_m = positions_m[max(best_index - 1, 0)], positions_m[min(best_index + 1, positions_m.size - 1)]
+        fitted_m, positions_m = float(positions_m[best_index]), np.linspace(*bracket_m, POSITION_COUNT)
     if abs(fitted_m - stated_m) > 2e-3:
         finding = Finding(
             cause="station",
             channels=(sensor.name,),
-            of=body,
-            evidence=f"{sensor.name} moves as the place {fitted_m:.3f} m of {body} does, not as {stated_m:g} m",
+            of=body_name,
+            evidence=f"{sensor.name} moves as the place {fitted_m:.3f} m of {body_name} does, not as {stated_m:g} m",
             mend="measure its place and correct rig.json",
         )
-        yield Explanation(min(shares), finding, 1.5)
+        yield Explanation(min(residual_shares), finding, 1.5)
 
 
-def _wrong_derivative(
-    spectra: Spectra, channel_index: int, predicted: Spectrum, line_weights: Lines
+def _derivative_explanations(
+    spectra: Spectra, channel_index: int, predicted: Spectrum, line_weights: PerLine
 ) -> Iterator[Explanation]:
     """Explanations: the channel is a derivative or an integral of the predicted motion."""
     name, measured, omega = spectra.sensors[channel_index].name, spectra.acceleration[channel_index], spectra.omega
@@ -171,46 +171,46 @@ def _wrong_derivative(
             yield Explanation(1 - fit.coherence, finding, 3.0)
 
 
-def _filtered(
-    name: str, omega: Lines, measured: Spectrum, predicted: Spectrum, line_weights: Lines
+def _filter_explanations(
+    name: str, omega: PerLine, measured: Spectrum, predicted: Spectrum, line_weights: PerLine
 ) -> Iterator[Explanation]:
     """Explanation: gain and phase change with frequency; constants of each in bands of growing width."""
-    gains, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted, line_weights)
-    if gains.max() > 1.03 * gains.min() > 0:
+    gain_sizes, unexplained_share, centres_hz = band_gain_fit(omega, measured, predicted, line_weights)
+    if gain_sizes.max() > 1.03 * gain_sizes.min() > 0:
         finding = Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{name} passes {100 * gains[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
-            f"{100 * gains[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
+            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
+            f"{100 * gain_sizes[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
             mend="undo its filter or its coupling, or record without",
         )
         yield Explanation(unexplained_share, finding, 4.0)
 
 
-def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
+def _slipped_finding(channel_name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
     """Finding: the delay changes over the record."""
     delay_change_s = float(delays_s[-1] - delays_s[0])
     return Finding(
         cause="slipped samples",
-        channels=(name,),
-        evidence=f"{name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
+        channels=(channel_name,),
+        evidence=f"{channel_name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
         "against the others at the record's end than at its beginning",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
     )
 
 
-def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, line_weights: Lines) -> Finding:
+def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, line_weights: PerLine) -> Finding:
     """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
     name, is_one_of_several = spectra.force_names[force_index], len(spectra.forces) > 1
-    subject = force_in_words(name)
-    driven = driven_lines(spectra.forces)[force_index]
-    omega, measured = spectra.omega[driven], spectra.forces[force_index][driven]
-    implied, line_weights = implied_force[driven], line_weights[driven]
+    force_words = force_in_words(name)
+    driven_mask = driven_masks(spectra.forces)[force_index]
+    omega, measured = spectra.omega[driven_mask], spectra.forces[force_index][driven_mask]
+    implied, line_weights = implied_force[driven_mask], line_weights[driven_mask]
     fit = relation(omega, measured, implied, line_weights)
     gain, delay_s = fit.gain, fit.delay_s
-    gains, unexplained, centres_hz = gain_by_band(omega, measured, implied, line_weights)
-    if unexplained < 0.3 and 1 - fit.coherence > 2.5 * unexplained and gains.max() > 1.25 * gains.min():
-        return _filter_finding(name, (float(gains[0]), float(gains[-1])), (centres_hz[0], centres_hz[-1]))
+    gain_sizes, residual_share, centres_hz = band_gain_fit(omega, measured, implied, line_weights)
+    if residual_share < 0.3 and 1 - fit.coherence > 2.5 * residual_share and gain_sizes.max() > 1.25 * gain_sizes.min():
+        return _filter_finding(name, (float(gain_sizes[0]), float(gain_sizes[-1])), (centres_hz[0], centres_hz[-1]))
     if fit.coherence < MIN_COHERENCE:
         return Finding(
             cause="force",
@@ -223,48 +223,48 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
         return Finding(
             cause="polarity",
             channels=(name,),
-            evidence=f"{subject} has the opposite sign of what all sensors imply (gain {gain:.4g})",
+            evidence=f"{force_words} has the opposite sign of what all sensors imply (gain {gain:.4g})",
             mend="turn the force with scale = -1 in the import map, or all sensors",
         )
     if unit_words := unit_mistake(gain):
-        faulty = "it" if is_one_of_several else "the sensors or of the force"
+        faulty_words = "it" if is_one_of_several else "the sensors or of the force"
         return Finding(
             cause="units",
             channels=(name,) if is_one_of_several else (),
             evidence=f"{name} is {gain:.4g} times what all sensors and the other forces imply"
             if is_one_of_several
             else f"all sensors deliver {1 / gain:.4g} times what the force and the masses of rig.json make",
-            mend=f"correct the unit of {faulty} in the import map; it looks like {unit_words}",
+            mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
         )
     if abs(delay_s) > 1e-4:
         return Finding(
             cause="delay",
             channels=(name,),
-            evidence=f"{subject} comes {1e3 * abs(delay_s):.3g} ms {'late' if delay_s > 0 else 'early'} against all "
-            "sensors",
+            evidence=f"{force_words} comes {1e3 * abs(delay_s):.3g} ms {'late' if delay_s > 0 else 'early'} against "
+            "all sensors",
             mend="synchronise the force's clock with the sensors', or shift its column",
         )
     return Finding(
         cause="gain",
         channels=(name,),
-        evidence=f"{subject} is {gain:.4g} times what all sensors and the masses of rig.json imply",
+        evidence=f"{force_words} is {gain:.4g} times what all sensors and the masses of rig.json imply",
         mend="calibrate the load cell, or check all masses of rig.json",
     )
 
 
-def _filter_finding(name: str, gains: tuple[float, float], centres_hz: tuple[float, float]) -> Finding:
+def _filter_finding(name: str, end_gain_sizes: tuple[float, float], end_hz: tuple[float, float]) -> Finding:
     """Finding: the force over the implied one changes from the lowest to the highest frequency, at which one is right.
 
     The end that is nearer to one was passed: of a high-pass the upper, of a low-pass the lower one.
     """
-    low_gain, high_gain = gains
+    low_gain, high_gain = end_gain_sizes
     is_high_pass = bool(abs(np.log(high_gain)) < abs(np.log(low_gain)))
-    filtered_channels = "it" if (high_gain < low_gain) != is_high_pass else "all sensors"
+    filtered_words = "it" if (high_gain < low_gain) != is_high_pass else "all sensors"
     return Finding(
         cause="filtered",
         channels=(name,),
-        evidence=f"{force_in_words(name)} is {low_gain:.3g} times what all sensors imply at {centres_hz[0]:.3g} Hz and "
-        f"{high_gain:.3g} times at {centres_hz[1]:.3g} Hz: {filtered_channels} went through a "
+        evidence=f"{force_in_words(name)} is {low_gain:.3g} times what all sensors imply at {end_hz[0]:.3g} Hz and "
+        f"{high_gain:.3g} times at {end_hz[1]:.3g} Hz: {filtered_words} went through a "
         f"{'high' if is_high_pass else 'low'}-pass",
         mend="undo the filter, or put the force and the sensors through the same"
         + "; a spring that rig.json lacks would look alike" * is_high_pass,

@@ -16,13 +16,13 @@ from identify.checks.prediction import linear_check
 from identify.checks.pulls import (
     BrokenTolerance,
     Pulls,
-    broken_tolerances,
+    broken_tolerances_and_pulls,
     joint_cost,
     misfit_within_tolerances,
     tolerance_finding,
 )
 from identify.checks.rigs import Trial
-from identify.checks.spectra import Spectra, quiet_samples, spectra_of
+from identify.checks.spectra import Spectra, quiet_sample_count, spectra_of
 from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import contact_groups, group_rig_of
 from identify.signals.kinematics import MotionQuantity, kinematics
@@ -49,7 +49,7 @@ EXCLUDING_CAUSES = ("dead", "copy", "clipped", "held samples", "spikes", "quanti
 """Causes for which a channel is excluded from the comparison with the model."""
 REST_S_BY_QUANTITY = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
 """First moments of a record in which a rig at rest has not moved yet, by quantity."""
-RINGING_S, REST_SHARE = 0.25, 0.02
+MIN_RINGING_S, MIN_RINGING_SHARE = 0.25, 0.02
 """A rig rings at least so long after its force, with at least this share of its motion's standard deviation."""
 MOVING_CHANNELS_SHARE = 0.5
 """A record begins in motion if more than this share of its channels do."""
@@ -72,7 +72,7 @@ def check_recording(
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
 
 
-def unchecked(rig: Rig) -> tuple[str, ...]:
+def unchecked_notes(rig: Rig) -> tuple[str, ...]:
     """Sentences on checks that a rig does not allow."""
     if not rig.base_sensors:
         return ()
@@ -86,19 +86,19 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
         findings = [f for f in findings if f.cause != "noise"]
-    causal_findings = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
-    explained_channels = {*force_names, *_channel_names(causal_findings)}
+    single_channel_findings = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
+    explained_names = {*force_names, *_channel_names(single_channel_findings)}
 
     def is_explained(finding: Finding) -> bool:
-        return not set(finding.channels) <= {*force_names} and set(finding.channels) <= explained_channels
+        return not set(finding.channels) <= {*force_names} and set(finding.channels) <= explained_names
 
     return [f for f in findings if f.cause not in ("noise", "drift", "offset", "force") or not is_explained(f)]
 
 
 def _out_of_range_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """Findings on channels that exceed anything on a test rig."""
-    range_findings = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
-    return [finding for finding in range_findings if finding is not None]
+    finding_by_channel = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
+    return [finding for finding in finding_by_channel if finding is not None]
 
 
 @contextmanager
@@ -112,7 +112,7 @@ def naming_first_finding(findings: tuple[Finding, ...]) -> Iterator[None]:
         raise error.with_note(f"(the check of the record found: {findings[0].sentence})") from error
 
 
-def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[str, ...]:
+def _excluded_channel_names(finding: Finding, force_names: Sequence[str]) -> tuple[str, ...]:
     """Channels that a finding excludes: of two equal ones the second alone, unless one of them is a force."""
     is_copy = finding.cause == "copy" and not set(finding.channels) & {*force_names}
     return finding.channels[1:] if is_copy else finding.channels
@@ -123,26 +123,26 @@ def _model_findings(
 ) -> list[Finding]:
     """Findings by the linear model of one direction of the full recording, after those by the waveforms."""
     force_names = full.rig.force_names_in(direction)
-    recording = plane_recording(full, direction)
-    rig = recording.rig
-    if rig.base_sensors:
+    plane_record = plane_recording(full, direction)
+    plane_rig = plane_record.rig
+    if plane_rig.base_sensors:
         return []  # the comparison takes forces alone
-    excluding = [finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES]
-    excluded = {name for finding in excluding for name in _channels_at_fault(finding, force_names)}
-    sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates and use in ("auto", sensor.quantity))
+    excluding_findings = [finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES]
+    excluded_names = {name for finding in excluding_findings for name in _excluded_channel_names(finding, force_names)}
+    compared_sensors = tuple(s for s in plane_rig.sensors if s.measures.translates and use in ("auto", s.quantity))
     is_moving = any(finding.cause == "not at rest" for finding in waveform_findings)
-    if not sensors or excluded & {*force_names} or is_moving:
+    if not compared_sensors or excluded_names & {*force_names} or is_moving:
         return []
-    usable_indices = [i for i, sensor in enumerate(sensors) if sensor.name not in excluded]
+    usable_indices = [i for i, sensor in enumerate(compared_sensors) if sensor.name not in excluded_names]
     try:
-        if len(usable_indices) > len(contact_groups(rig)) + 1:
-            if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
+        if len(usable_indices) > len(contact_groups(plane_rig)) + 1:
+            if not quiet_sample_count(plane_record.forces_n, plane_rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
-            return _channel_findings(recording, sensors, usable_indices, tolerances)
+            return _channel_findings(plane_record, compared_sensors, usable_indices, tolerances)
         # no single direction tells when a ring is open
-        has_ring = any(contact.law.spatial for contact in full.rig.contacts)
-        if not waveform_findings and all(body.is_mass for body in rig.bodies) and not has_ring:
-            return mass_findings(rig, kinematics(recording, use), tolerances)
+        has_annular_contact = any(contact.law.spatial for contact in full.rig.contacts)
+        if not waveform_findings and all(body.is_mass for body in plane_rig.bodies) and not has_annular_contact:
+            return mass_findings(plane_rig, kinematics(plane_record, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass
     return []
@@ -159,21 +159,21 @@ def _channel_findings(
         return spectra_of(recording, sensors, None)
 
     spectra = spectra_of(recording, sensors)
-    discontinuities = discontinuity_findings(rig, all_line_spectra(), usable_indices)
-    if any(f.cause == "jump" for f in discontinuities):
-        return discontinuities
+    continuity_findings = discontinuity_findings(rig, all_line_spectra(), usable_indices)
+    if any(f.cause == "jump" for f in continuity_findings):
+        return continuity_findings
 
     @cache
-    def tolerance_fit(trusted_indices: tuple[int, ...]) -> tuple[list[BrokenTolerance], Pulls]:
+    def broken_and_pulls(trusted_indices: tuple[int, ...]) -> tuple[list[BrokenTolerance], Pulls]:
         check = linear_check(rig, all_line_spectra(), [*trusted_indices])
-        return broken_tolerances(rig, check, [*trusted_indices], tolerances)
+        return broken_tolerances_and_pulls(rig, check, [*trusted_indices], tolerances)
 
     def tolerances_explain() -> bool:
-        broken, pulls = tolerance_fit(tuple(usable_indices))
+        broken, pulls = broken_and_pulls(tuple(usable_indices))
         check = linear_check(rig, all_line_spectra(), usable_indices)
         return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
 
-    def pull_and_size_of(trial: Trial) -> tuple[float, float]:
+    def pull_and_distance_of(trial: Trial) -> tuple[float, float]:
         if trial.changed_rig is None:
             return 0.0, 0.0
         nominal_cost, changed_cost = (
@@ -182,22 +182,22 @@ def _channel_findings(
         )
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
-    questions = ToleranceQuestions(tolerances_explain, pull_and_size_of)
-    gross = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
-    findings = list(gross.findings) or discontinuities
-    if gross.is_sound and len(gross.trusted_indices) > len(rig.contacts) + 1:
-        violations, _ = tolerance_fit(tuple(gross.trusted_indices))
-        replacing: tuple[Finding, ...] = ()
+    questions = ToleranceQuestions(tolerances_explain, pull_and_distance_of)
+    faults = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
+    findings = list(faults.findings) or continuity_findings
+    if faults.is_sound and len(faults.trusted_indices) > len(rig.contacts) + 1:
+        violations, _ = broken_and_pulls(tuple(faults.trusted_indices))
+        replacing_findings: tuple[Finding, ...] = ()
         if violations and not findings:
-            doubted = gross_faults(rig, spectra, gross.trusted_indices, all_line_spectra, questions, is_doubted=True)
-            replacing = doubted.findings
-        findings += replacing or [tolerance_finding(violation) for violation in violations]
+            doubted = gross_faults(rig, spectra, faults.trusted_indices, all_line_spectra, questions, is_doubted=True)
+            replacing_findings = doubted.findings
+        findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
     return findings
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """Samples of one channel in a group (a quantity or "force"), with the forces of the record.
+    """Samples of one channel in a group (a quantity or "force"), with what excites the rig.
 
     impact_sensors are the other sensors that show an impact of this channel.
     """
@@ -206,9 +206,9 @@ class _Channel:
     name: str
     samples: Row
     rate_hz: float
-    record_forces_n: Rows
+    excitation: Rows
     force_names: tuple[str, ...]
-    impact_sensors: frozenset[str]
+    impact_sensor_names: frozenset[str]
 
     @property
     def is_force(self) -> bool:
@@ -219,15 +219,15 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
     faults = [fault for fault in map(_first_fault, channels) if fault is not None]
-    dead = _channel_names(fault for fault in faults if fault.cause == "dead")
-    live = [channel for channel in channels if channel.name not in dead]
-    signals = excitations(recording)
-    may_begin_moving = recording.start_s > 0 or not np.any(signals)  # a free decay begins in motion
-    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live)
-    if recording.start_s == 0 and _runs_backwards(live, signals, recording.rig.sample_rate_hz):
-        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live if not c.is_force))]
-    findings = motion_findings or [*faults, *_spike_findings(live, _channel_names(faults))]
-    return [*findings, *waveforms.copy_findings([c.name for c in live], [c.samples for c in live])]
+    dead_names = _channel_names(fault for fault in faults if fault.cause == "dead")
+    live_channels = [channel for channel in channels if channel.name not in dead_names]
+    excitation = excitations(recording)
+    may_begin_moving = recording.start_s > 0 or not np.any(excitation)  # a free decay begins in motion
+    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
+    if recording.start_s == 0 and _runs_backwards(live_channels, excitation, recording.rig.sample_rate_hz):
+        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]
+    findings = motion_findings or [*faults, *_spike_findings(live_channels, _channel_names(faults))]
+    return [*findings, *waveforms.copy_findings([c.name for c in live_channels], [c.samples for c in live_channels])]
 
 
 def _channel_names(findings: Iterable[Finding]) -> set[str]:
@@ -236,75 +236,75 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 
 
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
-    """The forces on bodies, and the sensors of the quantity in use."""
+    """Channels of the forces on bodies, and of the sensors of the quantity in use."""
     rig = recording.rig
-    names = {*recording.force_names[: count_on_bodies(rig)]}
-    names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
-    rate_hz, forces_n, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
-    for group, signals in recording.signals.items():
-        for name, samples in zip(signals.channels.names, signals.values, strict=True):
-            if name in names:
-                yield _Channel(group, name, samples, rate_hz, forces_n, force_names, _impact_sensors(rig, name))
+    used_names = {*recording.force_names[: count_on_bodies(rig)]}
+    used_names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
+    rate_hz, excitation, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
+    for group, group_signals in recording.signals.items():
+        for name, samples in zip(group_signals.channels.names, group_signals.values, strict=True):
+            if name in used_names:
+                yield _Channel(group, name, samples, rate_hz, excitation, force_names, _impact_sensor_names(rig, name))
 
 
-def _impact_sensors(rig: Rig, name: str) -> frozenset[str]:
+def _impact_sensor_names(rig: Rig, channel_name: str) -> frozenset[str]:
     """Other sensors on the body of a sensor, and on the bodies that it meets at stops; of a force, all sensors."""
-    sensor = next((s for s in rig.sensors if s.name == name), None)
-    bodies = {body.name for body in rig.bodies} if sensor is None else {sensor.station.body}
+    sensor = next((s for s in rig.sensors if s.name == channel_name), None)
+    body_names = {body.name for body in rig.bodies} if sensor is None else {sensor.station.body}
     for contact in rig.contacts:
-        met_bodies = {station.body for station in contact_stations(contact)}
-        if sensor is not None and sensor.station.body in met_bodies and contact.law.has_stops:
-            bodies |= met_bodies
-    return frozenset(s.name for s in rig.sensors if s.station.body in bodies and s.name != name)
+        joined_body_names = {station.body for station in contact_stations(contact)}
+        if sensor is not None and sensor.station.body in joined_body_names and contact.law.has_stops:
+            body_names |= joined_body_names
+    return frozenset(s.name for s in rig.sensors if s.station.body in body_names and s.name != channel_name)
 
 
 def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
-    name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
-    forces_n, force_names = channel.record_forces_n, channel.force_names
+    channel_name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
+    excitation, force_names = channel.excitation, channel.force_names
     fault_checks: list[Callable[[], Finding | None]] = [
-        lambda: waveforms.dead_finding(name, samples, force_names),
-        lambda: waveforms.clipped_finding(name, samples),
-        lambda: waveforms.quantised_finding(name, samples),
-        lambda: waveforms.held_finding(name, samples, forces_n, force_names),
+        lambda: waveforms.dead_finding(channel_name, samples, force_names),
+        lambda: waveforms.clipped_finding(channel_name, samples),
+        lambda: waveforms.quantised_finding(channel_name, samples),
+        lambda: waveforms.held_finding(channel_name, samples, excitation, force_names),
     ]
     if not channel.is_force:
         fault_checks += [
-            lambda: waveforms.hum_finding(name, rate_hz, samples, forces_n),
-            lambda: waveforms.noise_finding(name, rate_hz, samples, forces_n, force_names),
+            lambda: waveforms.hum_finding(channel_name, rate_hz, samples, excitation),
+            lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names),
         ]
     if channel.group == "acceleration":
         fault_checks += [
-            lambda: waveforms.drift_finding(name, rate_hz, samples),
-            lambda: waveforms.offset_finding(name, samples),
+            lambda: waveforms.drift_finding(channel_name, rate_hz, samples),
+            lambda: waveforms.offset_finding(channel_name, samples),
         ]
-    elif not channel.is_force and (quiet_count := quiet_samples(forces_n, rate_hz)):
-        fault_checks.append(lambda: waveforms.offset_finding(name, samples[:quiet_count], float(samples.std())))
+    elif not channel.is_force and (quiet_count := quiet_sample_count(excitation, rate_hz)):
+        fault_checks.append(lambda: waveforms.offset_finding(channel_name, samples[:quiet_count], float(samples.std())))
     return next((fault for check in fault_checks if (fault := check()) is not None), None)
 
 
-def _spike_findings(channels: Sequence[_Channel], faulty_names: set[str]) -> Iterator[Finding]:
-    """Spikes in the channels that show no fault of another kind."""
-    deviations = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
+def _spike_findings(channels: Sequence[_Channel], faulty_channel_names: set[str]) -> Iterator[Finding]:
+    """Findings on spikes in the channels that show no fault of another kind."""
+    deviation_by_channel = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
-        if channel.name not in faulty_names:
-            other_deviations = [deviation for name, deviation in deviations.items() if name in channel.impact_sensors]
-            finding = waveforms.spikes_finding(channel.name, deviations[channel.name], other_deviations)
+        if channel.name not in faulty_channel_names:
+            other_deviations = [d for name, d in deviation_by_channel.items() if name in channel.impact_sensor_names]
+            finding = waveforms.spikes_finding(channel.name, deviation_by_channel[channel.name], other_deviations)
             if finding is not None:
                 yield finding
 
 
-def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float) -> bool:
+def _runs_backwards(channels: Sequence[_Channel], excitation: Rows, rate_hz: float) -> bool:
     """True if all motion ends with the force, without ringing: time then seems to run backwards."""
-    quiet_count = 0 if quiet_samples(forces_n, rate_hz) else quiet_samples(forces_n[..., ::-1], rate_hz)
-    ringing = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
-    rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
-    stops_dead = (float(row[::-1][ringing].std()) < REST_SHARE * float(row.std()) for row in rows)
-    return bool(quiet_count and rows and all(stops_dead))
+    quiet_count = 0 if quiet_sample_count(excitation, rate_hz) else quiet_sample_count(excitation[..., ::-1], rate_hz)
+    ringing_slice = slice(max(0, quiet_count - round(MIN_RINGING_S * rate_hz)), quiet_count)
+    motion_rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
+    stops_dead = (float(row[::-1][ringing_slice].std()) < MIN_RINGING_SHARE * float(row.std()) for row in motion_rows)
+    return bool(quiet_count and motion_rows and all(stops_dead))
 
 
 def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
-    """Channels that move from the record's first samples on; none if only few do."""
+    """Findings on channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
         waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])
         for channel in channels

@@ -8,7 +8,7 @@ from identify.checks.prediction import Projector, linear_check
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig
 
-PART_S = 0.25
+PART_DURATION_S = 0.25
 MIN_DISCONTINUITY_RATIO = 40.0
 """Smallest ratio of the residual power of a discontinuity to the usual one."""
 POWER_FLOOR_SHARE = 0.02
@@ -20,22 +20,22 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
 
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    ratio, time_s = discontinuity_ratio(rig, spectra, channel_indices)
-    if ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
+    worst_ratio, time_s = discontinuity_and_time(rig, spectra, channel_indices)
+    if worst_ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     for k in range(len(spectra.forces) if len(spectra.forces) > 1 else 0):
-        if discontinuity_ratio(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:
+        if discontinuity_and_time(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:
             return []
     ratio_without, worst_index = min(
-        (discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0], k) for k in channel_indices
+        (discontinuity_and_time(rig, spectra, [i for i in channel_indices if i != k])[0], k) for k in channel_indices
     )
     if ratio_without < MIN_DISCONTINUITY_RATIO:
-        name = spectra.sensors[worst_index].name
+        channel_name = spectra.sensors[worst_index].name
         return [
             Finding(
                 cause="glitch",
-                channels=(name,),
-                evidence=f"{name} leaves what all others predict at {time_s:.2f} s",
+                channels=(channel_name,),
+                evidence=f"{channel_name} leaves what all others predict at {time_s:.2f} s",
                 mend="check its cable and connector, or leave that part of the record out",
             )
         ]
@@ -49,7 +49,7 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
     ]
 
 
-def discontinuity_ratio(
+def discontinuity_and_time(
     rig: Rig, spectra: Spectra, channel_indices: list[int], doubted_force_index: int | None = None
 ) -> tuple[float, float]:
     """Largest residual power of a part over that which is usual, and the part's time, s.
@@ -58,22 +58,22 @@ def discontinuity_ratio(
     than the median residual power: noise does not fall with the motion, as at the beginning of the force.
     """
     check = linear_check(rig, spectra, channel_indices)
-    unforced = (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
-    residual = Projector(check, channel_indices, doubted_force_index)(unforced)
+    unforced_acceleration = (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
+    residual = Projector(check, channel_indices, doubted_force_index)(unforced_acceleration)
     scaled_acceleration = spectra.compared_signals((spectra.acceleration / check.error_scale)[channel_indices])
-    residual_power = _part_powers(residual, spectra.compared_rate_hz)
-    motion_power = _part_powers(scaled_acceleration, spectra.compared_rate_hz)
-    motion_power += POWER_FLOOR_SHARE * motion_power.mean()
-    usual_residual_share = np.quantile(residual_power / motion_power, 0.3)
-    usual_power = np.maximum(usual_residual_share * motion_power, np.median(residual_power))
-    ratios = residual_power / np.maximum(usual_power, 1e-300)
-    worst_part = int(np.argmax(ratios))
-    return float(ratios[worst_part]), spectra.compared_span_s[0] + (worst_part + 0.5) * PART_S
+    residual_powers = _part_powers(residual, spectra.compared_rate_hz)
+    motion_powers = _part_powers(scaled_acceleration, spectra.compared_rate_hz)
+    motion_powers += POWER_FLOOR_SHARE * motion_powers.mean()
+    usual_residual_share = np.quantile(residual_powers / motion_powers, 0.3)
+    usual_powers = np.maximum(usual_residual_share * motion_powers, np.median(residual_powers))
+    ratios = residual_powers / np.maximum(usual_powers, 1e-300)
+    worst_part_index = int(np.argmax(ratios))
+    return float(ratios[worst_part_index]), spectra.compared_span_s[0] + (worst_part_index + 0.5) * PART_DURATION_S
 
 
 def _part_powers(signals: Float[np.ndarray, "sensors times"], samples_per_s: float) -> Float[np.ndarray, " parts"]:
     """Mean square of all rows in each part of the record."""
-    part_samples = max(1, round(PART_S * samples_per_s))
-    part_count = signals.shape[1] // part_samples
-    parts = signals[:, : part_count * part_samples].reshape(len(signals), part_count, part_samples)
-    return np.asarray(np.mean(parts**2, axis=(0, 2)))
+    part_sample_count = max(1, round(PART_DURATION_S * samples_per_s))
+    part_count = signals.shape[1] // part_sample_count
+    part_signals = signals[:, : part_count * part_sample_count].reshape(len(signals), part_count, part_sample_count)
+    return np.asarray(np.mean(part_signals**2, axis=(0, 2)))

@@ -63,9 +63,9 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.evidence}: {self.mend}."
 
 
-def force_in_words(force: str) -> str:
+def force_in_words(force_name: str) -> str:
     """A force's channel in a sentence."""
-    return "the force" if force == "force" else force
+    return "the force" if force_name == "force" else force_name
 
 
 def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
@@ -84,8 +84,8 @@ def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]
             merged += alike
             continue
         names = tuple(dict.fromkeys(name for finding in alike for name in finding.channels))
-        bodies = {sensor.station.body for sensor in rig.sensors if sensor.name in names}
-        body = bodies.pop() if len(bodies) == 1 else ""
+        body_names = {sensor.station.body for sensor in rig.sensors if sensor.name in names}
+        body = body_names.pop() if len(body_names) == 1 else ""
         evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {alike[0].evidence}"
         merged.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=alike[0].mend))
     return tuple(merged)

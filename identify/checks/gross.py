@@ -11,7 +11,7 @@ from jaxtyping import Float
 from identify.checks.channels import channel_finding, force_finding, gain_finding
 from identify.checks.findings import Finding, merge_by_cause
 from identify.checks.prediction import LinearCheck, Prediction, linear_check
-from identify.checks.pulls import required_pull, required_size
+from identify.checks.pulls import required_distance, required_pull
 from identify.checks.relations import relation
 from identify.checks.rigs import Trial, rig_trials
 from identify.checks.spectra import Spectra
@@ -27,7 +27,7 @@ MIN_GAIN_ERROR = 0.1
 """Gains that are fitted all at once are reported if they are off by more."""
 MIN_DELAY_CHANGE_S = 3e-4
 """Change of a channel's delay over the record from which on samples have slipped."""
-FREED_CHANNEL_FACTOR = 1.5
+FREED_CHANNEL_MISFIT_FACTOR = 1.5
 """Factor on the misfit of a change that frees a channel."""
 PART_COUNT = 4
 MIN_PART_COHERENCE = 0.8
@@ -52,7 +52,7 @@ class ToleranceQuestions:
     by how many standard deviations does a change of rig.json explain it better, of how many tolerances?"""
 
     tolerances_explain: Callable[[], bool]
-    pull_and_size_of: Callable[[Trial], tuple[float, float]]
+    pull_and_distance_of: Callable[[Trial], tuple[float, float]]
 
 
 def gross_faults(
@@ -81,8 +81,8 @@ def gross_faults(
     if misfit >= SOUND_MISFIT and tolerance_questions.tolerances_explain():
         best_trial = min(rig_trials(rig, spectra, usable_indices), key=lambda trial: trial.misfit)
         (finding,) = best_trial.findings()
-        pull, size_in_tolerances = tolerance_questions.pull_and_size_of(best_trial)
-        is_rig_wrong = pull > required_pull(finding.cause) and size_in_tolerances > required_size(finding.cause)
+        pull, distance_in_tolerances = tolerance_questions.pull_and_distance_of(best_trial)
+        is_rig_wrong = pull > required_pull(finding.cause) and distance_in_tolerances > required_distance(finding.cause)
         return GrossFaults((finding,) if is_rig_wrong else (), usable_indices, not is_rig_wrong)
     trials = [
         *force_trials,
@@ -120,11 +120,11 @@ def _channel_trials(
     """Trials that predict one channel by the others."""
     for channel_index in usable_indices:
         others = [i for i in usable_indices if i != channel_index]
-        without = check.with_spectra(check.spectra, others)
-        prediction = without.prediction(others)
+        check_without = check.with_spectra(check.spectra, others)
+        prediction = check_without.prediction(others)
         if np.isfinite(prediction.misfit):
-            findings = partial(_channel_findings, rig, without, prediction, channel_index, others, all_line_spectra)
-            yield Trial(prediction.misfit, others, findings, misfit_factor=FREED_CHANNEL_FACTOR)
+            find = partial(_channel_findings, rig, check_without, prediction, channel_index, others, all_line_spectra)
+            yield Trial(prediction.misfit, others, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR)
 
 
 def _channel_findings(
@@ -132,32 +132,32 @@ def _channel_findings(
     check: LinearCheck,
     prediction: Prediction,
     channel_index: int,
-    channel_indices: list[int],
+    predicting_indices: list[int],
     all_line_spectra: SpectraOnDemand,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
-    delays_over_time = partial(_delays_over_time, rig, all_line_spectra, channel_index, channel_indices)
+    delays_over_time = partial(_delays_over_time, rig, all_line_spectra, channel_index, predicting_indices)
     return (channel_finding(rig, check, channel_index, prediction, delays_over_time),)
 
 
 def _delays_over_time(
-    rig: Rig, all_line_spectra: SpectraOnDemand, channel_index: int, channel_indices: list[int]
+    rig: Rig, all_line_spectra: SpectraOnDemand, channel_index: int, predicting_indices: list[int]
 ) -> Float[np.ndarray, " parts"] | None:
     """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
     it slips; None if they are alike or unknown."""
     spectra = all_line_spectra()
-    check = linear_check(rig, spectra, channel_indices)
-    predicted = check.prediction(channel_indices).accelerations[channel_index]
+    check = linear_check(rig, spectra, predicting_indices)
+    predicted = check.prediction(predicting_indices).accelerations[channel_index]
     measured_and_predicted = (
         np.stack([spectra.acceleration[channel_index], predicted]) / check.error_scale[channel_index]
     )
     delays_s = []
-    for segment in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
-        measured, predicted = np.fft.rfft(segment * np.hanning(segment.shape[1]))[:, 1:]
-        omega = 2 * np.pi * np.fft.rfftfreq(segment.shape[1], 1 / spectra.compared_rate_hz)[1:]
-        fit = relation(omega, measured, predicted, np.ones(omega.size))
-        if fit.coherence >= MIN_PART_COHERENCE:
-            delays_s.append(fit.delay_s)
+    for part_signals in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
+        measured, predicted = np.fft.rfft(part_signals * np.hanning(part_signals.shape[1]))[:, 1:]
+        omega = 2 * np.pi * np.fft.rfftfreq(part_signals.shape[1], 1 / spectra.compared_rate_hz)[1:]
+        part_relation = relation(omega, measured, predicted, np.ones(omega.size))
+        if part_relation.coherence >= MIN_PART_COHERENCE:
+            delays_s.append(part_relation.delay_s)
     return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
@@ -166,8 +166,8 @@ def _force_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Tri
     for force_index in range(len(check.spectra.forces)):
         prediction = check.prediction(usable_indices, doubted_force_index=force_index)
         if np.isfinite(prediction.misfit):
-            findings = partial(_force_findings, check, usable_indices, force_index, prediction)
-            yield Trial(prediction.misfit, usable_indices, findings, False, FREED_CHANNEL_FACTOR)
+            find = partial(_force_findings, check, usable_indices, force_index, prediction)
+            yield Trial(prediction.misfit, usable_indices, find, False, FREED_CHANNEL_MISFIT_FACTOR)
 
 
 def _force_findings(
@@ -175,10 +175,10 @@ def _force_findings(
 ) -> tuple[Finding, ...]:
     """Finding on a force by its estimate."""
     force_accelerance = check.accelerance[force_index][usable_indices]
-    scaled_response = force_accelerance / check.error_scale[usable_indices]
+    scaled_accelerance = force_accelerance / check.error_scale[usable_indices]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        scaled_response = check.unknown_input_projection(usable_indices).applied_to(force_accelerance)[0]
-    line_weights = np.sqrt(np.mean(np.abs(scaled_response) ** 2, axis=0))
+        scaled_accelerance = check.unknown_input_projection(usable_indices).applied_to(force_accelerance)[0]
+    line_weights = np.sqrt(np.mean(np.abs(scaled_accelerance) ** 2, axis=0))
     return (force_finding(check.spectra, force_index, prediction.force_spectra[force_index], line_weights),)
 
 
@@ -186,18 +186,18 @@ def _swap_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Tria
     """Trials that exchange two sensors or two forces."""
     spectra = check.spectra
     for i, k in combinations(usable_indices, 2):
-        acceleration = spectra.acceleration.copy()
-        acceleration[[i, k]] = acceleration[[k, i]]
-        misfit = check.misfit(spectra.with_acceleration(acceleration), usable_indices)
+        swapped_acceleration = spectra.acceleration.copy()
+        swapped_acceleration[[i, k]] = swapped_acceleration[[k, i]]
+        misfit = check.misfit(spectra.with_acceleration(swapped_acceleration), usable_indices)
         trusted_indices = [index for index in usable_indices if index not in (i, k)]
-        findings = partial(_swap_findings, (spectra.sensors[i].name, spectra.sensors[k].name))
-        yield Trial(misfit, trusted_indices, findings)
+        find = partial(_swap_findings, (spectra.sensors[i].name, spectra.sensors[k].name))
+        yield Trial(misfit, trusted_indices, find)
     for i, k in combinations(range(len(spectra.forces)), 2):
-        forces = spectra.forces.copy()
-        forces[[i, k]] = forces[[k, i]]
-        misfit = check.misfit(replace(spectra, forces=forces), usable_indices)
-        findings = partial(_swap_findings, (spectra.force_names[i], spectra.force_names[k]))
-        yield Trial(misfit, usable_indices, findings, False)
+        swapped_forces = spectra.forces.copy()
+        swapped_forces[[i, k]] = swapped_forces[[k, i]]
+        misfit = check.misfit(replace(spectra, forces=swapped_forces), usable_indices)
+        find = partial(_swap_findings, (spectra.force_names[i], spectra.force_names[k]))
+        yield Trial(misfit, usable_indices, find, False)
 
 
 def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
@@ -217,7 +217,7 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
 
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
-    spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
+    spectra, sensor_gains = check.spectra, np.ones(len(check.spectra.sensors))
     scaled = spectra.acceleration
     for _ in range(3):
         check = check.with_spectra(spectra.with_acceleration(scaled), usable_indices)
@@ -226,25 +226,25 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
         force_column = projection.applied_to(check.acceleration_by_all_forces[usable_indices])[0].ravel()
         normal_matrix = (columns.conj() @ columns.T).real
         normal_matrix += 1e-9 * np.trace(normal_matrix) * np.eye(len(usable_indices))
-        factors = np.linalg.solve(normal_matrix, (columns.conj() @ force_column).real)
-        if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
+        correction_factors = np.linalg.solve(normal_matrix, (columns.conj() @ force_column).real)
+        if not np.all(np.isfinite(correction_factors)) or np.any(np.abs(correction_factors) < 1e-9):
             return
         scaled = scaled.copy()
-        scaled[usable_indices] *= factors[:, None]
-        gains[usable_indices] /= factors
+        scaled[usable_indices] *= correction_factors[:, None]
+        sensor_gains[usable_indices] /= correction_factors
     misfit = check.misfit(spectra.with_acceleration(scaled), usable_indices)
-    miscalibrated = [i for i in usable_indices if abs(gains[i] - 1) > MIN_GAIN_ERROR]
-    if miscalibrated:
-        findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated]
-        trusted_indices = [i for i in usable_indices if i not in miscalibrated]
-        merged = partial(merge_by_cause, findings, rig)
-        yield Trial(misfit, trusted_indices, merged, misfit_factor=FREED_CHANNEL_FACTOR**2)
+    miscalibrated_indices = [i for i in usable_indices if abs(sensor_gains[i] - 1) > MIN_GAIN_ERROR]
+    if miscalibrated_indices:
+        findings = [gain_finding(spectra.sensors[i].name, float(sensor_gains[i])) for i in miscalibrated_indices]
+        trusted_indices = [i for i in usable_indices if i not in miscalibrated_indices]
+        find = partial(merge_by_cause, findings, rig)
+        yield Trial(misfit, trusted_indices, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR**2)
 
 
 def _multiple_channel_faults(
     rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> GrossFaults | None:
-    """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
+    """Faults of several channels, excluded one by one, the worst first, while three more than the contacts remain."""
     trusted_indices, excluded_indices = list(usable_indices), list[int]()
     while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
         misfit, worst_index = min(

@@ -24,20 +24,20 @@ from rig.model.description import ON_GROUND, Body, Rig, Station, contact_station
 from rig.model.modes import loaded_mass
 from rig.model.tolerances import Tolerances
 
-OPEN_QUANTILES, EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
+OPEN_QUANTILES, MIN_EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
 """Contacts are open below this quantile of the distance from the median displacement; below the next one, if less than
 this share of the force is explained, as closed contacts are then among the samples."""
 INNER_CLEARANCE_SHARE = 0.5
 """Where several contacts join the same places, a soft one hides in the explained force: distances are then also below
 this share of the smallest clearance in rig.json."""
 MIN_PASSAGE_SAMPLES = 8
-HALF_RATE_TO_FORCE_HZ = 3.0
+HALF_RATE_TO_FORCE_RATIO = 3.0
 """Half the decimated rate, over the force's highest frequency."""
-MAX_DEVIATIONS, MIN_TOLERANCE = 4.0, 2e-3
+MAX_ERROR_SPREADS, MIN_TOLERANCE = 4.0, 2e-3
 """Largest error in standard spreads of tolerances and fit; smallest tolerance."""
-UNRELATED_SHARE = 0.3
+MIN_RELATED_SHARE = 0.3
 """Force and motion belong to different records if a smaller share of the force is explained."""
-MIN_CLOCK_DEVIATIONS, MAX_CLOCK_REMAINDER, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
+MIN_CLOCK_ERROR_SPREADS, MAX_REMAINDER_SPREADS, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
 """A clock is wrong if its error exceeds so many standard spreads and leaves mass and frequency at most so many; no
 clock errs by more than the last share."""
 MAX_DELAY_S = 0.02
@@ -61,18 +61,18 @@ class MassFit:
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
     """Findings on the mass on which all forces act."""
-    body, station_row = _driven_body(rig, motion)
-    if not body.is_mass or station_row is None:
+    body, station_index = _driven_body_and_row(rig, motion)
+    if not body.is_mass or station_index is None:
         return []
-    fit = open_fit(rig, motion, station_row)
+    fit = open_passage_fit(rig, motion, station_index)
     if fit is None:
         return []
-    sensor = motion.sensors[station_row]
+    sensor = motion.sensors[station_index]
     clock = _clock_finding(body, sensor.measures.order, fit, tolerances)
-    return [clock] if clock else list(_comparison_findings(body, (*rig.force_names, sensor.name), fit, tolerances))
+    return [clock] if clock else _comparison_findings(body, (*rig.force_names, sensor.name), fit, tolerances)
 
 
-def _driven_body(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
+def _driven_body_and_row(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
     """Body on which the (first) force acts, or that a shaken base carries alone, a mass with what is attached to it;
     and the row of its station, or None if other forces act elsewhere."""
     if rig.base_sensors:
@@ -87,20 +87,20 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
 
     0 if nothing tells it, or other bodies' channels tell more.
     """
-    body, station_row = _driven_body(rig, motion)
-    if station_row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
+    body, station_index = _driven_body_and_row(rig, motion)
+    if station_index is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
         return 0.0
-    fit = open_fit(rig, motion, station_row)
-    if fit is None or fit.explained_share < UNRELATED_SHARE:
+    fit = open_passage_fit(rig, motion, station_index)
+    if fit is None or fit.explained_share < MIN_RELATED_SHARE:
         return 0.0
-    order = motion.sensors[station_row].measures.order
-    log_errors, spreads, clock_change = _mass_and_frequency_errors(body, order, fit, tolerances)
-    clock_change_norm = float(np.linalg.norm(clock_change / spreads))
-    clock_pull = abs(clock_change / spreads @ (log_errors / spreads)) / clock_change_norm
-    return float(max(clock_pull, *np.abs(log_errors / spreads)))
+    sensor_order = motion.sensors[station_index].measures.order
+    log_errors, error_spreads, per_clock_error = _mass_and_frequency_errors(body, sensor_order, fit, tolerances)
+    per_clock_error_norm = float(np.linalg.norm(per_clock_error / error_spreads))
+    clock_pull = abs(per_clock_error / error_spreads @ (log_errors / error_spreads)) / per_clock_error_norm
+    return float(max(clock_pull, *np.abs(log_errors / error_spreads)))
 
 
-def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
+def open_passage_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the open passages; None if they have too few samples, or no force acts in them."""
     best_fit: MassFit | None = None
     for quantile in OPEN_QUANTILES:
@@ -108,51 +108,51 @@ def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None
         if fit is None or (best_fit and fit.explained_share < best_fit.explained_share):
             break
         best_fit = fit
-        if best_fit.explained_share > EXPLAINED_SHARE:
+        if best_fit.explained_share > MIN_EXPLAINED_SHARE:
             break
     return best_fit
 
 
 def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
-    """Fit to the samples below a quantile of the distance from the middle; None as in `open_fit`."""
+    """Fit to the samples below a quantile of the distance from the middle; None as in `open_passage_fit`."""
     force_high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
-    decimation = max(1, int(motion.sample_rate_hz / 2 / (HALF_RATE_TO_FORCE_HZ * force_high_hz)))
+    decimation = max(1, int(motion.sample_rate_hz / 2 / (HALF_RATE_TO_FORCE_RATIO * force_high_hz)))
     rate_hz = motion.sample_rate_hz / decimation
     force_n = force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n)
-    rows = (motion.acceleration_m_per_s2, motion.velocity_m_per_s, motion.displacement_m)
-    signals = decimated(np.stack([force_n, *(row[station_index] for row in rows)]), decimation)
+    motion_rows = (motion.acceleration_m_per_s2, motion.velocity_m_per_s, motion.displacement_m)
+    signals = decimated(np.stack([force_n, *(row[station_index] for row in motion_rows)]), decimation)
     is_open = _open_mask(rig, motion, station_index, decimation, quantile)
     passages = _passages(is_open, motion.excited_from // decimation + 1)
-    if sum(p.stop - p.start for p in passages) < 50:
+    if sum(passage.stop - passage.start for passage in passages) < 50:
         return None
-    if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
+    if np.concatenate([signals[0, passage] for passage in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
     def fit_at_delay(delay_s: float) -> MassFit:
-        force = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
-        segments = [np.stack([force[p], *signals[1:, p]]) for p in passages]
-        samples = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
-        motion_rms = samples[1:].std(axis=1)
-        scaled_motion = samples[1:] / motion_rms[:, None]
+        delayed = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
+        segments = [np.stack([delayed[passage], *signals[1:, passage]]) for passage in passages]
+        centred = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
+        motion_rms = centred[1:].std(axis=1)
+        scaled_motion = centred[1:] / motion_rms[:, None]
         if not np.isfinite(scaled_motion).all():
             raise RigError("while contacts are open nothing moves, or by more than any machine")
         pseudo_inverse = np.linalg.pinv(scaled_motion.T)
-        coefficients = pseudo_inverse @ samples[0] / motion_rms
-        residual = samples[0] - coefficients @ samples[1:]
+        coefficients = pseudo_inverse @ centred[0] / motion_rms
+        residual = centred[0] - coefficients @ centred[1:]
         boundaries = np.cumsum([segment.shape[1] for segment in segments])[:-1]
-        parts = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
-        scores = [influence @ error for influence, error in parts]
-        standard_errors = np.sqrt(np.sum(np.square(scores), axis=0)) / motion_rms
-        explained_share = 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2))
+        by_passage = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
+        passage_scores = [influence @ residual_part for influence, residual_part in by_passage]
+        standard_errors = np.sqrt(np.sum(np.square(passage_scores), axis=0)) / motion_rms
+        explained_share = 1 - float(np.mean(residual**2) / np.mean(centred[0] ** 2))
         return MassFit(coefficients, standard_errors, delay_s, explained_share)
 
     def best_fit(delays_s: Float[np.ndarray, " trials"]) -> MassFit:
         return max((fit_at_delay(float(delay_s)) for delay_s in delays_s), key=lambda fit: fit.explained_share)
 
-    coarse = best_fit(np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz))
-    fine, undelayed = best_fit(coarse.delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz), fit_at_delay(0.0)
-    gained_share = fine.explained_share - undelayed.explained_share
-    return undelayed if gained_share < 0.2 * (1 - undelayed.explained_share) else fine
+    coarse_fit = best_fit(np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz))
+    fine_fit, undelayed_fit = best_fit(coarse_fit.delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz), fit_at_delay(0.0)
+    gained_explained_share = fine_fit.explained_share - undelayed_fit.explained_share
+    return undelayed_fit if gained_explained_share < 0.2 * (1 - undelayed_fit.explained_share) else fine_fit
 
 
 def _open_mask(
@@ -165,18 +165,18 @@ def _open_mask(
         stations = contact_stations(group.contact)
         if motion.stations[station_index].body not in [station.body for station in stations]:
             continue
-        laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
-        if not all(law.has_stops for law in laws):
+        group_laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
+        if not all(law.has_stops for law in group_laws):
             return np.zeros_like(is_open)
         rows = [motion.row(station) for station in stations]
         if None in rows:
             continue
-        eta_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
-        distance_m = np.abs(eta_m - np.median(eta_m))[::decimation]
-        is_open &= distance_m < np.quantile(distance_m[motion.excited_from // decimation :], quantile)
-        if len(laws) > 1:
-            clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
-            is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
+        relative_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
+        from_middle_m = np.abs(relative_m - np.median(relative_m))[::decimation]
+        is_open &= from_middle_m < np.quantile(from_middle_m[motion.excited_from // decimation :], quantile)
+        if len(group_laws) > 1:
+            clearances_m = [x for law in group_laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
+            is_open &= from_middle_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
 
 
@@ -184,7 +184,7 @@ def _passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) -> list[slice
     """Runs of open samples that begin at `min_start` or later and are long enough."""
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
     runs = zip(run_edges[::2], run_edges[1::2], strict=True)
-    return [slice(first, end) for first, end in runs if first >= min_start and end - first >= MIN_PASSAGE_SAMPLES]
+    return [slice(start, stop) for start, stop in runs if start >= min_start and stop - start >= MIN_PASSAGE_SAMPLES]
 
 
 def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
@@ -193,8 +193,8 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
     channels are those of the forces and, last, of the sensor.
     """
     mass_kg, damping_n_s_per_m, stiffness_n_per_m = fit.coefficients
-    mass_error, damping_error, stiffness_error = fit.standard_errors
-    if fit.explained_share < UNRELATED_SHARE:
+    mass_std, damping_std, stiffness_std = fit.standard_errors
+    if fit.explained_share < MIN_RELATED_SHARE:
         return [
             Finding(
                 cause="force",
@@ -218,58 +218,58 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
                 mend="synchronise the two, or set its delay_s in rig.json",
             )
         )
-    size_tolerances = [tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]
-    max_error = MAX_DEVIATIONS * float(np.hypot.reduce(size_tolerances))
-    if abs(mass_ratio - 1) > max_error + MAX_DEVIATIONS * mass_error / abs(mass_kg):
+    mass_tolerances = [tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]
+    max_error = MAX_ERROR_SPREADS * float(np.hypot.reduce(mass_tolerances))
+    if abs(mass_ratio - 1) > max_error + MAX_ERROR_SPREADS * mass_std / abs(mass_kg):
         findings.append(_gain_finding(body, channels, mass_ratio))
-    natural_hz = _identifiable_hz(body)
-    if natural_hz:
+    stated_hz = _identifiable_natural_hz(body)
+    if stated_hz:
         fitted_hz = float(np.sqrt(max(stiffness_n_per_m / mass_kg, 0.0))) / (2 * np.pi)
-        fit_error = 0.5 * float(np.hypot(stiffness_error / abs(stiffness_n_per_m), mass_error / abs(mass_kg)))
-        max_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
-        if abs(fitted_hz / natural_hz - 1) > max_error + 1 - fit.explained_share + MAX_DEVIATIONS * fit_error:
+        fit_error = 0.5 * float(np.hypot(stiffness_std / abs(stiffness_n_per_m), mass_std / abs(mass_kg)))
+        max_error = MAX_ERROR_SPREADS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
+        if abs(fitted_hz / stated_hz - 1) > max_error + 1 - fit.explained_share + MAX_ERROR_SPREADS * fit_error:
             findings.append(
                 Finding(
                     cause="frequency",
                     of=body.name,
                     evidence=f"while its contacts are open, {body.name} moves as if its frequency were "
-                    f"{fitted_hz:.4g} Hz, not {natural_hz:g} Hz",
+                    f"{fitted_hz:.4g} Hz, not {stated_hz:g} Hz",
                     mend="correct its spring or frequency in rig.json, or check the sampling rate",
                 )
             )
-        stated_damping_per_s = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
-        damping_factor = damping_n_s_per_m / mass_kg / stated_damping_per_s if stated_damping_per_s else 1.0
-        fit_error = damping_error / abs(mass_kg) / (stated_damping_per_s or np.inf)
-        max_error = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
-        if not findings and abs(damping_factor - 1) > max_error + MAX_DEVIATIONS * fit_error:
+        stated_damping_per_s = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * stated_hz
+        damping_over_stated = damping_n_s_per_m / mass_kg / stated_damping_per_s if stated_damping_per_s else 1.0
+        fit_error = damping_std / abs(mass_kg) / (stated_damping_per_s or np.inf)
+        max_error = MAX_ERROR_SPREADS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
+        if not findings and abs(damping_over_stated - 1) > max_error + MAX_ERROR_SPREADS * fit_error:
             findings.append(
                 Finding(
                     cause="damping",
                     of=body.name,
-                    evidence=f"while its contacts are open, {body.name} is damped {damping_factor:.3g} times as much "
-                    "as rig.json says",
+                    evidence=f"while its contacts are open, {body.name} is damped {damping_over_stated:.3g} times as "
+                    "much as rig.json says",
                     mend="take its damping from a decay or a modal test",
                 )
             )
     return findings[:1] if findings and findings[0].cause in ("delay", "polarity", "units") else findings
 
 
-def _clock_finding(body: Body, order: int, fit: MassFit, tolerances: Tolerances) -> Finding | None:
+def _clock_finding(body: Body, sensor_order: int, fit: MassFit, tolerances: Tolerances) -> Finding | None:
     """Finding: a wrong clock explains the errors of both mass and frequency.
 
-    Times that are too short by a factor s raise the frequency by s, and change the mass by s^(order - 2), with the
+    Times that are too short by a factor s raise the frequency by s, and change the mass by s^(sensor_order - 2), the
     order of the derivative that the sensor measures.
     """
     mass_kg, _, stiffness_n_per_m = fit.coefficients
-    if order > 1 or not _identifiable_hz(body) or mass_kg <= 0 or stiffness_n_per_m <= 0:
+    if sensor_order > 1 or not _identifiable_natural_hz(body) or mass_kg <= 0 or stiffness_n_per_m <= 0:
         return None
-    log_errors, spreads, clock_change = _mass_and_frequency_errors(body, order, fit, tolerances)
-    clock_change_norm = float(np.linalg.norm(clock_change / spreads))
-    clock_error = (clock_change / spreads @ (log_errors / spreads)) / clock_change_norm**2
-    remainders = np.abs(log_errors - clock_error * clock_change) / spreads
+    log_errors, error_spreads, per_clock_error = _mass_and_frequency_errors(body, sensor_order, fit, tolerances)
+    per_clock_error_norm = float(np.linalg.norm(per_clock_error / error_spreads))
+    clock_error = (per_clock_error / error_spreads @ (log_errors / error_spreads)) / per_clock_error_norm**2
+    remainder_spreads = np.abs(log_errors - clock_error * per_clock_error) / error_spreads
     is_plausible = (
-        MIN_CLOCK_DEVIATIONS / clock_change_norm < abs(clock_error) < MAX_CLOCK_ERROR
-        and remainders.max() <= MAX_CLOCK_REMAINDER
+        MIN_CLOCK_ERROR_SPREADS / per_clock_error_norm < abs(clock_error) < MAX_CLOCK_ERROR
+        and remainder_spreads.max() <= MAX_REMAINDER_SPREADS
     )
     if fit.delay_s or not is_plausible:
         return None
@@ -281,32 +281,32 @@ def _clock_finding(body: Body, order: int, fit: MassFit, tolerances: Tolerances)
     )
 
 
-def _identifiable_hz(body: Body) -> float:
+def _identifiable_natural_hz(body: Body) -> float:
     """Natural frequency, or 0 if a strong damper hides the spring's force in the middle of a clearance."""
     return float(body.frequencies_hz(1)[0]) if body.damping_ratios(1)[0] < MAX_DAMPING_RATIO else 0.0
 
 
 def _mass_and_frequency_errors(
-    body: Body, order: int, fit: MassFit, tolerances: Tolerances
+    body: Body, sensor_order: int, fit: MassFit, tolerances: Tolerances
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Errors of mass and frequency as logarithms; their standard spreads; their changes per unit clock error.
 
     An error is zero if it cannot be identified: of a mass without a spring, or where a sign is wrong.
     """
     mass_kg, _, stiffness_n_per_m = fit.coefficients
-    natural_hz = _identifiable_hz(body)
+    stated_hz = _identifiable_natural_hz(body)
     mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
-    mass_error = fit.standard_errors[0] / abs(mass_kg)
-    stiffness_error = fit.standard_errors[2] / abs(stiffness_n_per_m)
-    fit_errors = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained_share])
+    mass_std = fit.standard_errors[0] / abs(mass_kg)
+    stiffness_std = fit.standard_errors[2] / abs(stiffness_n_per_m)
+    fit_errors = np.array([mass_std, 0.5 * float(np.hypot(mass_std, stiffness_std)) + 1 - fit.explained_share])
     mass_tolerance = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]))
-    spreads = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_errors)
-    is_frequency_known = natural_hz > 0 and stiffness_n_per_m > 0 and mass_kg > 0
+    error_spreads = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_errors)
+    is_frequency_known = stated_hz > 0 and stiffness_n_per_m > 0 and mass_kg > 0
     frequency_error = (
-        np.log(np.sqrt(stiffness_n_per_m / mass_kg) / (2 * np.pi * natural_hz)) if is_frequency_known else 0.0
+        np.log(np.sqrt(stiffness_n_per_m / mass_kg) / (2 * np.pi * stated_hz)) if is_frequency_known else 0.0
     )
     log_errors = np.array([np.log(mass_ratio) if mass_ratio > 0 else 0.0, frequency_error])
-    return log_errors, spreads, np.array([order - 2.0, 1.0])
+    return log_errors, error_spreads, np.array([sensor_order - 2.0, 1.0])
 
 
 def _gain_finding(body: Body, channels: tuple[str, ...], mass_ratio: float) -> Finding:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.checks.spectra import SMOOTHED_LINES, Spectra
+from identify.checks.spectra import SMOOTHED_LINE_COUNT, Spectra
 from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
 from identify.signals.scores import COUNTED_HZ
@@ -22,12 +22,12 @@ MODEL_ERROR_SHARE = 0.03
 """Rough error of a sound model, as a share of its body's motion at a line: far more than tolerances cause."""
 MIN_MODEL_ERROR_SHARE = 0.003
 """Smallest error of any model, likewise."""
-NOISE_SHARE, MIN_LINES_SHARE = 0.1, 0.05
+MAX_NOISE_SHARE, MIN_INFORMATIVE_SHARE = 0.1, 0.05
 """A line is informative if noise makes less than this share of the squared scale. If no more than the second share of
 the lines are, all count."""
-DRIVEN_SHARE = 0.05
+DRIVEN_LEVEL_SHARE = 0.05
 """A force drives the lines where it has this share of its largest level."""
-STEADY_RATIO = 2.0
+STEADY_DURATION_FACTOR = 2.0
 """Motion that lasts for half of the record is taken to last for all of it."""
 
 
@@ -42,7 +42,7 @@ class Prediction:
     misfit: float
     accelerations: Complex[np.ndarray, "sensors lines"]
     force_spectra: Complex[np.ndarray, "forces lines"]
-    contact_spectra: Complex[np.ndarray, "contacts lines"]
+    contact_force_spectra: Complex[np.ndarray, "contacts lines"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class LinearCheck:
     spectra: Spectra
     accelerance: Complex[np.ndarray, "inputs sensors lines"]
     error_scale: Float[np.ndarray, "sensors lines"]
-    driven_lines: Bool[np.ndarray, "forces lines"]
+    driven_masks: Bool[np.ndarray, "forces lines"]
 
     @property
     def contact_count(self) -> int:
@@ -62,7 +62,7 @@ class LinearCheck:
     def contact_accelerance(self) -> Complex[np.ndarray, "contacts sensors lines"]:
         return self.accelerance[len(self.spectra.forces) :]
 
-    def unknown_inputs(self, doubted_force_index: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
+    def free_accelerance(self, doubted_force_index: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
         """Accelerances of the unknown inputs: of the doubted force, if there is one, and of the contacts."""
         if doubted_force_index is None:
             return self.contact_accelerance
@@ -80,47 +80,47 @@ class LinearCheck:
     def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
         error_scale = _error_scale_of(spectra, channel_indices)
-        return LinearCheck(spectra, self.accelerance, error_scale, driven_lines(spectra.forces))
+        return LinearCheck(spectra, self.accelerance, error_scale, driven_masks(spectra.forces))
 
     def unknown_input_projection(
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        accelerances = self.unknown_inputs(doubted_force_index)[:, channel_indices]
+        accelerances = self.free_accelerance(doubted_force_index)[:, channel_indices]
         error_scale = self.error_scale[channel_indices]
         return projection(accelerances / error_scale, error_scale, len(accelerances))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
-        spectra, accelerances = self.spectra, self.unknown_inputs(doubted_force_index)
-        motion_by_force = self.acceleration_by_force
+        spectra, free_accelerance = self.spectra, self.free_accelerance(doubted_force_index)
+        known_by_force = self.acceleration_by_force
         if doubted_force_index is not None:
-            motion_by_force = np.delete(motion_by_force, doubted_force_index, axis=0)
-        known_motion = np.asarray(motion_by_force.sum(axis=0))
-        unexplained = (spectra.acceleration - known_motion)[channel_indices]
+            known_by_force = np.delete(known_by_force, doubted_force_index, axis=0)
+        known_acceleration = np.asarray(known_by_force.sum(axis=0))
+        unexplained = (spectra.acceleration - known_acceleration)[channel_indices]
         residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
-        freedom_count = len(channel_indices) - len(accelerances)
-        line_squares = np.sum(np.abs(residual) ** 2, axis=0)
-        informative = self._informative_lines(channel_indices)
-        masks = [informative, *(driven & informative for driven in self.driven_lines if np.any(driven & informative))]
-        largest_median = max(float(np.median(line_squares[mask])) for mask in masks)
-        misfit = largest_median / freedom_count if freedom_count > 0 else np.nan
-        force_spectra, contact_spectra = spectra.forces, inputs
+        freedom_count = len(channel_indices) - len(free_accelerance)
+        squared_error_by_line = np.sum(np.abs(residual) ** 2, axis=0)
+        informative = self._informative_mask(channel_indices)
+        masks = [informative, *(driven & informative for driven in self.driven_masks if np.any(driven & informative))]
+        largest_median_error = max(float(np.median(squared_error_by_line[mask])) for mask in masks)
+        misfit = largest_median_error / freedom_count if freedom_count > 0 else np.nan
+        force_spectra, contact_force_spectra = spectra.forces, inputs
         if doubted_force_index is not None:
-            force_spectra, contact_spectra = force_spectra.copy(), inputs[1:]
+            force_spectra, contact_force_spectra = force_spectra.copy(), inputs[1:]
             force_spectra[doubted_force_index] = inputs[0]
-        accelerations = known_motion + np.einsum("isl,il->sl", accelerances, inputs)
-        return Prediction(misfit, accelerations, force_spectra, contact_spectra)
+        accelerations = known_acceleration + np.einsum("isl,il->sl", free_accelerance, inputs)
+        return Prediction(misfit, accelerations, force_spectra, contact_force_spectra)
 
     def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
         return self.with_spectra(spectra, channel_indices).prediction(channel_indices).misfit
 
-    def _informative_lines(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
+    def _informative_mask(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
         relative_noise = self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]
-        informative = np.mean(relative_noise**2, axis=0) < NOISE_SHARE
-        return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
+        informative = np.mean(relative_noise**2, axis=0) < MAX_NOISE_SHARE
+        return np.asarray(informative) if np.mean(informative) > MIN_INFORMATIVE_SHARE else np.ones_like(informative)
 
 
 def linear_check(
@@ -134,7 +134,7 @@ def linear_check(
     cache = cache or ResponseCache(spectra.omega, 0)
     responses = [response_of(rig, body, cache) for body in rig.bodies]
     accelerance = accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
-    return LinearCheck(spectra, accelerance, _error_scale_of(spectra, channel_indices), driven_lines(spectra.forces))
+    return LinearCheck(spectra, accelerance, _error_scale_of(spectra, channel_indices), driven_masks(spectra.forces))
 
 
 def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
@@ -142,30 +142,30 @@ def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.nd
     body_names = [sensor.station.body for sensor in spectra.sensors]
     error_scale = np.empty(spectra.line_noise.shape)
     for body_name in dict.fromkeys(body_names):
-        body_channels = [i for i, name in enumerate(body_names) if name == body_name]
-        scale_channels = [channel for channel in body_channels if channel in channel_indices] or body_channels
-        error_scale[body_channels] = MODEL_ERROR_SHARE * np.median(spectra.line_level[scale_channels], axis=0)
+        body_indices = [i for i, name in enumerate(body_names) if name == body_name]
+        scale_indices = [index for index in body_indices if index in channel_indices] or body_indices
+        error_scale[body_indices] = MODEL_ERROR_SHARE * np.median(spectra.line_level[scale_indices], axis=0)
     error_scale = np.hypot(error_scale, spectra.line_noise)
     return np.asarray(np.maximum(error_scale, 1e-9 * float(error_scale.max()) or 1.0))
 
 
-def acceleration_by_forces(
+def predicted_acceleration_at(
     rig: Rig, predicted: Prediction, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
     """Accelerations at any stations by the forces and the estimated contact forces."""
-    inputs, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
+    inputs, cache = np.concatenate([predicted.force_spectra, predicted.contact_force_spectra]), ResponseCache(omega, 0)
 
-    def by_body(response: Response) -> Complex[np.ndarray, "stations lines"]:
+    def acceleration_by_body(response: Response) -> Complex[np.ndarray, "stations lines"]:
         modal_force = real_product(input_shapes(rig, response, rig.forces).T, inputs)
         return real_product(response.shapes(stations), response.accelerance * modal_force)
 
-    return np.asarray(sum(by_body(response_of(rig, body, cache)) for body in rig.bodies))
+    return np.asarray(sum(acceleration_by_body(response_of(rig, body, cache)) for body in rig.bodies))
 
 
-def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
+def driven_masks(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
     """Mask of the lines on which each force has a share of its largest level."""
-    force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED_LINES, axis=1), 0.0))
-    return np.asarray(force_level > DRIVEN_SHARE * force_level.max(axis=1, keepdims=True))
+    force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED_LINE_COUNT, axis=1), 0.0))
+    return np.asarray(force_level > DRIVEN_LEVEL_SHARE * force_level.max(axis=1, keepdims=True))
 
 
 class Projector:
@@ -176,24 +176,24 @@ class Projector:
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
         line_noise = check.spectra.line_noise[channel_indices]
-        level = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
-        scale = np.hypot(MIN_MODEL_ERROR_SHARE * level, line_noise)
-        scale = np.maximum(scale, 1e-9 * scale.max())
-        accelerances = check.unknown_inputs(doubted_force_index)[:, channel_indices]
-        self._projection = projection(accelerances / scale, scale, len(accelerances))
+        levels = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
+        error_scale = np.hypot(MIN_MODEL_ERROR_SHARE * levels, line_noise)
+        error_scale = np.maximum(error_scale, 1e-9 * error_scale.max())
+        accelerances = check.free_accelerance(doubted_force_index)[:, channel_indices]
+        self._projection = projection(accelerances / error_scale, error_scale, len(accelerances))
         self._spectra = check.spectra
-        motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / scale)
-        duration_s = motion_duration_s(motion, self._spectra.compared_rate_hz)
-        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
+        scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
+        duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
+        self._count_factor = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(scaled_motion.T))))
 
-    def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        return np.asarray(self._spectra.compared_signals(self._projection.applied_to(rows)[0]) * self._counted)
+    def __call__(self, spectra: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
+        return np.asarray(self._spectra.compared_signals(self._projection.applied_to(spectra)[0]) * self._count_factor)
 
 
 def motion_duration_s(motion: Float[np.ndarray, "sensors times"], samples_per_s: float) -> float:
     """Seconds of motion: all of the record, unless most of the motion falls into less than half of it.
 
-    With the power p, averaged over a second, it is STEADY_RATIO (sum of p)^2 / sum of p^2, at most the record's length.
+    With the power p, averaged over a second, it is 2 (sum of p)^2 / sum of p^2, at most the record's length.
     """
     power = uniform_filter1d(np.mean(motion**2, axis=0, dtype=float), max(1, round(samples_per_s)))
-    return float(min(power.size, STEADY_RATIO * np.sum(power) ** 2 / np.sum(power**2)) / samples_per_s)
+    return float(min(power.size, STEADY_DURATION_FACTOR * np.sum(power) ** 2 / np.sum(power**2)) / samples_per_s)

@@ -25,7 +25,7 @@ from rig.model.tolerances import Tolerances
 
 MIN_BROKEN_PULL, MIN_CLOCK_PULL = 5.0, 2.7
 """Smallest scores z of a parameter that is named; a clock is one question, tolerances are many."""
-MIN_BROKEN_TOLERANCES = 4.0
+MIN_ERROR_IN_TOLERANCES = 4.0
 """Smallest error of a parameter that is named, in tolerances."""
 MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 """Most parameters that are named, and the smallest score of one as a share of the first one's."""
@@ -37,7 +37,7 @@ Pulls = Float[np.ndarray, " nuisances"]
 
 @dataclass(frozen=True)
 class Suspect:
-    """A nuisance parameter, or a common error of several; its column is the change by `unit`, relative or in SI.
+    """A nuisance parameter, or a common error of several; its column is that by column_change, relative or in SI.
 
     Modes beyond the band are not told from those that a description leaves out: they are no finding.
     """
@@ -63,25 +63,25 @@ def suspects_of(
         for m in np.flatnonzero(body.response.dynamics.natural_hz > omega[-1] / (2 * np.pi)).tolist()
     }
     suspects = [_suspect_of(p, tolerances, (p.owner, p.mode_number) not in modes_beyond_band) for p in parameters]
-    columns = []
+    further_columns = []
     clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
         response = body.response
-        rows = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
-        shapes = response.shapes([sensors[i].station for i in rows])
+        sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
+        shapes = response.shapes([sensors[i].station for i in sensor_indices])
         by_frequency = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
-        clock_column[rows] += by_frequency
+        clock_column[sensor_indices] += by_frequency
         if response.body.length_m and tolerances.mass:
             column = np.zeros_like(clock_column)
-            column[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * by_frequency)
+            column[sensor_indices] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * by_frequency)
             suspects.append(Suspect("density", response.body.name, tolerances.mass))
-            columns.append(column)
+            further_columns.append(column)
     suspects.append(Suspect("clock", "", 1.0))
-    columns.append(clock_column)
+    further_columns.append(clock_column)
     if delay_s := tolerances.delay_s:
         suspects += [Suspect("force delay", name, delay_s) for name in force_names(len(acceleration_by_force))]
-        columns += [1j * omega * delay_s * motion for motion in acceleration_by_force]
-    return suspects, np.stack(columns)
+        further_columns += [1j * omega * delay_s * motion for motion in acceleration_by_force]
+    return suspects, np.stack(further_columns)
 
 
 def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -> Suspect:
@@ -98,8 +98,8 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "damping": tolerances.damping,
         "modes left out at": 1.0,
     }[parameter.kind]
-    name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
-    return Suspect(parameter.kind, name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
+    owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    return Suspect(parameter.kind, owner_name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class BrokenTolerance:
     pull: float
 
 
-def broken_tolerances(
+def broken_tolerances_and_pulls(
     rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
 ) -> tuple[list[BrokenTolerance], Pulls]:
     """Parameters beyond their tolerances, at most four, the highest score first; and all nuisance parameters' pulls.
@@ -122,7 +122,7 @@ def broken_tolerances(
         return [], np.zeros(0)
     observed = observed_motion(rig, check, channel_indices, tolerances)
     projector = Projector(check, channel_indices)
-    nuisance_parameters, columns = _nuisance_columns(observed, projector)
+    nuisance_parameters, columns = _nuisances_and_columns(observed, projector)
     if not nuisance_parameters:
         return [], np.zeros(0)
     candidates, added_columns = suspects_of(
@@ -133,7 +133,7 @@ def broken_tolerances(
     return _violations_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
-def _nuisance_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
+def _nuisances_and_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
     """Nuisance parameters and their columns X."""
     parameters, columns = [], []
     for change in changes_of(observed):
@@ -145,7 +145,7 @@ def _nuisance_columns(observed: ObservedSignals, projector: Projector) -> tuple[
 def joint_cost(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> float:
     """Least cost |r - X theta|^2 + |theta|^2 of errors within the tolerances."""
     projector = Projector(check, channel_indices)
-    _, columns = _nuisance_columns(observed_motion(rig, check, channel_indices, tolerances), projector)
+    _, columns = _nuisances_and_columns(observed_motion(rig, check, channel_indices, tolerances), projector)
     residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
     pulls = _scores(residual, columns, len(columns), [], np.ones(residual.shape[1], residual.dtype)).pulls
     return float(np.sum((residual - _column_sum(columns, pulls)) ** 2, dtype=float) + pulls @ pulls)
@@ -172,24 +172,24 @@ def _violations_and_pulls(
     while True:
         scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            free_part = _column_sum([columns[k] for k in free_indices], scores.free_sizes)
-            remainder = residual - _column_sum(columns[:prior_count], scores.pulls) - free_part
-            power = np.mean(remainder**2, axis=0)
-            time_weights = 1 / np.sqrt(1 + power / max(4 * np.median(power), np.float32(1)))
+            free_sum = _column_sum([columns[k] for k in free_indices], scores.free_errors)
+            unexplained = residual - _column_sum(columns[:prior_count], scores.pulls) - free_sum
+            unexplained_power = np.mean(unexplained**2, axis=0)
+            time_weights = 1 / np.sqrt(1 + unexplained_power / max(4 * np.median(unexplained_power), np.float32(1)))
             scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
-        violated = [
+        violated_indices = [
             k
             for k, candidate in enumerate(candidates)
             if candidate.is_reportable
             and k not in free_indices
             and abs(scores.scores[k]) > max(required_pull(candidate.kind), min_pull)
-            and _exceeds_tolerance(candidate, float(scores.sizes[k]), tolerances)
+            and _exceeds_tolerance(candidate, float(scores.errors[k]), tolerances)
         ]
-        if not violated or len(broken) == MAX_BROKEN_COUNT:
+        if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
             return broken, scores.pulls
-        worst = max(violated, key=lambda k: abs(scores.scores[k]))
-        broken.append(BrokenTolerance(candidates[worst], float(scores.sizes[worst]), float(scores.scores[worst])))
+        worst = max(violated_indices, key=lambda k: abs(scores.scores[k]))
+        broken.append(BrokenTolerance(candidates[worst], float(scores.errors[worst]), float(scores.scores[worst])))
         free_indices.append(worst)
 
 
@@ -205,8 +205,8 @@ class _Column:
         largest_value = np.float32(max(float(np.max(np.abs(values))), 1e-30))
         return cls((values / largest_value).astype(np.float16), largest_value)
 
-    def values(self, samples: slice = slice(None)) -> np.ndarray:
-        return np.asarray(self.largest_value * self.half_values[:, samples].astype(np.float32))
+    def values(self, sample_slice: slice = slice(None)) -> np.ndarray:
+        return np.asarray(self.largest_value * self.half_values[:, sample_slice].astype(np.float32))
 
 
 def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
@@ -217,35 +217,35 @@ def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray 
 
 @dataclass(frozen=True)
 class _Scores:
-    """Scores z of all columns and the parameters' sizes, each as if freed next; estimates with and without a prior."""
+    """Scores z of all columns and the parameters' errors, each as if freed next; estimates with and without a prior."""
 
     scores: Float[np.ndarray, " columns"]
-    sizes: Float[np.ndarray, " columns"]
+    errors: Float[np.ndarray, " columns"]
     pulls: Pulls
-    free_sizes: Float[np.ndarray, " free"]
+    free_errors: Float[np.ndarray, " free"]
 
 
 def _scores(
     residual: np.ndarray, columns: list[_Column], prior_count: int, free_indices: list[int], time_weights: np.ndarray
 ) -> _Scores:
     """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_indices` none."""
-    fitted = [*range(prior_count), *free_indices]
-    products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-    for first in range(0, residual.shape[1], BATCH_SAMPLES):
-        batch = slice(first, first + BATCH_SAMPLES)
-        weights = time_weights[batch]
-        rows = np.stack([column.values(batch) * weights for column in columns]).reshape(len(columns), -1)
-        products += rows @ rows.T
-        correlations += rows @ (residual[:, batch] * weights).reshape(-1)
-    prior_precision = np.r_[np.ones(prior_count), np.full(len(free_indices), 1e-9)]
-    covariance = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior_precision))
-    with_fitted = products[:, fitted]
-    estimates = covariance @ correlations[fitted]
-    unexplained = correlations - with_fitted @ estimates
+    fitted_indices = [*range(prior_count), *free_indices]
+    column_products, residual_products = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+    for first_sample in range(0, residual.shape[1], BATCH_SAMPLES):
+        batch = slice(first_sample, first_sample + BATCH_SAMPLES)
+        batch_weights = time_weights[batch]
+        weighted_rows = np.stack([column.values(batch) * batch_weights for column in columns]).reshape(len(columns), -1)
+        column_products += weighted_rows @ weighted_rows.T
+        residual_products += weighted_rows @ (residual[:, batch] * batch_weights).reshape(-1)
+    prior_precisions = np.r_[np.ones(prior_count), np.full(len(free_indices), 1e-9)]
+    covariance = np.linalg.inv(column_products[np.ix_(fitted_indices, fitted_indices)] + np.diag(prior_precisions))
+    with_fitted = column_products[:, fitted_indices]
+    fitted_estimates = covariance @ residual_products[fitted_indices]
+    unexplained_products = residual_products - with_fitted @ fitted_estimates
     explained_variance = np.einsum("ij,jk,ik->i", with_fitted, covariance, with_fitted)
-    variance = np.maximum(np.diag(products) - explained_variance, 1e-12)
-    scores, sizes = unexplained / np.sqrt(variance), unexplained / variance
-    return _Scores(scores, sizes, pulls=estimates[:prior_count], free_sizes=estimates[prior_count:])
+    variances = np.maximum(np.diag(column_products) - explained_variance, 1e-12)
+    scores, errors = unexplained_products / np.sqrt(variances), unexplained_products / variances
+    return _Scores(scores, errors, pulls=fitted_estimates[:prior_count], free_errors=fitted_estimates[prior_count:])
 
 
 def required_pull(kind: str) -> float:
@@ -253,61 +253,61 @@ def required_pull(kind: str) -> float:
     return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_PULL
 
 
-def required_size(kind: str) -> float:
+def required_distance(kind: str) -> float:
     """Smallest change of rig.json that counts, in tolerances: the pull of one is no larger than it is off."""
-    return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_TOLERANCES
+    return MIN_CLOCK_PULL if kind == "clock" else MIN_ERROR_IN_TOLERANCES
 
 
 def _exceeds_tolerance(candidate: Suspect, error_size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
-    return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
+    return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_ERROR_IN_TOLERANCES)
 
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
     """Finding on a broken tolerance, in words."""
     kind, name = violation.suspect.kind, violation.suspect.of
     error = violation.size_in_tolerances * violation.suspect.column_change
-    percent_off, comes = (
+    percent_words, delay_words = (
         f"{100 * error:+.2g} % off",
         f"comes {1e3 * abs(error):.2g} ms {'late' if error > 0 else 'early'}",
     )
-    tolerances_text = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
+    tolerance_words = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
     if kind == "clock":
         return Finding(
             cause="clock",
-            evidence=f"all modes of all bodies lie {percent_off} the frequencies of rig.json",
+            evidence=f"all modes of all bodies lie {percent_words} the frequencies of rig.json",
             mend="check the sampling rate: a clock that is off shifts all frequencies alike",
         )
     if kind == "force gain":
         return Finding(
             cause="gain",
             channels=("force" if name == SINGLE_FORCE_NAME else name,),
-            evidence=f"{name} is {percent_off} what all sensors imply {tolerances_text}",
+            evidence=f"{name} is {percent_words} what all sensors imply {tolerance_words}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )
     if kind == "force delay":
         return Finding(
             cause="delay",
             channels=(name,),
-            evidence=f"{force_in_words(name)} {comes} against all sensors",
+            evidence=f"{force_in_words(name)} {delay_words} against all sensors",
             mend="synchronise the force's clock with the sensors'",
         )
     if kind in ("mass", "density"):
         return Finding(
             cause="mass",
             of=name,
-            evidence=f"{name} moves as if its {kind} were {percent_off} rig.json {tolerances_text}",
+            evidence=f"{name} moves as if its {kind} were {percent_words} rig.json {tolerance_words}",
             mend="weigh it and correct rig.json",
         )
     if kind in ("frequency", "damping"):
         return Finding(
             cause="frequency" if kind == "frequency" else "damping",
             of=name,
-            evidence=f"the {kind} of {name} is {percent_off} rig.json {tolerances_text}",
+            evidence=f"the {kind} of {name} is {percent_words} rig.json {tolerance_words}",
             mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
         )
-    causes: dict[str, tuple[Cause, str, str]] = {
-        "gain": ("gain", f"is {percent_off} in gain against the others and the model", "calibrate it again"),
+    finding_parts_by_kind: dict[str, tuple[Cause, str, str]] = {
+        "gain": ("gain", f"is {percent_words} in gain against the others and the model", "calibrate it again"),
         "position": (
             "station",
             f"moves as if it stood {1e3 * error:+.3g} mm from its station",
@@ -315,7 +315,7 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
         ),
         "delay": (
             "delay",
-            f"{comes} against the others",
+            f"{delay_words} against the others",
             f"set delay_s = {error:.2g} in rig.json, or synchronise its clock",
         ),
         "high-pass": (
@@ -324,5 +324,5 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
             "take the coupling off, or widen high_pass_hz of its tolerance",
         ),
     }
-    cause, evidence, mend = causes[kind]
-    return Finding(cause=cause, channels=(name,), evidence=f"{name} {evidence} {tolerances_text}", mend=mend)
+    cause, evidence, mend = finding_parts_by_kind[kind]
+    return Finding(cause=cause, channels=(name,), evidence=f"{name} {evidence} {tolerance_words}", mend=mend)

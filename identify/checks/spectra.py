@@ -18,14 +18,14 @@ from rig.recording import Recording
 
 LOWEST_HZ = 2.0
 """Accelerometers show drift and AC coupling below."""
-LINES_TO_FORCE_HZ = 2.0
+LINES_TO_FORCE_RATIO = 2.0
 """Highest frequency of the lines, over the force's."""
 PADDING_S, UNCOMPARED_END_S = 4.0, 2.5
 """Silence after the record; part of its end that is not compared over time, as the ringing is cut off there."""
 MIN_COMPARED_S = 0.25
 """Least time that is compared with the linear model."""
 MAX_LINES = 1600
-SMOOTHED_LINES = 41
+SMOOTHED_LINE_COUNT = 41
 """Lines over which levels are averaged."""
 
 
@@ -51,21 +51,21 @@ class Spectra:
     @cached_property
     def line_level(self) -> Float[np.ndarray, "sensors lines"]:
         """Each sensor's root mean square over neighbouring lines."""
-        return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED_LINES, axis=1))
+        return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED_LINE_COUNT, axis=1))
 
     @property
     def compared_rate_hz(self) -> float:
         """Samples a second of compared_signals."""
         return 2 * (int(self.line_numbers[-1]) + 1) * self.sample_rate_hz / self.padded_length
 
-    def compared_signals(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
+    def compared_signals(self, line_values: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
         """Signals from consecutive lines over the compared time; their mean squares are those of the lines."""
         line_end = int(self.line_numbers[-1]) + 1
-        full_spectra = np.zeros((*rows.shape[:-1], line_end + 1), np.complex64)
-        full_spectra[..., self.line_numbers] = rows
-        signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
+        full_spectra = np.zeros((*line_values.shape[:-1], line_end + 1), np.complex64)
+        full_spectra[..., self.line_numbers] = line_values
+        time_signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
         start_sample, stop_sample = (round(time_s * self.compared_rate_hz) for time_s in self.compared_span_s)
-        return np.asarray(signals[..., start_sample:stop_sample])
+        return np.asarray(time_signals[..., start_sample:stop_sample])
 
     @property
     def force_names(self) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ class Spectra:
         return replace(self, acceleration=acceleration)
 
 
-def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int | None = MAX_LINES) -> Spectra:
+def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count: int | None = MAX_LINES) -> Spectra:
     """Spectra on at most this many lines (None: all) from 2 Hz to twice the force's highest frequency.
 
     Raises RigError if the force is zero, its band too low or too narrow, or the record too short.
@@ -84,22 +84,22 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
     forces_n, sample_count = recording.forces_n, recording.samples
     end_taper = taper(sample_count, min(round(TAPER_S * rate_hz), sample_count // 4))
     padded_length = next_fast_len(sample_count + round(PADDING_S * rate_hz), real=True)
-    high_hz = min(LINES_TO_FORCE_HZ * force_band(forces_n, rate_hz)[1], PASSBAND * rate_hz)
+    high_hz = min(LINES_TO_FORCE_RATIO * force_band(forces_n, rate_hz)[1], PASSBAND * rate_hz)
     first_line, last_line = int(np.ceil(LOWEST_HZ * padded_length / rate_hz)), int(high_hz * padded_length / rate_hz)
-    if last_line - first_line < SMOOTHED_LINES:
+    if last_line - first_line < SMOOTHED_LINE_COUNT:
         raise RigError("the force's band is too low or too narrow")
-    line_step = 1 if max_lines is None else max(1, (last_line - first_line) // max_lines)
+    line_step = 1 if max_line_count is None else max(1, (last_line - first_line) // max_line_count)
     line_numbers = np.arange(first_line, last_line, line_step)
     omega = 2 * np.pi * line_numbers * rate_hz / padded_length
-    signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    chain_factors = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
-    acceleration = rfft(signals * end_taper, padded_length)[:, line_numbers] * chain_factors
-    quiet_count = quiet_samples(forces_n, rate_hz)
+    sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+    acceleration_per_signal = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
+    acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
+    quiet_count = quiet_sample_count(forces_n, rate_hz)
     if quiet_count:
-        noise_rms = signals[:, :quiet_count].std(axis=1)
+        noise_rms = sensor_signals[:, :quiet_count].std(axis=1)
     else:
         noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
-    noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
+    line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(acceleration_per_signal)
     duration_s = sample_count / rate_hz
     span_s = (quiet_count / rate_hz, max(duration_s - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz))
     if span_s[1] - span_s[0] < MIN_COMPARED_S:
@@ -108,7 +108,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
             "linear model; record longer"
         )
     forces = rfft(forces_n * end_taper, padded_length)[:, line_numbers]
-    return Spectra(sensors, omega, acceleration, forces, noise, line_numbers, padded_length, span_s, rate_hz)
+    return Spectra(sensors, omega, acceleration, forces, line_noise, line_numbers, padded_length, span_s, rate_hz)
 
 
 def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
@@ -116,7 +116,7 @@ def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -
     return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
 
 
-def quiet_samples(force: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:
+def quiet_sample_count(forces: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:
     """Number of samples before the force, at least a quarter second; otherwise zero."""
-    quiet_count = force_onset(force, rate_hz) - round(0.05 * rate_hz)
+    quiet_count = force_onset(forces, rate_hz) - round(0.05 * rate_hz)
     return quiet_count if quiet_count > QUIET_S * rate_hz else 0

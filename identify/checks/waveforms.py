@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding, names_in_words
-from identify.checks.spectra import quiet_samples
+from identify.checks.spectra import quiet_sample_count
 from rig.model.quantities import QUANTITIES
 
-CLIPPED_SHARE = 1e-3
+MIN_CLIPPED_SHARE = 1e-3
 """A channel is clipped if it has its largest or smallest value for a larger share of the record."""
 MAX_STEP_SHARE = 0.01
 """Largest step of a quantiser, as a share of the channel's root mean square."""
@@ -27,11 +27,11 @@ MIN_SPIKE_RATIO = 25.0
 MIN_IMPACT_RATIO, SPIKE_TO_IMPACT_RATIO, MAX_SPIKES = 8.0, 2.0, 60
 """Deviation of another channel that makes an impact of a spike; size of a spike over that of impacts; most spikes that
 are single faults."""
-TONE_TO_BACKGROUND = 3.0
+TONE_TO_BACKGROUND_RATIO = 3.0
 """Mains hum is larger than twice this multiple of the neighbouring lines."""
 MIN_TONE_SHARE = 2e-3
 """Smallest hum, as a share of the channel's standard deviation."""
-DRIFT_BELOW_HZ, DRIFT_SHARE = 0.25, 0.05
+DRIFT_BELOW_HZ, MIN_DRIFT_SHARE = 0.25, 0.05
 """Drift has a larger share of the root mean square below this frequency."""
 MAX_OFFSET_SHARE = 0.05
 """Largest mean, as a share of the root mean square."""
@@ -65,16 +65,16 @@ def out_of_range_finding(name: str, group: str, samples: Row) -> Finding | None:
 
     The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
-    plausible, unit = LARGEST_FORCE_N, "N"
+    max_plausible, unit = LARGEST_FORCE_N, "N"
     if group != "force":
-        plausible, unit = QUANTITIES[group].largest, QUANTITIES[group].unit
+        max_plausible, unit = QUANTITIES[group].largest, QUANTITIES[group].unit
     largest = float(np.abs(samples).max())
-    if largest <= plausible:
+    if largest <= max_plausible:
         return None
     return Finding(
         cause="units",
         channels=(name,),
-        evidence=f"{name} reaches {largest:.3g} {unit}, and nothing on a test rig exceeds {plausible:g} {unit}",
+        evidence=f"{name} reaches {largest:.3g} {unit}, and nothing on a test rig exceeds {max_plausible:g} {unit}",
         mend="check the unit and the scale that it was recorded or imported with",
     )
 
@@ -83,7 +83,7 @@ def clipped_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
     for side, extreme in (("largest", samples.max()), ("smallest", samples.min())):
         share = float(np.mean(samples == extreme))
-        if share > CLIPPED_SHARE and share * samples.size >= 4 and abs(extreme - samples.mean()) > 1.0 * samples.std():
+        if share > MIN_CLIPPED_SHARE and share * samples.size >= 4 and abs(extreme - samples.mean()) > samples.std():
             return Finding(
                 cause="clipped",
                 channels=(name,),
@@ -95,11 +95,11 @@ def clipped_finding(name: str, samples: Row) -> Finding | None:
 
 def quantised_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the usual step between levels is large, and levels recur, unlike those of a single blow."""
-    levels, counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
-    recurrence = (counts.sum() - counts.max()) / levels.size
-    if levels.size > 2000 or levels.size < 3 or recurrence < MIN_RECURRENCE:
+    value_levels, level_counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
+    mean_recurrence = (level_counts.sum() - level_counts.max()) / value_levels.size
+    if value_levels.size > 2000 or value_levels.size < 3 or mean_recurrence < MIN_RECURRENCE:
         return None
-    level_step, rms = float(np.median(np.diff(levels))), float(samples.std())
+    level_step, rms = float(np.median(np.diff(value_levels))), float(samples.std())
     if level_step < MAX_STEP_SHARE * rms:
         return None
     return Finding(
@@ -114,26 +114,26 @@ def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
     is_repeated = np.diff(samples) == 0
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
-    starts, stops = run_edges[::2], run_edges[1::2]
-    if not starts.size or np.mean(is_repeated) > 0.3:
+    run_starts, run_stops = run_edges[::2], run_edges[1::2]
+    if not run_starts.size or np.mean(is_repeated) > 0.3:
         return None
-    force_size = np.abs(np.atleast_2d(forces_n))
-    onset_sample = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
-    is_held = (
-        (stops - starts >= MIN_HELD_SAMPLES)
-        & (starts > onset_sample)
-        & ~np.isin(samples[starts], (samples.max(), samples.min()))
+    force_sizes = np.abs(np.atleast_2d(forces_n))
+    onset_index = int(np.argmax((force_sizes > 0.05 * force_sizes.max(axis=1, keepdims=True)).any(axis=0)))
+    is_held_run = (
+        (run_stops - run_starts >= MIN_HELD_SAMPLES)
+        & (run_starts > onset_index)
+        & ~np.isin(samples[run_starts], (samples.max(), samples.min()))
     )
     if name in force_names:
-        is_held &= samples[starts] != 0
-    if not is_held.any():
+        is_held_run &= samples[run_starts] != 0
+    if not is_held_run.any():
         return None
-    longest = int(np.max((stops - starts)[is_held])) + 1
+    longest = int(np.max((run_stops - run_starts)[is_held_run])) + 1
     return Finding(
         cause="held samples",
         channels=(name,),
-        evidence=f"{name} repeats one value {longest} times in a row, in {int(is_held.sum())} places, first at sample "
-        f"{int(starts[is_held][0])}: samples were lost there",
+        evidence=f"{name} repeats one value {longest} times in a row, in {int(is_held_run.sum())} places, "
+        f"first at sample {int(run_starts[is_held_run][0])}: samples were lost there",
         mend="record again, or leave that part of the record out",
     )
 
@@ -141,8 +141,8 @@ def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[
 def neighbour_deviation(samples: Row) -> Row:
     """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
     deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
-    usual = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
-    return np.asarray(np.r_[0, 0, deviation / usual, 0, 0])
+    usual_deviation = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
+    return np.asarray(np.r_[0, 0, deviation / usual_deviation, 0, 0])
 
 
 def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
@@ -151,68 +151,68 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     A jump that another channel shows too is an impact. So is one if most of the jumps of at least half its size in this
     channel are impacts. In an only channel, spikes stand out from all impacts.
     """
-    margin_samples = deviation.size // 50
-    interior = deviation[margin_samples:-margin_samples]
-    jump_samples = margin_samples + np.flatnonzero(interior > MIN_SPIKE_RATIO / SPIKE_TO_IMPACT_RATIO)
-    jump_samples = jump_samples[[_is_single(deviation, int(k)) for k in jump_samples]]
-    jump_deviations = deviation[jump_samples]
-    spike_samples = [int(k) for k in jump_samples[jump_deviations > MIN_SPIKE_RATIO]]
-    if other_deviations and spike_samples:
-        elsewhere = np.array([max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jump_samples])
-        is_unshared = elsewhere < MIN_IMPACT_RATIO
-        spike_samples = [
+    margin_count = deviation.size // 50
+    interior = deviation[margin_count:-margin_count]
+    jump_indices = margin_count + np.flatnonzero(interior > MIN_SPIKE_RATIO / SPIKE_TO_IMPACT_RATIO)
+    jump_indices = jump_indices[[_is_single(deviation, int(k)) for k in jump_indices]]
+    jump_deviations = deviation[jump_indices]
+    spike_indices = [int(k) for k in jump_indices[jump_deviations > MIN_SPIKE_RATIO]]
+    if other_deviations and spike_indices:
+        other_peaks = np.array([max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jump_indices])
+        is_unshared = other_peaks < MIN_IMPACT_RATIO
+        spike_indices = [
             int(k)
-            for k, size in zip(jump_samples[is_unshared], jump_deviations[is_unshared], strict=True)
+            for k, size in zip(jump_indices[is_unshared], jump_deviations[is_unshared], strict=True)
             if size > MIN_SPIKE_RATIO and np.mean(is_unshared[jump_deviations > size / SPIKE_TO_IMPACT_RATIO]) > 0.5
         ]
-    elif spike_samples:
+    elif spike_indices:
         middle = interior[1:-1]
-        peaks = np.sort(middle[(middle > interior[:-2]) & (middle > interior[2:])])[::-1][: MAX_SPIKES + 1]
-        ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
-        widest = int(np.argmax(ratios))
-        stands_out = ratios[widest] > SPIKE_TO_IMPACT_RATIO
-        spike_samples = [k for k in spike_samples if stands_out and deviation[k] >= peaks[widest]]
-    if not 0 < len(spike_samples) <= MAX_SPIKES:
+        peak_deviations = np.sort(middle[(middle > interior[:-2]) & (middle > interior[2:])])[::-1][: MAX_SPIKES + 1]
+        peak_ratios = peak_deviations[:-1] / np.maximum(peak_deviations[1:], 1e-300)
+        gap_index = int(np.argmax(peak_ratios))
+        stands_out = peak_ratios[gap_index] > SPIKE_TO_IMPACT_RATIO
+        spike_indices = [k for k in spike_indices if stands_out and deviation[k] >= peak_deviations[gap_index]]
+    if not 0 < len(spike_indices) <= MAX_SPIKES:
         return None
     return Finding(
         cause="spikes",
         channels=(name,),
-        evidence=f"{name} jumps for single samples in {len(spike_samples)} places, first at sample {spike_samples[0]}",
+        evidence=f"{name} jumps for single samples in {len(spike_indices)} places, first at sample {spike_indices[0]}",
         mend="check cables and connectors, and record again",
     )
 
 
-def _is_single(relative_deviation: Row, sample: int) -> bool:
+def _is_single(deviation: Row, k: int) -> bool:
     """True if sample k alone is off: two thirds of its deviation then show at its neighbours, a sixth at the next."""
-    nearest, second_nearest = relative_deviation[[sample - 1, sample + 1]], relative_deviation[[sample - 2, sample + 2]]
+    nearest_pair, second_pair = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
     return bool(
-        relative_deviation[sample] > 1.3 * nearest.max()
-        and nearest.min() > 0.45 * relative_deviation[sample]
-        and second_nearest.max() < 0.35 * relative_deviation[sample]
+        deviation[k] > 1.3 * nearest_pair.max()
+        and nearest_pair.min() > 0.45 * deviation[k]
+        and second_pair.max() < 0.35 * deviation[k]
     )
 
 
-def _moving_mean(values: Row, width: int) -> Row:
+def _moving_mean(samples: Row, window_count: int) -> Row:
     """Moving mean of both sides, without the middle sample."""
-    sums = np.cumsum(np.r_[0.0, values])
-    low_index = np.clip(np.arange(values.size) - width // 2, 0, values.size)
-    high_index = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
-    return np.asarray((sums[high_index] - sums[low_index] - values) / np.maximum(high_index - low_index - 1, 1))
+    cumsums = np.cumsum(np.r_[0.0, samples])
+    low_index = np.clip(np.arange(samples.size) - window_count // 2, 0, samples.size)
+    high_index = np.clip(np.arange(samples.size) + window_count // 2 + 1, 0, samples.size)
+    return np.asarray((cumsums[high_index] - cumsums[low_index] - samples) / np.maximum(high_index - low_index - 1, 1))
 
 
-def copy_findings(names: list[str], rows: list[Row]) -> Iterator[Finding]:
+def copy_findings(names: list[str], sample_rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
-    thinned = (row[:: max(1, row.size // 8192)] for row in rows)
+    thinned = (row[:: max(1, row.size // 8192)] for row in sample_rows)
     centred = (row - row.mean() for row in thinned)
     unit_vectors = np.array([row / (float(np.linalg.norm(row)) or 1.0) for row in centred])
     correlation = np.abs(unit_vectors @ unit_vectors.T)
-    for i, name in enumerate(names):
+    for i, channel_name in enumerate(names):
         for k in range(i):
             if correlation[i, k] > 1 - 1e-9:
                 yield Finding(
                     cause="copy",
-                    channels=(names[k], name),
-                    evidence=f"{names_in_words((names[k], name))} hold the same samples",
+                    channels=(names[k], channel_name),
+                    evidence=f"{names_in_words((names[k], channel_name))} hold the same samples",
                     mend="check the channel map: one of them was recorded or imported twice",
                 )
 
@@ -221,12 +221,12 @@ def noise_finding(
     name: str, rate_hz: float, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
 ) -> Finding | None:
     """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
-    quiet_count = quiet_samples(forces_n, rate_hz)
+    quiet_count = quiet_sample_count(forces_n, rate_hz)
     quiet_share = float(samples[:quiet_count].std() / samples.std()) if quiet_count else 0.0
     if quiet_share < MAX_QUIET_SHARE:
         return None
     quiet_roughness, driven_roughness = (
-        float(np.diff(part).std() / part.std()) for part in (samples[:quiet_count], samples[quiet_count:])
+        float(np.diff(segment).std() / segment.std()) for segment in (samples[:quiet_count], samples[quiet_count:])
     )
     if quiet_roughness < NOISE_ROUGHNESS_RATIO * driven_roughness:
         return Finding(
@@ -246,22 +246,22 @@ def noise_finding(
 
 def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, float] | None:
     """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one."""
-    quiet_count = quiet_samples(forces_n, rate_hz)
+    quiet_count = quiet_sample_count(forces_n, rate_hz)
     quiet_part = samples[:quiet_count] if quiet_count > 0.4 * rate_hz else samples
-    centred = quiet_part - quiet_part.mean()
-    line_amplitudes = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
-    line_hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
+    centred_samples = quiet_part - quiet_part.mean()
+    line_amplitudes = np.abs(np.fft.rfft(centred_samples * np.hanning(centred_samples.size))) * 4 / centred_samples.size
+    line_hz = np.fft.rfftfreq(centred_samples.size, 1 / rate_hz)
     resolution_hz = line_hz[1]
     for mains_hz in (50.0, 60.0):
         distance_hz = np.abs(line_hz - mains_hz)
-        tone = distance_hz <= max(0.15, 1.5 * resolution_hz)
-        beside = (distance_hz > max(0.6, 3 * resolution_hz)) & (distance_hz < max(3.0, 9 * resolution_hz))
-        if not (tone.any() and beside.any()):
+        tone_mask = distance_hz <= max(0.15, 1.5 * resolution_hz)
+        beside_mask = (distance_hz > max(0.6, 3 * resolution_hz)) & (distance_hz < max(3.0, 9 * resolution_hz))
+        if not (tone_mask.any() and beside_mask.any()):
             continue
-        amplitude = float(line_amplitudes[tone].max())
-        background = float(np.sqrt(np.mean(line_amplitudes[beside] ** 2)))
-        if amplitude > max(2 * TONE_TO_BACKGROUND * background, MIN_TONE_SHARE * float(samples.std())):
-            return float(line_hz[tone][np.argmax(line_amplitudes[tone])]), amplitude
+        amplitude = float(line_amplitudes[tone_mask].max())
+        background_amplitude = float(np.sqrt(np.mean(line_amplitudes[beside_mask] ** 2)))
+        if amplitude > max(2 * TONE_TO_BACKGROUND_RATIO * background_amplitude, MIN_TONE_SHARE * float(samples.std())):
+            return float(line_hz[tone_mask][np.argmax(line_amplitudes[tone_mask])]), amplitude
     return None
 
 
@@ -296,10 +296,10 @@ def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> F
 def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
     sample_count = samples.size
-    power = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(sample_count))) ** 2
+    power_by_line = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(sample_count))) ** 2
     slow_line_end = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
-    slow_share = float(np.sqrt(np.sum(power[1:slow_line_end]) / np.sum(power)))
-    if slow_share < DRIFT_SHARE:
+    slow_share = float(np.sqrt(np.sum(power_by_line[1:slow_line_end]) / np.sum(power_by_line)))
+    if slow_share < MIN_DRIFT_SHARE:
         return None
     return Finding(
         cause="drift",
@@ -311,8 +311,8 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
 
 def motion_finding(name: str, rate_hz: float, samples: Row, rest_s: float) -> Finding | None:
     """Finding: the channel moves by a part of its usual motion within the record's first moments."""
-    beginning = samples[: max(8, round(rest_s * rate_hz))]
-    if beginning.std() < MIN_MOVING_SHARE * samples.std():
+    beginning_samples = samples[: max(8, round(rest_s * rate_hz))]
+    if beginning_samples.std() < MIN_MOVING_SHARE * samples.std():
         return None
     return Finding(
         cause="not at rest",

@@ -71,20 +71,20 @@ def check(
 
     Example: identify check barrel_cradle.mcap
     """
-    sensors = checked_use(use)
+    motion_quantity = checked_use(use)
     with working(f"checking {file.name}"):
-        result = identify.check(file, use=sensors, tolerances=tolerances)
+        check_result = identify.check(file, use=motion_quantity, tolerances=tolerances)
     if as_json:
-        print_json(result.to_dict())
+        print_json(check_result.to_dict())
     else:
-        finding_count = len(result.findings)
+        finding_count = len(check_result.findings)
         count_words = f"{finding_count} finding{'s' * (finding_count > 1)}"
         say(f"{file}: {count_words if finding_count else 'nothing wrong was found'}")
-        for finding in result.findings:
+        for finding in check_result.findings:
             say(f"  {finding.sentence}")
-        for note in result.notes:
+        for note in check_result.notes:
             say(f"note: {note}")
-    if not result.sound:
+    if not check_result.sound:
         raise typer.Exit(1)
 
 
@@ -110,29 +110,29 @@ def law(
     from identify.laws.report import curves
     from identify.pages.tables import save_tables
 
-    sensors = checked_use(use)
+    motion_quantity = checked_use(use)
     check_export(export, out)
     if out is not None:
         for file_name in ("law.json", "law.html"):
             refuse_existing(out / file_name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
-        result = identify.law(
+        law_result = identify.law(
             file,
             contact=contact,
-            use=sensors,
+            use=motion_quantity,
             seconds=seconds,
             seed=seed,
             tolerances=tolerances,
             progress=progress,
         )
     if out is not None:
-        result.save(out)
+        law_result.save(out)
         if export is not None:
-            save_tables(curves(result.identification.fits), out, export)
+            save_tables(curves(law_result.identification.fits), out, export)
     if as_json:
-        print_json(result.report)
+        print_json(law_result.report)
     else:
-        print_laws(result.report, literal_console())
+        print_laws(law_result.report, literal_console())
 
 
 def print_laws(report: LawReport, console: Console) -> None:
@@ -146,8 +146,8 @@ def print_laws(report: LawReport, console: Console) -> None:
             soft_wrap=not console.is_terminal,
         )
         print_sentence(f"  formula found: {law_estimate.formula}", console)
-        rows = ((candidate.law, f"{candidate.held_out_error_n:.3g}") for candidate in law_estimate.candidates)
-        console.print(console_table("", ("law", "rms left of held-out data, N"), rows=rows))
+        candidate_rows = ((candidate.law, f"{candidate.held_out_error_n:.3g}") for candidate in law_estimate.candidates)
+        console.print(console_table("", ("law", "rms left of held-out data, N"), rows=candidate_rows))
         print_sentence(
             f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
             f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"

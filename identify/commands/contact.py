@@ -49,18 +49,18 @@ def contact(
 
     identify contact recordings --out results
     """
-    from identify.commands.contact_files import RESULT_NAMES, ContactSettings, identify_file, print_report
+    from identify.commands.contact_files import RESULT_FILE_NAMES, ContactSettings, identify_file, print_report
     from identify.commands.contact_folder import contact_folder
     from identify.commands.many import check_folder_options
     from identify.signals.spectra import WINDOW_POWERS, Averaging
     from rig.model.tolerances import tolerances_named
 
-    sensors = checked_use(use)
+    motion_quantity = checked_use(use)
     if window not in WINDOW_POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_POWERS)}", param_hint="--window")
     check_export(export, out)
     settings = ContactSettings(
-        use=sensors,
+        use=motion_quantity,
         averaging=Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band),
         equation=equation,
         tolerances=tolerances_named(tolerances) if tolerances else None,
@@ -73,11 +73,11 @@ def contact(
     if dask is not None:
         raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
     if out is not None:
-        for file_name in RESULT_NAMES:
+        for file_name in RESULT_FILE_NAMES:
             refuse_existing(out / file_name, force, file, new_folder=True)
     with progress_bar(f"identifying {file.name}") as progress:
-        identification_share = 1.0 if out is None else DRAWING_START_SHARE
-        file_answer = identify_file(file, settings, lambda share: progress(identification_share * share))
+        identifying_share = 1.0 if out is None else DRAWING_START_SHARE
+        file_answer = identify_file(file, settings, lambda share: progress(identifying_share * share))
         if out is not None:
             file_answer.save(out)
     if as_json:

@@ -26,7 +26,7 @@ from rig.model.description import to_json
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-RESULT_NAMES = ("contact.json", "contact.html", "rig.json")
+RESULT_FILE_NAMES = ("contact.json", "contact.html", "rig.json")
 """Files of a result that must not be overwritten unasked."""
 
 
@@ -62,8 +62,8 @@ def identify_file(
     options: dict[str, Any] = {"use": settings.use, "averaging": settings.averaging, "equation": settings.equation}
     options |= {"tolerances": settings.tolerances, "progress": progress}
     if segment_s is None:
-        result = identify.contact(file, **options)
-        return FileAnswer(result.report, lambda out: _save(result, out, settings.export))
+        contact_result = identify.contact(file, **options)
+        return FileAnswer(contact_result.report, lambda out: _save(contact_result, out, settings.export))
     report, segment_results = identify_long(file, segment_s=segment_s, **options)
     return FileAnswer(report, lambda out: _save_pooled(file, segment_s, report, segment_results, out))
 
@@ -103,9 +103,9 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
     for estimate in report.contacts:
         contact_table.add_row(
             estimate.name,
-            "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
-            _interval(estimate.stiffness_n_per_m),
-            _interval(estimate.damping_n_s_per_m),
+            "" if estimate.is_spring else _interval_text(estimate.clearance_m, 1e3),
+            _interval_text(estimate.stiffness_n_per_m),
+            _interval_text(estimate.damping_n_s_per_m),
         )
     console.print(contact_table)
     for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
@@ -135,11 +135,11 @@ def _nifo_table(report: ContactReport) -> Table:
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",
             )
-        answered_contacts = {s.contact for s in equation_result.stiffness}
-        for contact_name in (n for n in equation_result.nearly_invisible if n not in answered_contacts):
+        answered_names = {s.contact for s in equation_result.stiffness}
+        for contact_name in (n for n in equation_result.nearly_invisible if n not in answered_names):
             nifo_table.add_row(equation_result.equation, contact_name, "", "", "on a node: not told")
     return nifo_table
 
 
-def _interval(estimate: Estimate, unit_factor: float = 1.0) -> str:
+def _interval_text(estimate: Estimate, unit_factor: float = 1.0) -> str:
     return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, "1")

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
-from identify.commands.contact_files import RESULT_NAMES, ContactSettings, identify_file
+from identify.commands.contact_files import RESULT_FILE_NAMES, ContactSettings, identify_file
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages.wording import interval
@@ -13,14 +13,14 @@ from rig.commands.command_line import literal_console, print_sentence
 from rig.errors import RigError
 
 TABLE_NAME = "contacts"
-QUANTITIES = {"clearance": "m", "lower_clearance": "m", "upper_clearance": "m", "stiffness": "n_per_m"}
-QUANTITIES |= {"damping": "n_s_per_m"}
-COLUMNS = (
+UNIT_BY_QUANTITY = {"clearance": "m", "lower_clearance": "m", "upper_clearance": "m", "stiffness": "n_per_m"}
+UNIT_BY_QUANTITY |= {"damping": "n_s_per_m"}
+COLUMN_NAMES = (
     "recording",
     "rig",
     "contact",
     "verdict",
-    *(f"{name}{error}_{unit}" for name, unit in QUANTITIES.items() for error in ("", "_standard_error")),
+    *(f"{name}{error}_{unit}" for name, unit in UNIT_BY_QUANTITY.items() for error in ("", "_standard_error")),
     "law",
     "exponent",
     "exponent_standard_error",
@@ -37,11 +37,11 @@ def contact_folder(
     folder: Path, out: Path, settings: ContactSettings, dask: str | None, as_json: bool, force: bool
 ) -> None:
     """Identify every recording of a folder, each with its files in DIR/NAME, and write the table of all contacts."""
-    tasks = tasks_of(folder, out, settings, RESULT_NAMES, force)
-    answers = answer_all(contact_rows, [tasks], out, settings, RESULT_NAMES[0], dask, force)
+    tasks = tasks_of(folder, out, settings, RESULT_FILE_NAMES, force)
+    answers = answer_all(contact_rows, [tasks], out, settings, RESULT_FILE_NAMES[0], dask, force)
     if not as_json:
         _print_contacts(answers)
-    finish(answers, COLUMNS, out, TABLE_NAME, as_json)
+    finish(answers, COLUMN_NAMES, out, TABLE_NAME, as_json)
 
 
 def contact_rows(task: RecordingTask) -> TableRows:
@@ -56,15 +56,15 @@ def contact_rows(task: RecordingTask) -> TableRows:
 
 
 def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str, str | float | None]]:
-    findings = " | ".join(finding.sentence for finding in report.findings)
-    verdict = "not_to_be_relied_on" if findings else "identified"
-    common: dict[str, str | float | None] = {"recording": recording_name, "rig": report.rig, "findings": findings}
+    findings_text = " | ".join(finding.sentence for finding in report.findings)
+    verdict = "not_to_be_relied_on" if findings_text else "identified"
+    common: dict[str, str | float | None] = {"recording": recording_name, "rig": report.rig, "findings": findings_text}
     common |= {"law": "", "code": "", "reason": ""}
-    rows = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
-    for contact in report.unanswered:
-        reason: dict[str, str | float | None] = {"code": contact.code or "", "reason": contact.reason}
-        rows.append(common | {"contact": contact.name, "verdict": "not_told"} | reason)
-    return rows
+    contact_cells = [common | {"contact": c.name, "verdict": verdict} | _estimate_cells(c) for c in report.contacts]
+    for unanswered in report.unanswered:
+        reason_cells: dict[str, str | float | None] = {"code": unanswered.code or "", "reason": unanswered.reason}
+        contact_cells.append(common | {"contact": unanswered.name, "verdict": "not_told"} | reason_cells)
+    return contact_cells
 
 
 def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
@@ -73,7 +73,7 @@ def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
         "reference_depth_m": contact.reference_depth_m,
         "closed_share": contact.closed_share,
     }
-    for quantity_name, unit in QUANTITIES.items():
+    for quantity_name, unit in UNIT_BY_QUANTITY.items():
         estimate: Estimate | None = getattr(contact, f"{quantity_name}_{unit}")
         if estimate is not None:
             cells[f"{quantity_name}_{unit}"] = estimate.value
@@ -85,21 +85,21 @@ def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
 
 def _print_contacts(answers: list[TableRows]) -> None:
     """Print the table of all contacts, then a line for each that is undetermined or refused."""
-    table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
-    reasons = []
+    contact_table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
+    reason_lines = []
     for row in (row for answer in answers for row in answer.rows):
-        intervals = _interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0)
+        interval_texts = _interval_text(row, "clearance", "m", 1e3), _interval_text(row, "stiffness", "n_per_m", 1.0)
         recording, contact, verdict = row["recording"], row.get("contact") or "", str(row["verdict"]).replace("_", " ")
-        table.add_row(str(recording), str(contact), *intervals, verdict * (verdict != "identified"))
+        contact_table.add_row(str(recording), str(contact), *interval_texts, verdict * (verdict != "identified"))
         if row.get("reason"):
-            reasons.append(f"{recording}{contact and f', {contact}'}: {verdict}: {row['reason']}")
+            reason_lines.append(f"{recording}{contact and f', {contact}'}: {verdict}: {row['reason']}")
     console = literal_console()
-    console.print(table)
-    for reason in reasons:
+    console.print(contact_table)
+    for reason in reason_lines:
         print_sentence(reason, console)
 
 
-def _interval(row: dict[str, str | float | None], quantity_name: str, unit: str, unit_factor: float) -> str:
+def _interval_text(row: dict[str, str | float | None], quantity_name: str, unit: str, unit_factor: float) -> str:
     value, standard_error = row.get(f"{quantity_name}_{unit}"), row.get(f"{quantity_name}_standard_error_{unit}")
     if not isinstance(value, float) or not isinstance(standard_error, float):
         return ""

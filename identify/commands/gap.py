@@ -83,14 +83,14 @@ def gap(
     from rig.model.tolerances import tolerances_named
 
     check_export(export, out)
-    thresholds = Matters(matters / 100, matters_contact / 100)
+    matters_shares = Matters(matters / 100, matters_contact / 100)
     if any(path.is_dir() for path in real):
         if len(real) > 1:
             raise RigError(f"{len(real)} names with a folder among them; give one folder, or recordings")
         settings = GapSettings(
             simulator=simulator,
             tolerances=tolerances_named(tolerances) if tolerances else None,
-            matters=thresholds,
+            matters=matters_shares,
             next_experiment=next_experiment,
             rig=None if rig is None else to_json(read_rig(rig)).decode(),
             null_reference=None if null_reference is None else str(null_reference.absolute()),
@@ -105,11 +105,11 @@ def gap(
         source_paths = [*real, *(path for path in (validate, null_reference, rig) if path)]
         for file_name in ("gap.json", "gap.html", "rig.json"):
             refuse_existing(out / file_name, force, *source_paths, new_folder=True)
-    stage_shares = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
+    stage_spans = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
         def show_progress(stage: str, stage_fraction: float) -> None:
-            start_share, length_share = stage_shares[stage]
+            start_share, length_share = stage_spans[stage]
             progress(start_share + length_share * stage_fraction)
 
         gap_result = diagnose(
@@ -118,7 +118,7 @@ def gap(
             simulator=simulator,
             null_reference=null_reference or real[0].parent,
             tolerances=tolerances,
-            matters=thresholds,
+            matters=matters_shares,
             next_experiment=next_experiment,
             rig=rig,
             progress=show_progress,

@@ -21,9 +21,9 @@ from rig.model.description import from_json, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-TABLE_NAME, NULL_REFERENCES = "gaps", "null_references"
-RESULT_NAMES = ("gap.json", "gap.html", "rig.json")
-COLUMNS = (
+TABLE_NAME, REFERENCE_FOLDER = "gaps", "null_references"
+RESULT_FILE_NAMES = ("gap.json", "gap.html", "rig.json")
+COLUMN_NAMES = (
     "recording",
     "rig",
     "verdict",
@@ -70,26 +70,26 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
     first_tasks: dict[str, RecordingTask] = {}
     tasks = []
     with working(f"reading {folder}"):
-        for task in tasks_of(folder, out, settings, RESULT_NAMES, force):
-            reference = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
-            tasks.append(msgspec.structs.replace(task, shared=reference))
-            first_tasks.setdefault(reference, tasks[-1])
-    make_folder(out / NULL_REFERENCES)
+        for task in tasks_of(folder, out, settings, RESULT_FILE_NAMES, force):
+            reference_file = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
+            tasks.append(msgspec.structs.replace(task, shared=reference_file))
+            first_tasks.setdefault(reference_file, tasks[-1])
+    make_folder(out / REFERENCE_FOLDER)
     stages = [list(first_tasks.values()), [task for task in tasks if task not in first_tasks.values()]]
-    answers = answer_all(gap_rows, stages, out, settings, RESULT_NAMES[0], dask, force)
-    positions = {task.path.name: position for position, task in enumerate(tasks)}
-    answers.sort(key=lambda answer: positions[str(answer.rows[0]["recording"])])
+    answers = answer_all(gap_rows, stages, out, settings, RESULT_FILE_NAMES[0], dask, force)
+    position_by_name = {task.path.name: position for position, task in enumerate(tasks)}
+    answers.sort(key=lambda answer: position_by_name[str(answer.rows[0]["recording"])])
     if not as_json:
         _print_diagnoses(answers)
-    parameters = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
-    finish(answers, (*COLUMNS, *parameters), out, TABLE_NAME, as_json)
+    parameter_columns = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMN_NAMES))
+    finish(answers, (*COLUMN_NAMES, *parameter_columns), out, TABLE_NAME, as_json)
 
 
 def gap_rows(task: RecordingTask) -> TableRows:
     """Row of a recording, or of the reason for its refusal; its files are written."""
     settings = msgspec.json.decode(task.settings, type=GapSettings)
     try:
-        result = diagnose(
+        gap_result = diagnose(
             task.path,
             simulator=settings.simulator,
             null_reference=task.shared,
@@ -100,17 +100,17 @@ def gap_rows(task: RecordingTask) -> TableRows:
         )
     except RigError as error:
         return refused_row(task.path, error)
-    result.save(task.folder)
+    gap_result.save(task.folder)
     if settings.export is not None:
-        save_tables(curves(result.report), task.folder, settings.export)
-    return TableRows((_row(task.path.name, result),))
+        save_tables(curves(gap_result.report), task.folder, settings.export)
+    return TableRows((_diagnosis_row(task.path.name, gap_result),))
 
 
-def _row(recording_name: str, result: GapResult) -> dict[str, str | float | None]:
-    gap_report = result.report
+def _diagnosis_row(recording_name: str, gap_result: GapResult) -> dict[str, str | float | None]:
+    gap_report = gap_result.report
     row: dict[str, str | float | None] = {
         "recording": recording_name,
-        "rig": result.corrected.name,
+        "rig": gap_result.corrected.name,
         "verdict": gap_report.verdict,
         "sentence": gap_report.sentence,
         "named": " | ".join(gap_report.criteria.named),
@@ -125,7 +125,7 @@ def _row(recording_name: str, result: GapResult) -> dict[str, str | float | None
         "unexplained_share_after": gap_report.after.share,
         "code": "",
         "reason": "",
-        "findings": " | ".join(finding.sentence for finding in result.findings),
+        "findings": " | ".join(finding.sentence for finding in gap_result.findings),
     }
     return row | _cause_cells(gap_report)
 
@@ -153,16 +153,16 @@ def _null_reference_path(out: Path, recording: Path, rig_text: str | None) -> Pa
         rig_json = rig_text.encode() if rig_text else to_json(next(iter(segments(recording, FIRST_SEGMENT_S, 0.0))).rig)
     except RigError:
         rig_json = b""  # its own task says what is wrong
-    return (out / NULL_REFERENCES / f"{hashlib.sha256(rig_json).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
+    return (out / REFERENCE_FOLDER / f"{hashlib.sha256(rig_json).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
 
 
 def _print_diagnoses(answers: list[TableRows]) -> None:
     """Print the table of verdicts and likeliest causes, then the sentences."""
-    table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
+    diagnosis_table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
     sentences = []
     for row in (row for answer in answers for row in answer.rows):
         probability = row.get("probability")
-        table.add_row(
+        diagnosis_table.add_row(
             str(row["recording"]),
             str(row["verdict"]).replace("_", " "),
             str(row.get("effects", "")),
@@ -170,6 +170,6 @@ def _print_diagnoses(answers: list[TableRows]) -> None:
         )
         sentences.append(f"{row['recording']}: {row.get('sentence') or row['reason']}")
     console = literal_console()
-    console.print(table)
+    console.print(diagnosis_table)
     for sentence in sentences:
         print_sentence(sentence, console)

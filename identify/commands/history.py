@@ -8,7 +8,7 @@ import typer
 from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
-Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
+OutOption = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
 
 
 def compare(
@@ -18,7 +18,7 @@ def compare(
             metavar="RECORDING", help="Recordings of one machine in their order, or folders with a contact.json."
         ),
     ],
-    out: Out = None,
+    out: OutOption = None,
     use: UseOption = "auto",
     tolerances: TolerancesOption = None,
     as_json: Json = False,
@@ -38,7 +38,7 @@ def history(
             metavar="FOLDER", help="Folder with the recordings of one machine, or with folders of contact.json."
         ),
     ],
-    out: Out = None,
+    out: OutOption = None,
     use: UseOption = "auto",
     tolerances: TolerancesOption = None,
     as_json: Json = False,
@@ -59,21 +59,21 @@ def _compare_and_print(
     from identify.api import compare as compare_recordings
     from identify.history.page import quantity_rows
 
-    sensors = checked_use(use)
+    motion_quantity = checked_use(use)
     if out is not None:
         for file_name in ("history.html", "history.csv", "history.json"):
             refuse_existing(out / file_name, force, *sources, new_folder=True)
     with progress_bar(f"comparing {len(sources)} recordings") as progress:
-        result = compare_recordings(sources, use=sensors, tolerances=tolerances, progress=progress)
+        history_result = compare_recordings(sources, use=motion_quantity, tolerances=tolerances, progress=progress)
     if out is not None:
-        result.save(out)
+        history_result.save(out)
     if as_json:
-        print_json(result.to_dict())
+        print_json(history_result.to_dict())
         return
-    say(result.sentence)
+    say(history_result.sentence)
     headings = ("", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-    literal_console().print(console_table("", headings, rows=quantity_rows(result.report)))
-    for observation in result.report.observations:
+    literal_console().print(console_table("", headings, rows=quantity_rows(history_result.report)))
+    for observation in history_result.report.observations:
         if observation.report is None:
             say(f"left out: {observation.name}: {observation.reason}")
         for finding in observation.report.findings if observation.report else ():

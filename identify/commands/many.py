@@ -78,8 +78,8 @@ def refused_row(path: Path, error: BaseException, verdict: str = REFUSED) -> Tab
 
 def check_folder_options(folder: Path, out: Path | None, **single_file_options: object) -> Path:
     """Folder of the results; raises RigError without one, and for options that a single recording alone takes."""
-    for option_name, value in single_file_options.items():
-        if value:
+    for option_name, option_value in single_file_options.items():
+        if option_value:
             raise RigError(
                 f"--{option_name.replace('_', '-')} is for recordings given by name; leave it out for a folder"
             )
@@ -96,8 +96,8 @@ def tasks_of(
     A folder of results goes on with the settings that it began with, which it keeps in SETTINGS_NAME; with `force` it
     begins anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
     """
-    recordings = sorted_by_name(recordings_in(folder))
-    if not recordings:
+    recording_paths = sorted_by_name(recordings_in(folder))
+    if not recording_paths:
         raise RigError(f"{folder}: holds no recordings (*.mcap); give another folder")
     settings_json, settings_path = msgspec.json.encode(settings), out / SETTINGS_NAME
     is_continued = settings_path.exists() and not force
@@ -112,7 +112,7 @@ def tasks_of(
             str((out / recording_path.stem).absolute()),
             msgspec.Raw(settings_json),
         )
-        for recording_path in recordings
+        for recording_path in recording_paths
     ]
     for task in tasks if not is_continued else ():
         for result_name in result_names:
@@ -156,18 +156,18 @@ def finish(
     answers: Sequence[TableRows], column_names: Sequence[str], out: Path, table_name: str, as_json: bool
 ) -> None:
     """Write the table and print where it is, or print its rows as JSON; exit with 1 if recordings were refused."""
-    rows: list[Row] = [
+    table_rows: list[Row] = [
         {column_name: row.get(column_name, "" if column_name in TEXT_COLUMNS else None) for column_name in column_names}
         for answer in answers
         for row in answer.rows
     ]
-    parquet_note = save_rows(rows, column_names, out, table_name)
+    parquet_note = save_rows(table_rows, column_names, out, table_name)
     refused_count = sum(answer.is_refused for answer in answers)
     if as_json:
-        print_json(rows)
+        print_json(table_rows)
     else:
         say(
-            f"{out / table_name}.csv{'' if parquet_note else ' and .parquet'}: {len(rows)} rows of "
+            f"{out / table_name}.csv{'' if parquet_note else ' and .parquet'}: {len(table_rows)} rows of "
             f"{len(answers)} recordings"
         )
         if parquet_note:

@@ -45,12 +45,12 @@ def checked_use(use: str) -> MotionQuantity:
 
 
 def check_export(export: str | None, out: Path | None) -> None:
-    """Raises typer.BadParameter for an unknown format, or without a folder."""
+    """Raise typer.BadParameter for an unknown format, or without a folder."""
     from identify.pages.tables import WRITERS
 
     if export is not None and (export not in WRITERS or out is None):
-        sentence = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
-        raise typer.BadParameter(sentence, param_hint="--export")
+        error_words = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
+        raise typer.BadParameter(error_words, param_hint="--export")
 
 
 def print_json(value: Any) -> None:

@@ -9,17 +9,17 @@ import typer
 from identify.commands.options import TolerancesOption, print_json
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
-SHOWN_CHANGES = 8
+SHOWN_CHANGE_COUNT = 8
 """Number of ranked changes on the terminal."""
-MAX_WORKERS = 8
+MAX_WORKER_COUNT = 8
 """Most processes, each of which takes some 0.4 GB."""
 
 
 def plan_words() -> dict[str, str]:
     """Word for the help: the number of changes that are tried at most."""
-    from identify.planning.ranking import MAX_CHANGES
+    from identify.planning.ranking import MAX_CHANGE_COUNT
 
-    return {"changes": str(MAX_CHANGES)}
+    return {"changes": str(MAX_CHANGE_COUNT)}
 
 
 def plan(
@@ -68,7 +68,7 @@ def plan(
     """
     from identify.api import plan as plan_test
     from identify.planning import page
-    from identify.planning.ranking import MAX_CHANGES
+    from identify.planning.ranking import MAX_CHANGE_COUNT
 
     if out is not None:
         for file_name in ("plan.html", "plan.json"):
@@ -82,8 +82,8 @@ def plan(
             band_hz=band,
             tolerances=tolerances,
             simulator=simulator,
-            most_changes=MAX_CHANGES if changes is None else changes,
-            workers=workers or min(os.cpu_count() or 1, MAX_WORKERS),
+            most_changes=MAX_CHANGE_COUNT if changes is None else changes,
+            workers=workers or min(os.cpu_count() or 1, MAX_WORKER_COUNT),
             progress=progress,
         )
     if out is not None:
@@ -101,7 +101,7 @@ def plan(
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:
-        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
+        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGE_COUNT]
         title = "What would help, ranked by the widest interval"
         change_table = console_table(title, page.CHANGE_HEAD, rows=change_rows)
         change_table.columns[-1].justify = "left"

@@ -13,14 +13,14 @@ from scipy.stats import t as student_t
 from identify.contacts.results import ContactReport, Estimate
 from rig.errors import RigError
 
-LEVEL = 0.05
+SIGNIFICANCE_LEVEL = 0.05
 """Probability that any change at all is stated of a machine that did not change."""
 ERROR_INFLATION = 1.5
 """Factor by which own errors may be too small: for the machines of `tests.campaigns.wear --seed 3` the scatter of a
 clearance over its own error is 1.17 (root mean square), at most 2.06; 1.5 is set by hand."""
 MIN_TREND_COUNT = 4
 """Fewest recordings of which a trend is tested."""
-UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}
+CONTACT_UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}
 MODAL_UNITS = {"frequency_hz": "Hz", "damping_ratio": "1"}
 
 PerRecording = Float[np.ndarray, " recordings"]
@@ -61,18 +61,18 @@ class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changed(self) -> bool:
-        return any(p_value is not None and p_value < LEVEL for p_value in (self.p_different, self.p_trend))
+        return any(p_value is not None and p_value < SIGNIFICANCE_LEVEL for p_value in (self.p_different, self.p_trend))
 
 
 class History(msgspec.Struct, frozen=True):
-    """history.json."""
+    """Quantities of one machine over its recordings: the structure of history.json."""
 
     rig: str
     observations: tuple[Observation, ...]
     quantities: tuple[QuantityHistory, ...]
 
     @property
-    def used(self) -> tuple[Observation, ...]:
+    def compared(self) -> tuple[Observation, ...]:
         return tuple(observation for observation in self.observations if observation.report is not None)
 
 
@@ -97,50 +97,50 @@ def history_of(observations: Sequence[Observation]) -> History:
 def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of the quantities of every contact that any report has."""
     by_recording = [{contact.name: contact for contact in report.contacts} for report in reports]
-    names = dict.fromkeys(name for contacts in by_recording for name in contacts)
+    contact_names = dict.fromkeys(name for contacts in by_recording for name in contacts)
     return [
-        quantity_of(name, field, unit, [getattr(contacts.get(name), field, None) for contacts in by_recording])
-        for name in names
-        for field, unit in UNITS.items()
+        quantity_history(name, field, unit, [getattr(contacts.get(name), field, None) for contacts in by_recording])
+        for name in contact_names
+        for field, unit in CONTACT_UNITS.items()
     ]
 
 
 def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of frequency and damping of the modes that all reports have, without known errors."""
     by_recording = [{f"mode {mode.index} of {mode.beam}": mode for mode in report.modes} for report in reports]
-    common_names = [name for name in by_recording[0] if all(name in modes for modes in by_recording)]
+    mode_names = [name for name in by_recording[0] if all(name in modes for modes in by_recording)]
     return [
-        quantity_of(name, field, unit, [Estimate(getattr(modes[name], field), 0.0, 0.0) for modes in by_recording])
-        for name in common_names
+        quantity_history(name, field, unit, [Estimate(getattr(modes[name], field), 0.0, 0.0) for modes in by_recording])
+        for name in mode_names
         for field, unit in MODAL_UNITS.items()
     ]
 
 
-def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
+def quantity_history(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
     """History of one quantity, with p-values not yet corrected for the number of tests."""
-    rows = [
+    estimate_rows = [
         (e.value, e.standard_error, e.standard_error if e.own_error is None else e.own_error)
         for e in (estimate or Estimate(np.nan, np.nan) for estimate in estimates)
     ]
-    values, standard_errors, own_errors = np.array(rows).T
+    values, standard_errors, own_errors = np.array(estimate_rows).T
     is_determined = np.isfinite(values) & np.isfinite(own_errors)
-    errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
-    weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)[is_determined]
+    are_errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
+    weights = np.where(is_determined, 1 / own_errors**2 if are_errors_known else 1.0, 0.0)[is_determined]
     mean = float(np.average(values[is_determined], weights=weights))
     positions = np.flatnonzero(is_determined).astype(float)
-    tests = change_tests(positions, values[is_determined], weights, errors_known)
-    common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
+    test_results = change_tests(positions, values[is_determined], weights, are_errors_known)
+    common_standard_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
         quantity=quantity,
         unit=unit,
-        values=_finite_values(values),
-        standard_errors=_finite_values(standard_errors),
-        own_errors=_finite_values(own_errors),
+        values=_finite_or_none(values),
+        standard_errors=_finite_or_none(standard_errors),
+        own_errors=_finite_or_none(own_errors),
         mean=mean,
-        p_different=tests.p_different,
-        p_trend=tests.p_trend,
-        drift=tests.drift and _with_common_error(tests.drift, mean, common_error),
+        p_different=test_results.p_different,
+        p_trend=test_results.p_trend,
+        drift=test_results.drift and _with_common_error(test_results.drift, mean, common_standard_error),
     )
 
 
@@ -150,7 +150,7 @@ def _with_common_error(drift: Estimate, mean: float, common_error: float) -> Est
     return Estimate(drift.value, float(np.hypot(drift.standard_error, relative_common_error * drift.value)))
 
 
-def _finite_values(values: PerRecording) -> tuple[float | None, ...]:
+def _finite_or_none(values: PerRecording) -> tuple[float | None, ...]:
     """Values of a row, None for those that are not finite."""
     return tuple(value if np.isfinite(value) else None for value in values.tolist())
 
@@ -175,34 +175,34 @@ def change_tests(
     residuals with n - 2 degrees of freedom, at least 1 with known errors, so that slightly small errors give no trend.
     b / s_b is compared with Student's t. Without known errors only the line is tested.
     """
-    count = values.size
-    if count < 2:
+    n = values.size
+    if n < 2:
         return ChangeTests(None, None, None)
     t = positions - np.average(positions, weights=weights)
     x = values - np.average(values, weights=weights)
-    p_different = float(chi2.sf(weights @ x**2 / ERROR_INFLATION**2, count - 1)) if errors_known else None
-    if count < MIN_TREND_COUNT:
+    p_different = float(chi2.sf(weights @ x**2 / ERROR_INFLATION**2, n - 1)) if errors_known else None
+    if n < MIN_TREND_COUNT:
         return ChangeTests(p_different, None, None)
-    square_sum = weights @ t**2
-    slope = float(weights @ (t * x) / square_sum)
-    mean_square = float(weights @ (x - slope * t) ** 2) / (count - 2)
-    slope_error = float(np.sqrt(max(mean_square, 1.0 if errors_known else 0.0) / square_sum))
-    span = float(np.ptp(positions))
-    p_trend = float(2 * student_t.sf(abs(slope) / slope_error, count - 2)) if slope_error > 0 else float(slope == 0)
-    return ChangeTests(p_different, p_trend, Estimate(slope * span, slope_error * span))
+    t_square_sum = weights @ t**2
+    slope = float(weights @ (t * x) / t_square_sum)
+    residual_mean_square = float(weights @ (x - slope * t) ** 2) / (n - 2)
+    slope_error = float(np.sqrt(max(residual_mean_square, 1.0 if errors_known else 0.0) / t_square_sum))
+    position_span = float(np.ptp(positions))
+    p_trend = float(2 * student_t.sf(abs(slope) / slope_error, n - 2)) if slope_error > 0 else float(slope == 0)
+    return ChangeTests(p_different, p_trend, Estimate(slope * position_span, slope_error * position_span))
 
 
 def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
     """Quantities with p-values corrected for all tests (Holm, "A simple sequentially rejective multiple test
     procedure", 1979)."""
-    p_values = [
+    indexed_p_values = [
         (p_value, index, field)
         for index, quantity in enumerate(quantities)
         for field in ("p_different", "p_trend")
         if (p_value := getattr(quantity, field)) is not None
     ]
-    corrected, adjusted_p = list(quantities), 0.0
-    for rank, (p_value, index, field) in enumerate(sorted(p_values)):
-        adjusted_p = max(adjusted_p, min(1.0, (len(p_values) - rank) * p_value))
-        corrected[index] = msgspec.structs.replace(corrected[index], **{field: adjusted_p})
-    return tuple(corrected)
+    corrected_quantities, adjusted_p = list(quantities), 0.0
+    for rank, (p_value, index, field) in enumerate(sorted(indexed_p_values)):
+        adjusted_p = max(adjusted_p, min(1.0, (len(indexed_p_values) - rank) * p_value))
+        corrected_quantities[index] = msgspec.structs.replace(corrected_quantities[index], **{field: adjusted_p})
+    return tuple(corrected_quantities)

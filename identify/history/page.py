@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from identify.history.changes import LEVEL, MIN_TREND_COUNT, History, QuantityHistory
+from identify.history.changes import MIN_TREND_COUNT, SIGNIFICANCE_LEVEL, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number
@@ -28,9 +28,9 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    changes = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
-    text = "; ".join(changes) or "nothing changed by more than chance"
-    return f"{len(history.used)} recordings of {history.rig}: {text}."
+    change_texts = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
+    changes_text = "; ".join(change_texts) or "nothing changed by more than chance"
+    return f"{len(history.compared)} recordings of {history.rig}: {changes_text}."
 
 
 def quantity_name(quantity: QuantityHistory) -> str:
@@ -39,12 +39,12 @@ def quantity_name(quantity: QuantityHistory) -> str:
 
 def _change_predicate(quantity: QuantityHistory) -> str:
     """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
-    if quantity.p_trend is not None and quantity.p_trend < LEVEL:
-        return f"drifts by {drift(quantity)} from the first to the last (p = {quantity.p_trend:.2g})"
+    if quantity.p_trend is not None and quantity.p_trend < SIGNIFICANCE_LEVEL:
+        return f"drifts by {drift_text(quantity)} from the first to the last (p = {quantity.p_trend:.2g})"
     return f"differs between recordings (p = {quantity.p_different:.2g})"
 
 
-def drift(quantity: QuantityHistory) -> str:
+def drift_text(quantity: QuantityHistory) -> str:
     """Change along the trend ± 95 %, in its unit and, if smaller than the mean, in per cent of it."""
     if quantity.drift is None:
         return ""
@@ -62,52 +62,52 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
             "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
             for p_value in (quantity.p_trend, quantity.p_different)
         )
-        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *p_texts
+        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift_text(quantity), *p_texts
 
 
 def csv_of(history: History) -> bytes:
     """Content of history.csv: a row for each quantity and recording, with the half-widths of the 95 % intervals of the
     value alone and of its differences."""
-    csv_text = StringIO()
-    writer = csv.writer(csv_text, lineterminator="\n")
+    csv_buffer = StringIO()
+    writer = csv.writer(csv_buffer, lineterminator="\n")
     writer.writerow(["recording", "recorded", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
     for q in history.quantities:
-        for recording, value, *errors in zip(history.used, q.values, q.standard_errors, q.own_errors, strict=True):
+        for recording, value, *errors in zip(history.compared, q.values, q.standard_errors, q.own_errors, strict=True):
             if value is not None:
-                half_widths = ["" if not error else repr(COVERED * error) for error in errors]
+                half_widths = ["" if not value_error else repr(COVERED * value_error) for value_error in errors]
                 date_text = f"{recording.recorded:%Y-%m-%dT%H:%M:%SZ}" if recording.recorded else ""
                 writer.writerow([recording.name, date_text, q.of, q.quantity, q.unit, repr(value), *half_widths])
-    return csv_text.getvalue().encode()
+    return csv_buffer.getvalue().encode()
 
 
-def _axis_positions(history: History) -> tuple[Float[np.ndarray, " recordings"], str]:
+def _axis_positions_and_label(history: History) -> tuple[Float[np.ndarray, " recordings"], str]:
     """Position of each recording on the axis, and its label: the time since the first recording if all have a date and
     the dates ascend, else the order."""
-    dates = [observation.recorded for observation in history.used if observation.recorded]
+    dates = [observation.recorded for observation in history.compared if observation.recorded]
     since_first_s = np.array([(date - dates[0]).total_seconds() for date in dates])
-    if since_first_s.size < len(history.used) or not np.all(np.diff(since_first_s) > 0):
-        return np.arange(1.0, len(history.used) + 1), ORDER_LABEL
+    if since_first_s.size < len(history.compared) or not np.all(np.diff(since_first_s) > 0):
+        return np.arange(1.0, len(history.compared) + 1), ORDER_LABEL
     large_units = (time_unit for time_unit in TIME_UNITS_S if since_first_s[-1] >= 2 * time_unit[1])
-    unit, unit_s = next(large_units, TIME_UNITS_S[-1])
-    return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
+    time_unit_name, unit_s = next(large_units, TIME_UNITS_S[-1])
+    return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {time_unit_name}"
 
 
 def history_figure(history: History) -> Picture:
     """Figure of clearance and stiffness of every contact over the recordings, as deviations from their means in %."""
     from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
-    looks = [("o-", BLUE), ("s-", RED), ("^-", GREEN), ("v-", GREY)]
-    positions, axis_label = _axis_positions(history)
+    markers_and_colours = [("o-", BLUE), ("s-", RED), ("^-", GREEN), ("v-", GREY)]
+    positions, axis_label = _axis_positions_and_label(history)
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(2, 1, sharex=True)
         for axes, quantity in zip(panels, ("clearance_m", "stiffness_n_per_m"), strict=True):
-            contacts = [q for q in history.quantities if q.quantity == quantity]
-            for k, (contact, (fmt, colour)) in enumerate(zip(contacts, cycle(looks), strict=False)):
-                values, errors = np.array([contact.values, contact.own_errors], dtype=float)
-                x = positions + 0.08 * np.diff(positions).min() * (k - (len(contacts) - 1) / 2)
-                deviations, half_widths = 100 * (values / contact.mean - 1), 100 * COVERED * errors / contact.mean
-                style = {"fmt": fmt, "color": colour, "label": contact.of, "ms": 4, "lw": 0.8, "capsize": 2}
+            histories = [q for q in history.quantities if q.quantity == quantity]
+            for k, (series, (fmt, colour)) in enumerate(zip(histories, cycle(markers_and_colours), strict=False)):
+                values, errors = np.array([series.values, series.own_errors], dtype=float)
+                x = positions + 0.08 * np.diff(positions).min() * (k - (len(histories) - 1) / 2)
+                deviations, half_widths = 100 * (values / series.mean - 1), 100 * COVERED * errors / series.mean
+                style = {"fmt": fmt, "color": colour, "label": series.of, "ms": 4, "lw": 0.8, "capsize": 2}
                 axes.errorbar(x, deviations, half_widths, **style)
             axes.set_ylabel(f"{WORD_UNIT_FACTOR[quantity][0]}, % off its mean")
         panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -121,10 +121,10 @@ def history_figure(history: History) -> Picture:
 def write_page(history: History, figure: Picture, path: Path) -> None:
     """Write history.html."""
     has_changes = any(quantity.changed for quantity in history.quantities)
-    has_findings = any(observation.report.findings for observation in history.used if observation.report)
+    has_findings = any(observation.report.findings for observation in history.compared if observation.report)
     page.write(
         path,
-        title=f"{history.rig}: {len(history.used)} recordings compared",
+        title=f"{history.rig}: {len(history.compared)} recordings compared",
         answer=page.Answer(
             "yellow" if has_findings or has_changes else "green",
             "not to be relied on" if has_findings else "changed" if has_changes else "no change",
@@ -144,25 +144,25 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     table_note = (
         f"<p>± 95 %. A trend is tested from {MIN_TREND_COUNT} recordings on. p is the chance of such a trend, or of "
         f"such differences, in a machine that does not change, corrected for the number of tests: in one history of "
-        f"{1 / LEVEL:.0f} any p falls below {LEVEL:g} by chance.</p>"
+        f"{1 / SIGNIFICANCE_LEVEL:.0f} any p falls below {SIGNIFICANCE_LEVEL:g} by chance.</p>"
     )
     headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
-    recordings = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
+    recordings_html = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
     return [
         ("Over the recordings", page.figure("history", figure, caption)),
         ("What changed", table_note + page.table(headings, quantity_rows(history))),
-        ("The recordings", recordings),
+        ("The recordings", recordings_html),
     ]
 
 
 def _recording_rows(history: History) -> Iterator[Sequence[str]]:
     """Yield for each recording its number if it is used, name, digits of the SHA-256, date and remark."""
-    used_count = 0
+    compared_count = 0
     for observation in history.observations:
         number_text, remark = "", f"left out: {observation.reason}"
         if observation.report is not None:
-            used_count += 1
+            compared_count += 1
             findings = "; ".join(finding.sentence for finding in observation.report.findings)
-            number_text, remark = str(used_count), f"not to be relied on: {findings}" if findings else "used"
+            number_text, remark = str(compared_count), f"not to be relied on: {findings}" if findings else "used"
         date_text = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
         yield number_text, observation.name, observation.sha256[: page.SHOWN_DIGITS], date_text, remark

@@ -16,14 +16,14 @@ from identify.signals.law_evaluation import evaluated_law, interpolated, low_pas
 from identify.signals.scores import part_scores
 
 HAT_COUNT, HAT_GROUP_COUNT = 81, 9
-MAX_KNEES = 8
+MAX_KNEE_COUNT = 8
 BEND_PENALTY = 1e-3
 DROPPED_KNEE_RATIO = 1.02
 """A knee is dropped if the error of the fit without it is at most this multiple."""
 ERROR_RESOLUTION = 1e-3
 """Resolution of errors, as a share of the force's standard deviation."""
 
-START_BACKLASHES, START_STIFFNESSES = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
+START_BACKLASH_SHARES, START_STIFFNESS_RATIOS = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
 """Starting values: backlash over the range of eta, and stiffness over the range of force by that of eta."""
 ROUGH_START_COUNT, ROUGH_TOLERANCE = 3, 1e-2
 """Count of starts that are fitted roughly, and the relative fall of the sum of squares that ends it; the best is then
@@ -50,9 +50,9 @@ class MonotonicRuns:
 
 
 def monotonic_runs(eta_m: Float[np.ndarray, " more"]) -> MonotonicRuns:
-    """Turning points of a relative displacement."""
-    turn_samples = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
-    run_starts = np.concatenate([[0], turn_samples])
+    """Monotonic runs of a relative displacement, from turning point to turning point."""
+    turn_indices = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
+    run_starts = np.concatenate([[0], turn_indices])
     run_indices = np.repeat(np.arange(run_starts.size), np.diff(run_starts, append=eta_m.size))
     run_lengths_m = tuple(np.diff(eta_m[run_starts]).tolist())
     return MonotonicRuns(run_lengths_m, run_indices, eta_m - eta_m[run_starts][run_indices])
@@ -103,13 +103,13 @@ def force_without_low_pass(samples: ForceSamples, rows: Rows) -> Float[np.ndarra
     the effect of the low-pass on that curve is subtracted from the force.
     """
     centres_m = np.linspace(samples.eta_m.min(), samples.eta_m.max(), HAT_COUNT)
-    width_m = centres_m[1] - centres_m[0]
-    groups = np.split(centres_m, HAT_GROUP_COUNT)
-    hats = np.concatenate([samples.low_passed(partial(_hats, group, width_m)) for group in groups]).T
-    penalty = BEND_PENALTY * np.sqrt(np.sum(hats[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
+    hat_width_m = centres_m[1] - centres_m[0]
+    centre_groups = np.split(centres_m, HAT_GROUP_COUNT)
+    smooth_hats = np.concatenate([samples.low_passed(partial(_hats, group, hat_width_m)) for group in centre_groups]).T
+    penalty = BEND_PENALTY * np.sqrt(np.sum(smooth_hats[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
     target_n = np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)])
-    heights_n = np.linalg.lstsq(np.concatenate([hats[rows], penalty]), target_n, rcond=None)[0]
-    return (samples.force_n - hats @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
+    heights_n = np.linalg.lstsq(np.concatenate([smooth_hats[rows], penalty]), target_n, rcond=None)[0]
+    return (samples.force_n - smooth_hats @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
 
 
 def _hats(centres_m: Float[np.ndarray, " places"], width_m: float, eta_m: Signal) -> Float[np.ndarray, "places *shape"]:
@@ -142,25 +142,25 @@ class PiecewiseLinear:
         return force_n
 
 
-def slope_jumps(law: LawFunction, low_m: float, high_m: float, jump_share: float = 0.03) -> Float[np.ndarray, " knees"]:
+def law_knees_m(law: LawFunction, low_m: float, high_m: float, jump_share: float = 0.03) -> Float[np.ndarray, " knees"]:
     """Knees of a law: places where its slope changes within some thousandths of the range by more than a share of the
     slope's own range.
 
     Of many the largest are kept: the slope of a law that is nearly constant is all rounding.
     """
     eta_m = np.linspace(low_m, high_m, 4001)
-    slopes = np.gradient(law(eta_m), eta_m)
-    window = 8
-    changes = np.abs(slopes[window:] - slopes[:-window])
-    is_jump = changes > jump_share * max(float(np.ptp(slopes)), 1e-9 * float(np.abs(slopes).max()))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
-    middles_m = eta_m[window // 2 : -window // 2]
-    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= 3 * window]
-    runs = sorted(sorted(runs, key=lambda run: -float(changes[slice(*run)].sum()))[:MAX_KNEES])
-    return np.array([np.average(middles_m[a:b], weights=changes[a:b]) for a, b in runs])
+    local_slopes = np.gradient(law(eta_m), eta_m)
+    window_count = 8
+    slope_changes = np.abs(local_slopes[window_count:] - local_slopes[:-window_count])
+    is_jump = slope_changes > jump_share * max(float(np.ptp(local_slopes)), 1e-9 * float(np.abs(local_slopes).max()))
+    run_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
+    change_positions_m = eta_m[window_count // 2 : -window_count // 2]
+    jump_runs = [(a, b) for a, b in zip(run_edges[::2], run_edges[1::2], strict=True) if b - a <= 3 * window_count]
+    jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MAX_KNEE_COUNT])
+    return np.array([np.average(change_positions_m[a:b], weights=slope_changes[a:b]) for a, b in jump_runs])
 
 
-def mean_slopes(
+def mean_slopes_n_per_m(
     law: LawFunction, knees_m: Float[np.ndarray, " knees"], low_m: float, high_m: float
 ) -> tuple[float, ...]:
     """Mean slope (N/m) of a law on each piece between knees, a tenth of the piece away from them."""
@@ -176,17 +176,17 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     The knees are found by nonlinear least squares, the slopes by linear ones within. Standard errors are sandwich
     estimates over sixteenths of the rows: of the scatter alone, not of errors of the rig's description.
     """
-    law, error_n = _fit_pieces(samples, rows, np.sort(knees_m))
-    while law.knees_m.size:
-        weakest = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest))
+    pieces, error_n = _pieces_and_error_n(samples, rows, np.sort(knees_m))
+    while pieces.knees_m.size:
+        weakest_index = int(np.argmin(np.abs(np.diff(pieces.slopes_n_per_m))))
+        reduced_law, reduced_error_n = _pieces_and_error_n(samples, rows, np.delete(pieces.knees_m, weakest_index))
         if reduced_error_n > DROPPED_KNEE_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
-        law, error_n = reduced, reduced_error_n
-    return law
+        pieces, error_n = reduced_law, reduced_error_n
+    return pieces
 
 
-def _fit_pieces(
+def _pieces_and_error_n(
     samples: ForceSamples, rows: Rows, start_knees_m: Float[np.ndarray, " knees"]
 ) -> tuple[PiecewiseLinear, float]:
     """Piecewise-linear law with as many knees as the start has, and its rms error (N)."""
@@ -200,42 +200,42 @@ def _fit_pieces(
                 [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - knee, 0.0) for knee in knees)]
             )
 
-        columns = samples.low_passed(pieces)[:, rows].T
-        heights = np.linalg.lstsq(columns, force_n, rcond=None)[0]
-        return columns, heights, force_n - columns @ heights
+        piece_columns = samples.low_passed(pieces)[:, rows].T
+        coefficients = np.linalg.lstsq(piece_columns, force_n, rcond=None)[0]
+        return piece_columns, coefficients, force_n - piece_columns @ coefficients
 
-    def knee_derivatives(knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
-        steps = samples.low_passed(lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in knees]))
-        return (heights[2:, None] * steps[:, rows]).T
+    def knee_derivatives(knees: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        knee_steps = samples.low_passed(lambda eta: np.stack([(eta / span_m > knee).astype(float) for knee in knees]))
+        return (coefficients[2:, None] * knee_steps[:, rows]).T
 
     def jacobian(knees: np.ndarray) -> np.ndarray:
-        columns, heights, _ = linear_fit(knees)
-        knee_columns = knee_derivatives(knees, heights)
-        height_derivatives = np.linalg.lstsq(columns, knee_columns, rcond=None)[0]  # the slopes follow
-        return knee_columns - columns @ height_derivatives
+        piece_columns, coefficients, _ = linear_fit(knees)
+        knee_columns = knee_derivatives(knees, coefficients)
+        coefficient_derivatives = np.linalg.lstsq(piece_columns, knee_columns, rcond=None)[0]  # the slopes follow
+        return knee_columns - piece_columns @ coefficient_derivatives
 
     knees = np.clip(start_knees_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
     if knees.size:
-        inverse_error = 1 / max(float(np.std(linear_fit(knees)[2])), 1e-12)
+        inverse_error_per_n = 1 / max(float(np.std(linear_fit(knees)[2])), 1e-12)
         optimum = least_squares(
-            lambda knees: inverse_error * linear_fit(knees)[2],
+            lambda knees: inverse_error_per_n * linear_fit(knees)[2],
             knees,
-            lambda knees: inverse_error * jacobian(knees),
+            lambda knees: inverse_error_per_n * jacobian(knees),
             bounds=(low_m / span_m, high_m / span_m),
             x_scale=0.05,
             max_nfev=30,
         )
         knees = np.sort(optimum.x)
-    columns, heights, residual = linear_fit(knees)
+    piece_columns, coefficients, residual = linear_fit(knees)
     if knees.size:
-        columns = np.concatenate([columns, knee_derivatives(knees, heights)], axis=1)
-    scores = part_scores(columns @ np.linalg.pinv(columns.T @ columns), residual)
-    slope_scores = np.cumsum(scores[:, 1 : heights.size], axis=1)
+        piece_columns = np.concatenate([piece_columns, knee_derivatives(knees, coefficients)], axis=1)
+    parameter_scores = part_scores(piece_columns @ np.linalg.pinv(piece_columns.T @ piece_columns), residual)
+    slope_scores = np.cumsum(parameter_scores[:, 1 : coefficients.size], axis=1)
     law = PiecewiseLinear(
-        offset_n=float(heights[0]),
+        offset_n=float(coefficients[0]),
         knees_m=knees * span_m,
-        slopes_n_per_m=np.cumsum(heights[1:]) / span_m,
-        knee_errors_m=span_m * np.sqrt(np.sum(scores[:, heights.size :] ** 2, axis=0)),
+        slopes_n_per_m=np.cumsum(coefficients[1:]) / span_m,
+        knee_errors_m=span_m * np.sqrt(np.sum(parameter_scores[:, coefficients.size :] ** 2, axis=0)),
         slope_errors_n_per_m=np.sqrt(np.sum(slope_scores**2, axis=0)) / span_m,
     )
     return law, float(np.sqrt(np.mean(residual**2)))
@@ -245,10 +245,10 @@ def hysteresis_share(
     samples: ForceSamples, velocity_m_per_s: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice
 ) -> float:
     """Share of the unexplained variance that a damper in proportion to the law's local slope explains."""
-    slopes = np.abs(law.slopes_n_per_m)
+    slope_sizes = np.abs(law.slopes_n_per_m)
 
     def slope_weighted_rate(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
+        return slope_sizes[np.searchsorted(law.knees_m, eta_m)] / slope_sizes.max() * rate_m_per_s
 
     damper_n = samples.low_passed(slope_weighted_rate, velocity_m_per_s)[rows]
     residual_n = (samples.force_n - samples.low_passed(law))[rows]
@@ -279,13 +279,13 @@ class SlidingFriction:
 
     def force_n(self, course: MonotonicRuns) -> Float[np.ndarray, " more"]:
         """Force at every sample of a course."""
-        half_m, k = self.backlash_m / 2, self.stiffness_n_per_m
-        low_m, high_m = -half_m - self.lower_n / k, half_m + self.upper_n / k
-        turns_m = [0.0]
+        half_backlash_m, k = self.backlash_m / 2, self.stiffness_n_per_m
+        low_m, high_m = -half_backlash_m - self.lower_n / k, half_backlash_m + self.upper_n / k
+        slider_turns_m = [0.0]
         for run_m in course.run_lengths_m:
-            turns_m.append(min(max(turns_m[-1] + run_m, low_m), high_m))
-        slider_m = np.clip(np.array(turns_m)[course.run_indices] + course.eta_since_turn_m, low_m, high_m)
-        return np.asarray(k * (slider_m - np.clip(slider_m, -half_m, half_m)))
+            slider_turns_m.append(min(max(slider_turns_m[-1] + run_m, low_m), high_m))
+        slider_m = np.clip(np.array(slider_turns_m)[course.run_indices] + course.eta_since_turn_m, low_m, high_m)
+        return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
 
 
 def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
@@ -303,15 +303,15 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
         return (force_n - samples.low_passed(law_of_logarithms(logarithms))[rows]) / force_span_n
 
-    starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASHES, START_STIFFNESSES)]
-    starts.sort(key=lambda start: float(np.sum(relative_residual(start) ** 2)))
+    log_starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASH_SHARES, START_STIFFNESS_RATIOS)]
+    log_starts.sort(key=lambda log_start: float(np.sum(relative_residual(log_start) ** 2)))
     bounds = (np.full(4, -12.0), np.full(4, 8.0))
     fit_from = partial(least_squares, relative_residual, bounds=bounds, diff_step=LOG_STEP, max_nfev=30)
-    rough_fits = (fit_from(start, ftol=ROUGH_TOLERANCE) for start in starts[:ROUGH_START_COUNT])
+    rough_fits = (fit_from(log_start, ftol=ROUGH_TOLERANCE) for log_start in log_starts[:ROUGH_START_COUNT])
     optimum = fit_from(min(rough_fits, key=lambda fit: float(fit.cost)).x).x
-    steps = LOG_STEP * np.eye(optimum.size)
-    differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in steps]
-    slopes = np.stack(differences, axis=1) / (2 * LOG_STEP)
-    scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -relative_residual(optimum))
+    log_steps = LOG_STEP * np.eye(optimum.size)
+    residual_differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in log_steps]
+    derivatives = np.stack(residual_differences, axis=1) / (2 * LOG_STEP)
+    scores = part_scores(derivatives @ np.linalg.pinv(derivatives.T @ derivatives), -relative_residual(optimum))
     standard_errors = np.exp(log_scales + optimum) * np.sqrt(np.sum(scores**2, axis=0))
     return replace(law_of_logarithms(optimum), standard_errors=tuple(standard_errors.tolist()))

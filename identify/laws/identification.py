@@ -21,10 +21,10 @@ from identify.laws.fitted_laws import (
     SlidingFriction,
     force_without_low_pass,
     hysteresis_share,
-    mean_slopes,
+    law_knees_m,
+    mean_slopes_n_per_m,
     polynomial,
     sliding_friction,
-    slope_jumps,
     straight_pieces,
 )
 from identify.laws.results import (
@@ -46,8 +46,8 @@ from rig.errors import RigError
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-POINT_COUNT = 4000
-CELL_COUNT = 100
+SEARCH_POINT_COUNT = 4000
+ETA_CELL_COUNT = 100
 FALLBACK_KNEE_COUNT = 4
 """Count of evenly spaced knees from which straight pieces start where those of the formula fit badly."""
 EDGE_SAMPLE_COUNT = 64
@@ -113,27 +113,27 @@ def identify_law(
     """
     if not (np.isfinite(seconds) and seconds >= 1):
         raise RigError(f"seconds is {seconds}; give 1 or more")
-    names = [contact.name for contact in recording.rig.contacts]
+    names = [c.name for c in recording.rig.contacts]
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # raises before the long computation if it is missing
-    contacts = checked_contacts(recording, use, tolerances)
+    accepted = checked_contacts(recording, use, tolerances)
     progress(0.1)
-    separation, refusals = contacts.separation, contacts.outcomes.refusals
+    separation, refusals = accepted.separation, accepted.outcomes.refusals
     groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
-    members = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
-    chosen = [member for member in members if contact is None or contact in member[0]]
-    laws: list[ContactLawFit] = []
+    named_groups = [({names[i] for i in group.contact_indices}, group, record) for group, record in groups_and_records]
+    chosen_groups = [member for member in named_groups if contact is None or contact in member[0]]
+    law_fits: list[ContactLawFit] = []
     refused: dict[str, Refusal] = {}
-    for number, (group_names, group, record) in enumerate(chosen, start=1):
+    for contact_number, (group_names, group, record) in enumerate(chosen_groups, start=1):
         if group_names <= refusals.keys() and (record.drift is not None or not np.ptp(record.eta_m)):
             refused |= {name: refusals[name] for name in names if name in group_names}
         else:
-            laws.append(_identify_contact(contacts, group, record, seconds / len(chosen), seed))
-        progress(0.1 + 0.9 * number / len(chosen))
-    results = tuple(law.result for law in laws)
-    report = LawReport(rig=recording.rig.name, laws=results, unanswered=unanswered(refused), findings=contacts.findings)
-    return Laws(report, tuple(laws))
+            law_fits.append(_contact_law_fit(accepted, group, record, seconds / len(chosen_groups), seed))
+        progress(0.1 + 0.9 * contact_number / len(chosen_groups))
+    laws = tuple(law_fit.result for law_fit in law_fits)
+    report = LawReport(rig=recording.rig.name, laws=laws, unanswered=unanswered(refused), findings=accepted.findings)
+    return Laws(report, tuple(law_fits))
 
 
 @dataclass(frozen=True)
@@ -176,47 +176,47 @@ class _FormulaFit:
     out_of_time: bool
 
 
-def _identify_contact(
+def _contact_law_fit(
     contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
     samples = _contact_samples(contacts, group, contact_record)
     record = samples.record
-    search_fit = _search_formula(samples, search_s, seed)
-    formula, low_m, high_m = search_fit.formula, float(search_fit.eta_m.min()), float(search_fit.eta_m.max())
-    knees_m = slope_jumps(formula, low_m, high_m)
-    pieces = _fit_straight_pieces(samples, search_fit, knees_m)
-    laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
+    formula_fit = _search_formula(samples, search_s, seed)
+    formula, low_m, high_m = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    knees_m = law_knees_m(formula, low_m, high_m)
+    pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
+    law_by_name: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
-        laws[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
-    laws[SLIDING] = sliding_friction(record, samples.training_rows)
-    laws |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
-    candidates = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in laws.items())
-    errors_n = [candidate.held_out_error_n for candidate in candidates]
-    best = candidates[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
+        law_by_name[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
+    law_by_name[SLIDING] = sliding_friction(record, samples.training_rows)
+    law_by_name |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
+    tried_laws = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in law_by_name.items())
+    held_out_errors_n = [tried.held_out_error_n for tried in tried_laws]
+    best_tried = tried_laws[_simplest_equivalent_index(held_out_errors_n, samples.error_resolution_n)]
     # the final fit takes all excited rows
     pieces = straight_pieces(record, samples.excited_rows, pieces.knees_m)
-    friction = sliding_friction(record, samples.excited_rows) if best.law == SLIDING else None
+    friction = sliding_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     estimate = ContactLawEstimate(
         contact=group.contact.name,
-        verdict=verdict_sentence(pieces, formula_text, candidates, best, contact_record.sides_known, friction),
-        best=best.law,
+        verdict=verdict_sentence(pieces, formula_text, tried_laws, best_tried, contact_record.sides_known, friction),
+        best=best_tried.law,
         formula=formula_text,
         knees_m=tuple(float(k) for k in knees_m),
-        slopes_n_per_m=mean_slopes(formula, knees_m, low_m, high_m),
+        slopes_n_per_m=mean_slopes_n_per_m(formula, knees_m, low_m, high_m),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
         sliding=None if friction is None else sliding_estimates(friction),
-        candidates=candidates,
+        candidates=tried_laws,
         force_rms_n=float(np.std(record.force_n[samples.excited_rows])),
         hysteresis_share=hysteresis_share(record, samples.velocity_m_per_s, pieces, samples.held_out_rows),
         sides_known=contact_record.sides_known,
-        points=search_fit.eta_m.size,
-        repeatable=not search_fit.out_of_time,
+        points=formula_fit.eta_m.size,
+        repeatable=not formula_fit.out_of_time,
     )
     time_s = contacts.separation.motion.time_s(record.force_n.size, contact_record.decimation)
-    return ContactLawFit(estimate, search_fit.eta_m, search_fit.force_n, formula, pieces, friction, record, time_s)
+    return ContactLawFit(estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, friction, record, time_s)
 
 
 def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord) -> _ContactSamples:
@@ -227,39 +227,39 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
 
     Raises RigError if too little of the record is excited.
     """
-    separation, by_name = contacts.separation, contacts.outcomes.estimates
-    names = [separation.rig.contacts[i].name for i in group.contact_indices]
+    separation, estimate_by_name = contacts.separation, contacts.outcomes.estimates
+    contact_names = [separation.rig.contacts[i].name for i in group.contact_indices]
     estimates = tuple(
-        by_name[name] if sign > 0 else by_name[name].reversed
-        for sign, name in zip(group.signs, names, strict=True)
-        if name in by_name
+        estimate_by_name[name] if sign > 0 else estimate_by_name[name].reversed
+        for sign, name in zip(group.signs, contact_names, strict=True)
+        if name in estimate_by_name
     )
     record, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
     if len(estimates) > 1:
         damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
         record = replace(record, force_n=record.force_n - damping_n)
-    first = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
+    start = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     stop = record.force_n.size - EDGE_SAMPLE_COUNT
-    if stop - first < MIN_SAMPLE_COUNT:
+    if stop - start < MIN_SAMPLE_COUNT:
         raise RigError(
-            f"the excited part of the record holds {max(stop - first, 0)} samples of the contact force; record longer"
+            f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record longer"
         )
-    middle = (first + stop) // 2
-    return _ContactSamples(record, velocity_m_per_s, estimates, slice(first, middle), slice(middle, stop))
+    middle = (start + stop) // 2
+    return _ContactSamples(record, velocity_m_per_s, estimates, slice(start, middle), slice(middle, stop))
 
 
 def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:
     """Simplest formula whose error equals the least, searched on samples spread evenly over eta."""
-    record, rows = samples.record, samples.training_rows
-    eta_m, force_n = record.eta_at_force_m[rows], force_without_low_pass(record, rows)
-    chosen = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
-    eta_m, force_n = eta_m[chosen], force_n[chosen]
+    record, training_rows = samples.record, samples.training_rows
+    eta_m, force_n = record.eta_at_force_m[training_rows], force_without_low_pass(record, training_rows)
+    chosen_indices = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
+    eta_m, force_n = eta_m[chosen_indices], force_n[chosen_indices]
     eta_unit_m, force_unit_n = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
-    result = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
-    formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in result.formulas]
-    errors_n = [record.error_n(candidate, rows) for candidate in formulas]
-    formula = formulas[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
-    return _FormulaFit(formula, min(errors_n), eta_m, force_n, result.out_of_time)
+    formula_search = search(eta_m / eta_unit_m, force_n / force_unit_n, search_s, seed)
+    formulas = [candidate.scaled(eta_unit_m, force_unit_n) for candidate in formula_search.formulas]
+    training_errors_n = [record.error_n(candidate, training_rows) for candidate in formulas]
+    formula = formulas[_simplest_equivalent_index(training_errors_n, samples.error_resolution_n)]
+    return _FormulaFit(formula, min(training_errors_n), eta_m, force_n, formula_search.out_of_time)
 
 
 def _fit_straight_pieces(
@@ -269,16 +269,16 @@ def _fit_straight_pieces(
     best formula; the stops of the joint estimates where these are several."""
     record, rows = samples.record, samples.training_rows
     low_m, high_m = float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
-    laws = [straight_pieces(record, rows, knees_m)]
-    good_error_n = EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
-    if record.error_n(laws[0], rows) > good_error_n:
-        laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
+    piecewise_laws = [straight_pieces(record, rows, knees_m)]
+    max_good_error_n = EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
+    if record.error_n(piecewise_laws[0], rows) > max_good_error_n:
+        piecewise_laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
     if len(samples.estimates) > 1:  # soft stops before a hard one
         stops_m = np.array(
-            [side * estimate.values[k] for estimate in samples.estimates for k, side in ((0, -1), (1, 1))]
+            [side_sign * estimate.values[k] for estimate in samples.estimates for k, side_sign in ((0, -1), (1, 1))]
         )
-        laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
-    return min(laws, key=lambda law: record.error_n(law, rows))
+        piecewise_laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
+    return min(piecewise_laws, key=lambda law: record.error_n(law, rows))
 
 
 def _add_drift(
@@ -294,18 +294,18 @@ def _add_drift(
 
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
     """Part of the force of joint estimates that vanishes at rest."""
-    at_rest = np.zeros_like(rate_m_per_s)
-    forces_n = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates]
+    zero_rate = np.zeros_like(rate_m_per_s)
+    forces_n = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, zero_rate) for estimate in estimates]
     return np.asarray(np.sum(forces_n, axis=0))
 
 
 def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
-    """Indices of at most `POINT_COUNT` samples, drawn evenly from the `CELL_COUNT` cells of the range of eta."""
-    cell_of_sample = np.minimum((CELL_COUNT * (eta_m - eta_m.min()) / np.ptp(eta_m)).astype(int), CELL_COUNT - 1)
-    shuffled = rng.permutation(eta_m.size)
-    by_cell = shuffled[np.argsort(cell_of_sample[shuffled], kind="stable")]
-    cells = np.split(by_cell, np.searchsorted(cell_of_sample[by_cell], np.arange(1, CELL_COUNT)))
-    return np.sort(np.concatenate([indices[: POINT_COUNT // CELL_COUNT] for indices in cells]))
+    """Indices of at most `SEARCH_POINT_COUNT` samples, drawn evenly from the cells of the range of eta."""
+    sample_cell = np.minimum((ETA_CELL_COUNT * (eta_m - eta_m.min()) / np.ptp(eta_m)).astype(int), ETA_CELL_COUNT - 1)
+    shuffled_indices = rng.permutation(eta_m.size)
+    by_cell = shuffled_indices[np.argsort(sample_cell[shuffled_indices], kind="stable")]
+    indices_by_cell = np.split(by_cell, np.searchsorted(sample_cell[by_cell], np.arange(1, ETA_CELL_COUNT)))
+    return np.sort(np.concatenate([indices[: SEARCH_POINT_COUNT // ETA_CELL_COUNT] for indices in indices_by_cell]))
 
 
 def _simplest_equivalent_index(errors_n: list[float], resolution_n: float) -> int:

@@ -20,7 +20,7 @@ TABULATED_POINT_COUNT = 800
 """Count of relative displacements at which the laws are tabulated."""
 SECTION_SAMPLE_COUNT = 400
 """Count of force samples in the figure over time."""
-_CAPTIONS = {
+_CAPTION_BY_FIGURE = {
     "law": "The contact force over the relative displacement η, separated without assuming a law, and the laws found. "
     "Below: what is left of the force.",
     "law_over_time": "A section of the record around the largest contact force: the separated force, that of the law "
@@ -32,8 +32,8 @@ def write_results(laws: Laws, out: Path, title: str, sources: Sequence[Path] = (
     """Write law.html, the figures as PNG and, last of all, law.json."""
     make_folder(out)
     figures = law_figures(laws.fits)
-    for name, figure in figures.items():
-        figure.save(out / f"{name}.png")
+    for figure_name, figure in figures.items():
+        figure.save(out / f"{figure_name}.png")
     write_page(laws.report, figures, title, out / "law.html", sources)
     write_json(laws.report, out / "law.json")
 
@@ -42,35 +42,35 @@ def write_page(
     report: LawReport, figures: Mapping[str, Picture], title: str, path: Path, sources: Sequence[Path] = ()
 ) -> None:
     """Write the page; the figures are those of `law_figures`, by their names."""
-    laws, unanswered = report.laws, report.unanswered
+    law_estimates, unanswered = report.laws, report.unanswered
     headline = "contact law found"
     if report.findings:
         headline = "not to be relied on"
     elif unanswered:
-        headline = f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found"
-    sentences = [f"{law.contact}: {law.verdict}." for law in laws]
+        headline = f"the laws of {len(law_estimates)} of {len(law_estimates) + len(unanswered)} contacts found"
+    sentences = [f"{law.contact}: {law.verdict}." for law in law_estimates]
     sentences = sentences or ["This record does not determine the contacts; why, and what to do, is said below."]
     colour: Literal["green", "yellow", "red"] = "green"
-    if not laws:
+    if not law_estimates:
         colour = "red"
     elif report.findings or unanswered:
         colour = "yellow"
     findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
-    found_html = f"<h2>What was found</h2>{''.join(map(_law_section, laws))}" if laws else ""
+    laws_html = f"<h2>What was found</h2>{''.join(map(_law_section, law_estimates))}" if law_estimates else ""
     law_html, sections = "", []
     if unanswered:
-        refusals = page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered])
-        sections.append(("What was refused", refusals))
-    for name, figure in figures.items():
-        if name == "law":
-            law_html = page.figure(name, figure, _CAPTIONS[name], page.FIRST_PLOT_PX)
+        refusals_html = page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered])
+        sections.append(("What was refused", refusals_html))
+    for figure_name, figure in figures.items():
+        if figure_name == "law":
+            law_html = page.figure(figure_name, figure, _CAPTION_BY_FIGURE[figure_name], page.FIRST_PLOT_PX)
         else:
-            sections.append(("Over time", page.figure(name, figure, _CAPTIONS[name])))
+            sections.append(("Over time", page.figure(figure_name, figure, _CAPTION_BY_FIGURE[figure_name])))
     page.write(
         path,
         title=title,
         answer=page.Answer(colour, headline, sentences),
-        top_blocks=[f"{findings_html}{found_html}", law_html],
+        top_blocks=[f"{findings_html}{laws_html}", law_html],
         sections=sections,
         foot_text="Every number of this page stands in law.json, unrounded.",
         sources=sources,
@@ -137,13 +137,13 @@ def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
             _draw_sliding(force_axes, residual_axes, law)
             continue
         eta_m, knees_m = law.eta_m, law.pieces.knees_m
-        grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
-        formula_n, pieces_n = law.formula(grid_m), law.pieces(grid_m)
+        eta_grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
+        formula_n, pieces_n = law.formula(eta_grid_m), law.pieces(eta_grid_m)
         force_axes.plot(1e3 * eta_m, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
         residual_axes.plot(1e3 * eta_m, law.force_n - law.pieces(eta_m), ".", ms=2, color=GREY, alpha=0.5)
-        for axes, base_n in ((force_axes, 0.0), (residual_axes, pieces_n)):
-            axes.plot(1e3 * grid_m, formula_n - base_n, color=BLUE, lw=1.4, label="formula found")
-            axes.plot(1e3 * grid_m, pieces_n - base_n, color=RED, lw=1.4, ls="--", label="straight pieces")
+        for axes, subtracted_n in ((force_axes, 0.0), (residual_axes, pieces_n)):
+            axes.plot(1e3 * eta_grid_m, formula_n - subtracted_n, color=BLUE, lw=1.4, label="formula found")
+            axes.plot(1e3 * eta_grid_m, pieces_n - subtracted_n, color=RED, lw=1.4, ls="--", label="straight pieces")
         force_axes.plot(1e3 * knees_m, law.pieces(knees_m), "o", ms=8, mfc="none", mew=1.5, color=GREEN, label="knees")
         force_axes.set(title=law.result.contact)
         residual_axes.set(xlabel="η, mm")
@@ -157,9 +157,9 @@ def _draw_over_time(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     force_panels, motion_panels = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
     for force_axes, motion_axes, law in zip(force_panels, motion_panels, laws, strict=True):
         force_n = law.record.force_n
-        largest = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
-        first = min(max(largest - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0))
-        section = slice(first, first + SECTION_SAMPLE_COUNT)
+        largest_index = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
+        start = min(max(largest_index - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0))
+        section = slice(start, start + SECTION_SAMPLE_COUNT)
         time_s, eta_mm = law.time_s[section], 1e3 * law.record.eta_at_force_m[section]
         force_axes.plot(time_s, force_n[section], color=GREY, lw=2.4, label="force, no law assumed")
         force_axes.plot(time_s, law.plotted_force_n[section], color=RED, lw=1.0, label=law.plotted_law)
@@ -197,13 +197,13 @@ def curves(laws: Sequence[ContactLawFit]) -> dict[str, Table]:
 
 def _over_time(laws: Sequence[ContactLawFit]) -> Table:
     row_count = min(law.record.force_n.size for law in laws)
-    table: Table = {"time_s": laws[0].time_s[:row_count]}
+    columns: Table = {"time_s": laws[0].time_s[:row_count]}
     for law in laws:
         contact_name = law.result.contact
-        table[f"{contact_name} relative displacement m"] = law.record.eta_at_force_m[:row_count]
-        table[f"{contact_name} contact force N"] = law.record.force_n[:row_count]
-        table[f"{contact_name} {law.plotted_law} N"] = law.plotted_force_n[:row_count]
-    return table
+        columns[f"{contact_name} relative displacement m"] = law.record.eta_at_force_m[:row_count]
+        columns[f"{contact_name} contact force N"] = law.record.force_n[:row_count]
+        columns[f"{contact_name} {law.plotted_law} N"] = law.plotted_force_n[:row_count]
+    return columns
 
 
 def _over_displacement(law: ContactLawFit) -> Table:

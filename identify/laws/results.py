@@ -14,7 +14,7 @@ FORMULA = "formula found"
 DEAD_ZONE = "dead zone of the joint estimate"
 CUBIC = "cubic polynomial"
 SLIDING = "friction behind a backlash"
-FLAT_SHARE = 0.01
+MAX_FLAT_SLOPE_SHARE = 0.01
 """Slope over the steepest below which a piece counts as flat, the gap of a dead zone."""
 
 
@@ -65,7 +65,7 @@ class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawReport(msgspec.Struct, frozen=True, kw_only=True):
-    """law.json."""
+    """Laws of the contacts of a recording: the structure of law.json."""
 
     rig: str
     laws: tuple[ContactLawEstimate, ...]
@@ -98,14 +98,14 @@ def verdict_sentence(
             f"a freely fitted piecewise-linear law is not the best: it leaves {piecewise_error_n:.3g} N rms of "
             f"held-out data, the {best.law} {best.held_out_error_n:.3g} N{formula_note}"
         )
-    kind, slopes = "piecewise-linear law", pieces.slopes_n_per_m
+    kind_words, slopes_n_per_m = "piecewise-linear law", pieces.slopes_n_per_m
     if not pieces.knees_m.size:
-        return f"straight line with the slope {slopes[0]:.5g} N/m"
-    if pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT_SHARE * np.abs(slopes).max():
-        kind, slopes = "dead zone", slopes[[0, 2]]
+        return f"straight line with the slope {slopes_n_per_m[0]:.5g} N/m"
+    if pieces.knees_m.size == 2 and abs(slopes_n_per_m[1]) < MAX_FLAT_SLOPE_SHARE * np.abs(slopes_n_per_m).max():
+        kind_words, slopes_n_per_m = "dead zone", slopes_n_per_m[[0, 2]]
     origin_note = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
-    knees_mm, slopes_text = _enumeration(1e3 * pieces.knees_m), _enumeration(slopes)
-    return f"{kind} with knees at {knees_mm} mm and slopes {slopes_text} N/m{origin_note}"
+    knees_text, slopes_text = _enumeration(1e3 * pieces.knees_m), _enumeration(slopes_n_per_m)
+    return f"{kind_words} with knees at {knees_text} mm and slopes {slopes_text} N/m{origin_note}"
 
 
 def sliding_estimates(friction: SlidingFriction) -> SlidingLaw:

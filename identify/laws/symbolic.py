@@ -16,7 +16,7 @@ POPULATION_SIZE = 400
 GENERATION_COUNT = 120
 FIT_ITERATION_COUNT = 5
 """Iterations of the least-squares fit of the constants of each new formula."""
-MAX_NODES = 15
+MAX_NODE_COUNT = 15
 THREAD_COUNT = 2
 NEGLIGIBLE_CONSTANT = 1e-5
 """Constant term below which it is dropped; y is of order 1."""
@@ -76,20 +76,20 @@ class Formula:
 
 def simplify(operation: str, operands: tuple[Formula, ...]) -> Formula:
     """Operation on formulas with constants evaluated, gathered in front, and dropped where they have no effect."""
-    kinds = [operand.operation for operand in operands]
-    if all(kind == "1" for kind in kinds):
+    operand_operations = [operand.operation for operand in operands]
+    if all(operand_operation == "1" for operand_operation in operand_operations):
         return Formula("1", float(Formula(operation, operands=operands)(np.zeros(1))[0]))
-    if operation in "+-" and kinds == ["x", "x"]:
+    if operation in "+-" and operand_operations == ["x", "x"]:
         sign = 1 if operation == "+" else -1
         return Formula("x", operands[0].value + sign * operands[1].value)
-    if operation in "+-" and "1" in kinds:
+    if operation in "+-" and "1" in operand_operations:
         first, second = operands[0], operands[1] if operation == "+" else _times(operands[1], -1.0)
-        return _plus(second, first.value) if kinds[0] == "1" else _plus(first, second.value)
+        return _plus(second, first.value) if operand_operations[0] == "1" else _plus(first, second.value)
     if operation == "*":
         (first_factor, first), (second_factor, second) = map(_factor_and_rest, operands)
         product = Formula("*", operands=(first, second))
-        if "1" in kinds:
-            product = first if kinds[1] == "1" else second
+        if "1" in operand_operations:
+            product = first if operand_operations[1] == "1" else second
         return _times(product, first_factor * second_factor)
     return Formula(operation, operands=operands)
 
@@ -129,8 +129,8 @@ def _factor_and_rest(formula: Formula) -> tuple[float, Formula]:
     if formula.operation == "abs" and formula.operands[0].operation == "x":
         return abs(formula.operands[0].value), Formula("abs", operands=(Formula("x"),))
     if formula.operation == "*":
-        factor, first = _factor_and_rest(formula.operands[0])
-        return factor, replace(formula, operands=(first, formula.operands[1]))
+        factor, first_operand = _factor_and_rest(formula.operands[0])
+        return factor, replace(formula, operands=(first_operand, formula.operands[1]))
     return 1.0, formula
 
 
@@ -156,46 +156,46 @@ def search(x: Points, y: Points, seconds: float, seed: int, thread_count: int = 
 
     Raises RigError if pyoperon is not installed.
     """
-    regression = pyoperon()
+    regression_module = pyoperon()
     start_s = time.monotonic()
-    regressor = regression.SymbolicRegressor(
+    regressor = regression_module.SymbolicRegressor(
         allowed_symbols="add,sub,mul,fmin,fmax,abs,constant,variable",
         objectives=["r2", "length"],
         optimizer_iterations=FIT_ITERATION_COUNT,
         population_size=POPULATION_SIZE,
         generations=GENERATION_COUNT,
         max_evaluations=10**9,
-        max_length=MAX_NODES,
+        max_length=MAX_NODE_COUNT,
         max_time=max(1, int(seconds)),
         uncertainty=[0.01],
         n_threads=min(thread_count, os.cpu_count() or 1),
         random_state=seed,
     ).fit(x[:, None], y)
     out_of_time = regressor.stats_["generations"] < GENERATION_COUNT and time.monotonic() - start_s > 0.9 * int(seconds)
-    formulas, least_error = list[Formula](), np.inf
+    formulas, least_square_error = list[Formula](), np.inf
     trees = (individual["tree"] for individual in regressor.pareto_front_)
     for formula in sorted(map(_formula_of_tree, trees), key=lambda formula: formula.length):
         mean_square_error = float(np.mean((formula(x) - y) ** 2))
-        if not formulas or mean_square_error < least_error:
+        if not formulas or mean_square_error < least_square_error:
             formulas.append(formula)
-            least_error = mean_square_error
+            least_square_error = mean_square_error
     return FormulaSearch(tuple(formulas), out_of_time)
 
 
 def _formula_of_tree(tree: Any) -> Formula:
     """Formula of a tree in pyoperon's postfix notation, where the first operand stands directly before its operator."""
     operation_names = {"fmin": "min", "fmax": "max"}  # the node's type has these two the wrong way round
-    stack: list[Formula] = []
+    formula_stack: list[Formula] = []
     for node in tree.Nodes:
         if node.IsConstant or node.IsVariable:
-            stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
+            formula_stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
             continue
         operation = operation_names.get(node.Name, node.Name)
-        operands = [stack.pop() for _ in range(node.Arity)]
+        operands = [formula_stack.pop() for _ in range(node.Arity)]
         if len(operands) == 1 and operation == "-":
             operands.insert(0, Formula("1", 0.0))
         formula = simplify(operation, tuple(operands[: 1 if operation == "abs" else 2]))
         for operand in operands[2:]:
             formula = simplify(operation, (formula, operand))
-        stack.append(formula)
-    return stack.pop()
+        formula_stack.append(formula)
+    return formula_stack.pop()

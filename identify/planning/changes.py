@@ -17,12 +17,12 @@ from rig.model.tolerances import ModeTolerance, SensorTolerance, Tolerances
 
 ChangeKind = Literal["add sensor", "leave out sensor", "force", "place", "band", "duration", "noise", "tolerance"]
 
-DISPLACEMENT_NOISE, ACCELERATION_NOISE = 1e-7, 1e-3
+DISPLACEMENT_NOISE_DENSITY, ACCELERATION_NOISE_DENSITY = 1e-7, 1e-3
 """Noise densities of an added displacement sensor, as of a usual laser, m/sqrt(Hz), and of an added accelerometer
 where the rig has none, as of a usual piezoelectric one, m/s^2/sqrt(Hz)."""
-FORCE_FACTORS, BAND_FACTORS = (2.0, 4.0, 0.5), (2.0, 0.5)
+FORCE_FACTORS, BAND_END_FACTORS = (2.0, 4.0, 0.5), (2.0, 0.5)
 """Factors of the force and of the upper end of its band that are tried."""
-MAX_PLACES = 3
+MAX_PLACE_COUNT = 3
 """Number of other places of the force that are tried. Effort."""
 TOLERANCE_WORDS = {
     "gain": "the gains of all sensors",
@@ -79,28 +79,28 @@ def _added_sensor(
 def _displacement_sensor_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     """Displacement sensors on both sides of each contact, and of all contacts."""
     measured_stations = {sensor.station for sensor in sensors_of(test.rig, "displacement")}
-    all_sensors: dict[Station, Sensor] = {}
+    all_added: dict[Station, Sensor] = {}
     contact_names = []
     for contact in test.rig.contacts:
         new_sensors = {
-            station: _added_sensor(test.rig, station, "displacement", DISPLACEMENT_NOISE)
-            for station in (*_sides(contact), *([ON_GROUND] if test.rig.base_sensors else []))
+            station: _added_sensor(test.rig, station, "displacement", DISPLACEMENT_NOISE_DENSITY)
+            for station in (*_side_stations(contact), *([ON_GROUND] if test.rig.base_sensors else []))
             if station not in measured_stations
         }
-        if new_sensors and not new_sensors.keys() <= all_sensors.keys():
+        if new_sensors and not new_sensors.keys() <= all_added.keys():
             contact_names.append(contact.name)
-            all_sensors |= new_sensors
-            yield _addition(
+            all_added |= new_sensors
+            yield _sensor_addition(
                 test,
                 f"{_count_text(new_sensors)} at {contact.name} ({_places_text(test.rig, new_sensors)})",
                 tuple(new_sensors.values()),
             )
     if len(contact_names) > 1:
-        words = f"{_count_text(all_sensors)} at {', '.join(contact_names)} ({_places_text(test.rig, all_sensors)})"
-        yield _addition(test, words, tuple(all_sensors.values()))
+        addition_words = f"{_count_text(all_added)} at {', '.join(contact_names)} ({_places_text(test.rig, all_added)})"
+        yield _sensor_addition(test, addition_words, tuple(all_added.values()))
 
 
-def _sides(contact: Contact) -> tuple[Station, ...]:
+def _side_stations(contact: Contact) -> tuple[Station, ...]:
     """Stations of a contact, of an annular one in y and then in z."""
     directions = DIRECTIONS if contact.law.spatial else (contact.at.direction,)
     return tuple(replace(station, direction=d) for d in directions for station in contact_stations(contact))
@@ -126,7 +126,7 @@ def _place_text(station: Station) -> str:
     return f"{station.position_m:g} m of {station.body}"
 
 
-def _addition(test: PlannedTest, words: str, sensors: tuple[Sensor, ...]) -> PlannedChange:
+def _sensor_addition(test: PlannedTest, words: str, sensors: tuple[Sensor, ...]) -> PlannedChange:
     return PlannedChange("add sensor", f"add {words}", _with_sensors(test, test.rig.sensors + sensors))
 
 
@@ -134,32 +134,32 @@ def _accelerometer_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     """An accelerometer at each side of a contact that has none, and in the widest interval without a sensor of each
     body; in every direction of the rig."""
     rig, accelerometers = test.rig, sensors_of(test.rig, "acceleration")
-    densities = [sensor.noise_density for sensor in accelerometers]
-    noise_density = float(np.median(densities)) if densities else ACCELERATION_NOISE
+    noise_densities = [sensor.noise_density for sensor in accelerometers]
+    noise_density = float(np.median(noise_densities)) if noise_densities else ACCELERATION_NOISE_DENSITY
     measured_stations = {sensor.station for sensor in accelerometers}
-    sides = (side for contact in rig.contacts for side in _sides(contact) if side not in measured_stations)
-    gap_middles = (station for body in rig.bodies if (station := _widest_gap_middle(rig, body)))
-    for place in dict.fromkeys(replace(station, direction="y") for station in (*sides, *gap_middles)):
-        stations = [s for d in rig.directions if (s := replace(place, direction=d)) not in measured_stations]
-        count_text = "an accelerometer" if len(stations) == 1 else f"{len(stations)} accelerometers"
-        sensors = tuple(_added_sensor(rig, station, "acceleration", noise_density) for station in stations)
-        yield _addition(test, f"{count_text} at {_places_text(rig, stations)}", sensors)
+    sides = (side for contact in rig.contacts for side in _side_stations(contact) if side not in measured_stations)
+    interval_middles = (station for body in rig.bodies if (station := _widest_interval_middle(rig, body)))
+    for place in dict.fromkeys(replace(station, direction="y") for station in (*sides, *interval_middles)):
+        new_stations = [s for d in rig.directions if (s := replace(place, direction=d)) not in measured_stations]
+        count_text = "an accelerometer" if len(new_stations) == 1 else f"{len(new_stations)} accelerometers"
+        new_sensors = tuple(_added_sensor(rig, station, "acceleration", noise_density) for station in new_stations)
+        yield _sensor_addition(test, f"{count_text} at {_places_text(rig, new_stations)}", new_sensors)
 
 
-def _widest_gap_middle(rig: Rig, body: Body) -> Station | None:
+def _widest_interval_middle(rig: Rig, body: Body) -> Station | None:
     """Middle of the widest interval of a beam without a sensor; None for other bodies."""
     if body not in rig.beams:
         return None
     positions_m = {sensor.station.position_m for sensor in rig.sensors if sensor.station.body == body.name}
     edges_m = np.array(sorted({0.0, body.length_m, *positions_m}))
-    gap_index = int(np.argmax(np.diff(edges_m)))
-    return Station(body.name, float(round((edges_m[gap_index] + edges_m[gap_index + 1]) / 2, 4)))
+    widest_index = int(np.argmax(np.diff(edges_m)))
+    return Station(body.name, float(round((edges_m[widest_index] + edges_m[widest_index + 1]) / 2, 4)))
 
 
 def _force_level_changes(test: PlannedTest) -> Iterator[PlannedChange]:
-    for factor in FORCE_FACTORS:
-        changed_test = test.at_level(factor)
-        yield PlannedChange("force", f"excite with {changed_test.level_text} ({factor:g} times)", changed_test)
+    for level_factor in FORCE_FACTORS:
+        changed_test = test.at_level(level_factor)
+        yield PlannedChange("force", f"excite with {changed_test.level_text} ({level_factor:g} times)", changed_test)
 
 
 def _noise_changes(test: PlannedTest) -> Iterator[PlannedChange]:
@@ -173,14 +173,14 @@ def _noise_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 def _tolerance_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     idle_fields = {"cross_axis": not test.rig.in_space, "force_gain": not test.force_rms_n}
-    fields = [field for field in TOLERANCE_WORDS if not idle_fields.get(field)]
-    for field in fields:
-        if halved := _with_halved_tolerance(test.tolerances, field):
-            value = number(getattr(halved, field), 2)
+    tried_fields = [field for field in TOLERANCE_WORDS if not idle_fields.get(field)]
+    for field in tried_fields:
+        if halved_tolerances := _with_halved_tolerance(test.tolerances, field):
+            value_text = number(getattr(halved_tolerances, field), 2)
             yield PlannedChange(
                 "tolerance",
-                f"know {TOLERANCE_WORDS[field]} twice as well ({field} = {value})",
-                replace(test, tolerances=halved),
+                f"know {TOLERANCE_WORDS[field]} twice as well ({field} = {value_text})",
+                replace(test, tolerances=halved_tolerances),
             )
 
 
@@ -204,33 +204,33 @@ def _halved_override(override: Override, field: str) -> Override:
 
 def _band_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     low_hz, high_hz = test.band_hz
-    for factor in BAND_FACTORS:
-        new_high_hz = factor * high_hz
+    for end_factor in BAND_END_FACTORS:
+        new_high_hz = end_factor * high_hz
         if low_hz < new_high_hz <= MAX_BAND_TO_RATE * test.rig.sample_rate_hz:
-            words = f"excite from {low_hz:.3g} to {new_high_hz:.3g} Hz with the same {test.level_text}"
-            yield PlannedChange("band", words, replace(test, band_hz=(low_hz, new_high_hz)))
+            band_words = f"excite from {low_hz:.3g} to {new_high_hz:.3g} Hz with the same {test.level_text}"
+            yield PlannedChange("band", band_words, replace(test, band_hz=(low_hz, new_high_hz)))
 
 
 def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     """The only force, or those of both directions at one place, at other places with sensors, evenly chosen."""
     forces = test.rig.forces
-    in_y = {replace(force, direction="y") for force in forces}
-    if len(in_y) > 1 or len(set(forces)) < len(forces) or not test.force_rms_n:
+    forces_in_y = {replace(force, direction="y") for force in forces}
+    if len(forces_in_y) > 1 or len(set(forces)) < len(forces) or not test.force_rms_n:
         return
-    sensors = (sensor for sensor in test.rig.sensors if sensor not in test.rig.base_sensors)
-    places = [place for s in sensors if (place := replace(s.station, direction="y")) not in in_y]
+    body_sensors = (sensor for sensor in test.rig.sensors if sensor not in test.rig.base_sensors)
+    places = [place for s in body_sensors if (place := replace(s.station, direction="y")) not in forces_in_y]
     places = list(dict.fromkeys(places))
-    for index in np.unique(np.linspace(0, len(places) - 1, MAX_PLACES).round().astype(int)) if places else ():
-        moved = tuple(replace(places[index], direction=force.direction) for force in forces)
-        rig = replace(test.rig, force_at=moved if len(moved) > 1 else moved[0])
-        yield PlannedChange("place", f"excite at {_place_text(places[index])}", replace(test, rig=rig))
+    for index in np.unique(np.linspace(0, len(places) - 1, MAX_PLACE_COUNT).round().astype(int)) if places else ():
+        moved_forces = tuple(replace(places[index], direction=force.direction) for force in forces)
+        changed_rig = replace(test.rig, force_at=moved_forces if len(moved_forces) > 1 else moved_forces[0])
+        yield PlannedChange("place", f"excite at {_place_text(places[index])}", replace(test, rig=changed_rig))
 
 
 def _sensor_removals(test: PlannedTest) -> Iterator[PlannedChange]:
     """Each sensor left out, except the only one of a body in its direction."""
-    sensors = test.rig.sensors
-    sensor_counts = Counter((s.station.body, s.station.direction) for s in sensors if s.measures.translates)
-    for sensor in sensors:
+    all_sensors = test.rig.sensors
+    sensor_counts = Counter((s.station.body, s.station.direction) for s in all_sensors if s.measures.translates)
+    for sensor in all_sensors:
         if sensor_counts[sensor.station.body, sensor.station.direction] > sensor.measures.translates:
-            remaining_sensors = tuple(kept_sensor for kept_sensor in sensors if kept_sensor != sensor)
+            remaining_sensors = tuple(other_sensor for other_sensor in all_sensors if other_sensor != sensor)
             yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

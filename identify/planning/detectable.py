@@ -47,9 +47,9 @@ from rig.recording.interfaces import Simulate
 
 NAMED_ODDS, POWER_QUANTILE = 19.0, 1.645
 """Posterior odds of an effect that is named, and the normal quantile of 95 % power. Convention."""
-ALIKE = 0.95
+ALIKE_CORRELATION = 0.95
 """Correlation from which two effects look alike: together their strengths are known three times worse. Set by hand."""
-DRAWN_MACHINES = 12
+DRAWN_MACHINE_COUNT = 12
 """Machines of the Latin hypercube of which the first is simulated."""
 
 
@@ -80,21 +80,21 @@ def detectable_effects(
     """
     simulated_s = min(test.duration_s, max_simulated_s)
     check_base(test.rig)
-    drawn_rig = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINES)[0])
+    drawn_rig = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINE_COUNT)[0])
     with threadpool_limits(1):
         recording = simulated_recording(test.with_duration(simulated_s), drawn_rig, simulate, seed)
         recording = with_inertial_force(recording)
         record = record_of(recording, tolerances=test.tolerances)
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
-        scale = scale_of(record, record.rig)
+        range_scale = scale_of(record, record.rig)
         estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
-        library = candidates(scale, record.channel_names, record.zero_known, record.has_force)
+        library = candidates(range_scale, record.channel_names, record.zero_known, record.has_force)
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
-        nominal = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
-        model = local_model(linearization, residual, variances, record.rig, nominal, searched)
+        hypothesis = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
+        quadratic_model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)
     contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in searched}
-    return _smallest_effects(model, library, contact_info, test.duration_s / simulated_s)
+    return _smallest_effects(quadratic_model, library, contact_info, test.duration_s / simulated_s)
 
 
 def _contact_information(
@@ -114,11 +114,11 @@ def _contact_information(
         estimate = estimates.get(contact.name)
         if estimate is None or not numbers_alone_differ(changed_contact.law, contact.law):
             return 0.0
-        law_difference = estimate.quantity_weights @ (
+        quantity_difference = estimate.quantity_weights @ (
             parameters_of_law(changed_contact.law) - parameters_of_law(contact.law)
         )
-        covariance = law_distance(estimate, contact, contact, tolerances).covariance
-        information += float(law_difference @ np.linalg.solve(covariance, law_difference))
+        distance_covariance = law_distance(estimate, contact, contact, tolerances).covariance
+        information += float(quantity_difference @ np.linalg.solve(distance_covariance, quantity_difference))
     return information
 
 
@@ -128,32 +128,32 @@ def _smallest_effects(
     """Sizes by candidate, from the information of each of its terms, which grows with the record's length, and of the
     contact fit."""
     terms = [term for term in model.candidate_terms if len(term.column_indices) == 1]
-    columns = np.array([term.column_indices[0] for term in terms], dtype=int)
-    information, is_hidden = _term_information(model, columns)
-    information_by_term = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
-    inverse_root = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
-    correlation = np.abs(information) * np.outer(inverse_root, inverse_root)
-    counts = Counter(candidate.kind.name for candidate in library)
-    terms_by_candidate: dict[str, list[int]] = {}
+    column_indices = np.array([term.column_indices[0] for term in terms], dtype=int)
+    information_matrix, is_hidden = _term_information(model, column_indices)
+    information_by_term = np.where(is_hidden, 0.0, np.diag(information_matrix)) * length_ratio
+    inverse_roots = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information_matrix))))
+    correlations = np.abs(information_matrix) * np.outer(inverse_roots, inverse_roots)
+    kind_count = Counter(candidate.kind.name for candidate in library)
+    indices_by_candidate: dict[str, list[int]] = {}
     for k, term in enumerate(terms):
-        terms_by_candidate.setdefault(term.candidate.name, []).append(k)
+        indices_by_candidate.setdefault(term.candidate.name, []).append(k)
     effects = []
-    for name, term_rows in terms_by_candidate.items():
-        candidate = terms[term_rows[0]].candidate
-        log_odds = float(np.log(NAMED_ODDS) + log_prior((), counts) - log_prior((candidate.kind.name,), counts))
-        steps = [_named_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_rows]
-        sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_rows, steps, strict=True))
-        largest_correlations = np.max(correlation[term_rows], axis=0)
-        alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE)} - {name}
-        strength = next(p for p in candidate.parameters if p.neutral is not None)
+    for name, term_indices in indices_by_candidate.items():
+        candidate = terms[term_indices[0]].candidate
+        log_odds = float(np.log(NAMED_ODDS) + log_prior((), kind_count) - log_prior((candidate.kind.name,), kind_count))
+        named_steps = [_named_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_indices]
+        effect_sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_indices, named_steps, strict=True))
+        largest_correlations = np.max(correlations[term_indices], axis=0)
+        alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE_CORRELATION)} - {name}
+        strength_parameter = next(p for p in candidate.parameters if p.neutral is not None)
         effects.append(
             DetectableEffect(
                 effect=candidate.kind.name,
                 place=", ".join(target or "all" for target in candidate.place.values()),
-                unit=strength.unit,
-                size=_finite_or_none(sizes[len(sizes) // 2]),
-                least=_finite_or_none(sizes[0]),
-                greatest=_finite_or_none(sizes[-1]),
+                unit=strength_parameter.unit,
+                size=_finite_or_none(effect_sizes[len(effect_sizes) // 2]),
+                least=_finite_or_none(effect_sizes[0]),
+                greatest=_finite_or_none(effect_sizes[-1]),
                 alike=tuple(sorted(alike)),
             )
         )
@@ -161,27 +161,27 @@ def _smallest_effects(
 
 
 def _term_information(
-    model: LocalModel, columns: Int[np.ndarray, " terms"]
+    model: LocalModel, column_indices: Int[np.ndarray, " terms"]
 ) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
     normal_matrix, _ = model.normal_equations(np.zeros(len(model.column_spectra)), np.arange(len(model.column_spectra)))
-    base = model.present_columns
-    response = np.linalg.solve(
-        normal_matrix[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal_matrix[np.ix_(base, columns)]
+    basis = model.present_columns
+    basis_response = np.linalg.solve(
+        normal_matrix[np.ix_(basis, basis)] + 1e-12 * np.eye(basis.size), normal_matrix[np.ix_(basis, column_indices)]
     )
-    term_products = normal_matrix[np.ix_(columns, columns)]
-    information = term_products - normal_matrix[np.ix_(columns, base)] @ response
+    term_products = normal_matrix[np.ix_(column_indices, column_indices)]
+    information = term_products - normal_matrix[np.ix_(column_indices, basis)] @ basis_response
     return information, np.diag(information) <= MIN_REMAINING_SHARE * np.diag(term_products)
 
 
-def _named_step(information: float, contact_info: float, log_odds: float) -> float:
+def _named_step(information: float, contact_info: float, required_log_odds: float) -> float:
     """Strength, in steps, that is named with 95 % power; infinite without information."""
     total_information = information / TEMPERATURE + contact_info
     if not total_information > 0:
         return np.inf
     power_margin = POWER_QUANTILE * (1.0 if contact_info else 1 / np.sqrt(TEMPERATURE))
-    step = (np.sqrt(2 * log_odds) + power_margin) / np.sqrt(total_information)
-    return float(step if contact_info else max(step, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
+    steps = (np.sqrt(2 * required_log_odds) + power_margin) / np.sqrt(total_information)
+    return float(steps if contact_info else max(steps, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
 
 
 def _effect_size(term: CandidateTerm, step: float) -> float:

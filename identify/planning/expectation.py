@@ -34,13 +34,13 @@ from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 from rig.recording.interfaces import Simulate
 
-Source = Literal["scatter", "slow motion", "tolerances", "law"]
+VarianceSource = Literal["scatter", "slow motion", "tolerances", "law"]
 """Source of the larger part of a variance."""
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
 RING_QUANTITIES = (*QUANTITIES, "friction_coefficient")
 CENTER_QUANTITIES = ("center_y_m", "center_z_m")
 """Quantities of every contact, of an annular one, and of one whose centre the record tells."""
-MAX_MISS_ERRORS = 3.5
+MAX_MISS_STANDARD_ERRORS = 3.5
 """Standard errors by which an estimate may miss the value that was simulated before it is noted."""
 
 
@@ -70,9 +70,9 @@ class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     @property
-    def source(self) -> Source:
+    def source(self) -> VarianceSource:
         """Largest part of the variance."""
-        variances: dict[Source, float] = {
+        variances: dict[VarianceSource, float] = {
             "scatter": self.scatter_variance,
             "slow motion": self.slow_motion_variance,
             "tolerances": self.tolerance_variance,
@@ -113,7 +113,7 @@ class ExpectedQuantity(msgspec.Struct, frozen=True, kw_only=True):
     value: float
     standard_error: float
     spread_factor: float
-    limited_by: Source
+    limited_by: VarianceSource
 
 
 class ExpectedContact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -167,7 +167,7 @@ def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, max_simulat
         {
             name: {
                 quantity: _error_parts(laws[name], quantity, gradient, estimate).for_longer_record(length_ratio)
-                for quantity, gradient in _gradients(estimate).items()
+                for quantity, gradient in _gradient_by_quantity(estimate).items()
             }
             for name, estimate in estimates.items()
         },
@@ -180,16 +180,16 @@ def expected_contacts(rig: Rig, tests: Sequence[SimulatedTest]) -> tuple[Expecte
     return tuple(_expected_contact(contact.name, tests) for contact in rig.contacts)
 
 
-def largest_miss(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
+def largest_miss_and_contact(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
     """Largest difference between an estimate and the simulated value in standard errors, and the contact's name."""
-    misses = [
-        (abs(parts.estimate - parts.simulated_value) / parts.stated_error, name)
+    misses_and_contacts = [
+        (abs(error_parts.estimate - error_parts.simulated_value) / error_parts.stated_error, name)
         for test in tests
         for name, parts_by_quantity in test.error_parts.items()
-        for parts in parts_by_quantity.values()
-        if parts.stated_error > 0
+        for error_parts in parts_by_quantity.values()
+        if error_parts.stated_error > 0
     ]
-    return max(misses, default=(0.0, ""))
+    return max(misses_and_contacts, default=(0.0, ""))
 
 
 def _refused_contact(refusal: Refusal) -> RefusedContact:
@@ -204,17 +204,17 @@ def _estimates_and_refusals(
         outcomes = find_contacts(recording, "auto", tolerances, FORMS).outcomes
         return outcomes.estimates, outcomes.refusals
     check_directions(recording.rig, "auto")
-    contacts = space_contacts(recording, "auto", tolerances)
-    return {**contacts.annular, **contacts.plane.estimates}, {**contacts.refusals, **contacts.plane.refusals}
+    identified = space_contacts(recording, "auto", tolerances)
+    return {**identified.annular, **identified.plane.estimates}, {**identified.refusals, **identified.plane.refusals}
 
 
-def _gradients(estimate: JointEstimate | AnnularEstimate) -> dict[str, Float[np.ndarray, " parameters"]]:
+def _gradient_by_quantity(estimate: JointEstimate | AnnularEstimate) -> dict[str, Float[np.ndarray, " parameters"]]:
     """Every quantity that an estimate tells, as a linear function of its parameters."""
     if isinstance(estimate, JointEstimate):
         gradients = (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT)
         return dict(zip(QUANTITIES, gradients, strict=True))
-    quantities = (*RING_QUANTITIES, *CENTER_QUANTITIES) if estimate.center_known else RING_QUANTITIES
-    return {quantity: np.eye(len(RING))[RING.index(quantity)] for quantity in quantities}
+    quantity_names = (*RING_QUANTITIES, *CENTER_QUANTITIES) if estimate.center_known else RING_QUANTITIES
+    return {quantity: np.eye(len(RING))[RING.index(quantity)] for quantity in quantity_names}
 
 
 def _error_parts(
@@ -245,30 +245,30 @@ def _error_parts(
 
 def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedContact | Undetermined:
     parts_by_record = [test.error_parts[name] for test in tests if name in test.error_parts]
-    share = len(parts_by_record) / len(tests)
-    if share < 0.5:
-        refused = next(test.refused_contacts[name] for test in tests if name in test.refused_contacts)
+    determined_share = len(parts_by_record) / len(tests)
+    if determined_share < 0.5:
+        refusal = next(test.refused_contacts[name] for test in tests if name in test.refused_contacts)
         return Undetermined(
-            name=name, determined_share=share, reason=refused.cause, remedy=refused.advice, code=refused.code
+            name=name, determined_share=determined_share, reason=refusal.cause, remedy=refusal.advice, code=refusal.code
         )
     parts_by_quantity: dict[str, list[ErrorParts]] = {}
     for parts_of_record in parts_by_record:
         for quantity, parts in parts_of_record.items():
             parts_by_quantity.setdefault(quantity, []).append(parts)
     expected_quantities = {
-        quantity: _expected_quantity(draws)
-        for quantity, draws in parts_by_quantity.items()
-        if len(draws) >= len(parts_by_record) / 2
+        quantity: _expected_quantity(quantity_parts)
+        for quantity, quantity_parts in parts_by_quantity.items()
+        if len(quantity_parts) >= len(parts_by_record) / 2
     }
-    return ExpectedContact(name=name, determined_share=share, **expected_quantities)
+    return ExpectedContact(name=name, determined_share=determined_share, **expected_quantities)
 
 
-def _expected_quantity(parts_by_record: Sequence[ErrorParts]) -> ExpectedQuantity:
-    log_errors = np.log([max(parts.stated_error, np.finfo(float).tiny) for parts in parts_by_record])
-    median_parts = sorted(parts_by_record, key=lambda parts: parts.stated_error)[len(parts_by_record) // 2]
+def _expected_quantity(record_parts: Sequence[ErrorParts]) -> ExpectedQuantity:
+    log_stated_errors = np.log([max(error_parts.stated_error, np.finfo(float).tiny) for error_parts in record_parts])
+    median_parts = sorted(record_parts, key=lambda error_parts: error_parts.stated_error)[len(record_parts) // 2]
     return ExpectedQuantity(
-        value=parts_by_record[0].simulated_value,
-        standard_error=float(np.exp(np.median(log_errors))) if median_parts.stated_error else 0.0,
-        spread_factor=float(np.exp(np.std(log_errors, ddof=1))) if len(parts_by_record) > 1 else 1.0,
+        value=record_parts[0].simulated_value,
+        standard_error=float(np.exp(np.median(log_stated_errors))) if median_parts.stated_error else 0.0,
+        spread_factor=float(np.exp(np.std(log_stated_errors, ddof=1))) if len(record_parts) > 1 else 1.0,
         limited_by=median_parts.source,
     )

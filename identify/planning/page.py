@@ -13,7 +13,7 @@ from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, Interva
 from rig.model.description import Rig
 from rig.model.quantities import printed_unit
 
-QUANTITY_UNITS = {
+PRINTED_QUANTITIES = {
     "clearance_m": ("clearance", "mm", 1e3),
     "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
     "damping_n_s_per_m": ("damping", "N s/m", 1.0),
@@ -27,7 +27,7 @@ LIMIT_TEXTS = {
     "tolerances": "the tolerances of rig.json: calibration shortens it, a longer record does not",
     "law": "what the contact's law leaves",
 }
-ADVISED = 3
+ADVISED_COUNT = 3
 """Number of changes in the sentence."""
 CONTACT_HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
 CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
@@ -74,33 +74,33 @@ def ring_sentences(plan: PlanReport) -> Iterator[str]:
     """Sentence on friction and centre of each annular contact, without a full stop."""
     for contact in plan.contacts:
         names = [name for name in contact.quantities if name not in QUANTITIES]
-        words = [f"{QUANTITY_UNITS[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
+        words = [f"{PRINTED_QUANTITIES[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
         if names and contact.center_y_m is None:
             words.append("its centre will not be told")
         if words:
             yield f"{contact.name}: {'; '.join(words)}"
 
 
-def _interval_text(quantity: ExpectedQuantity, name: str, *, without_unit: bool = False) -> str:
+def _interval_text(quantity: ExpectedQuantity, quantity_name: str, *, without_unit: bool = False) -> str:
     """Expected interval; empty of the clearance of a spring, which is no estimate."""
     if not quantity.standard_error:
         return ""
-    _, unit, scale = QUANTITY_UNITS[name]
-    return interval(scale * quantity.value, scale * quantity.standard_error, "1" if without_unit else unit)
+    _, unit, unit_factor = PRINTED_QUANTITIES[quantity_name]
+    return interval(unit_factor * quantity.value, unit_factor * quantity.standard_error, "1" if without_unit else unit)
 
 
 def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
     """Row of each change: what, the widest interval, its factor, and the interval that changes most."""
     for change in changes:
-        notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
+        interval_notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
         if change.largest and abs(change.largest.factor - 1) > 0.01:
-            notes.append(_factor_text(change.largest))
-        share = f"± {number(100 * change.widest_share, 2)} %"
-        yield change.words, share, number(change.widest_factor, 3), "; ".join(notes)
+            interval_notes.append(_factor_text(change.largest))
+        share_text = f"± {number(100 * change.widest_share, 2)} %"
+        yield change.words, share_text, number(change.widest_factor, 3), "; ".join(interval_notes)
 
 
 def _factor_text(interval_factor: IntervalFactor) -> str:
-    quantity_name, _, _ = QUANTITY_UNITS[interval_factor.quantity]
+    quantity_name, _, _ = PRINTED_QUANTITIES[interval_factor.quantity]
     return f"{interval_factor.contact}: {quantity_name} times {number(interval_factor.factor, 2)}"
 
 
@@ -144,23 +144,23 @@ def idle_sentence(plan: PlanReport) -> str:
 def test_sentence(plan: PlanReport) -> str:
     """Sentence on the test that is planned."""
     if plan.base is not None:
-        (low_hz, high_hz), level = plan.base.band_hz, number(plan.base.acceleration_rms_m_per_s2, 3)
-        excitation = f"a base that shakes with {level} m/s² rms"
+        (low_hz, high_hz), level_text = plan.base.band_hz, number(plan.base.acceleration_rms_m_per_s2, 3)
+        excitation_words = f"a base that shakes with {level_text} m/s² rms"
     else:
         assert plan.force is not None
         low_hz, high_hz = plan.force.band_hz
         levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
         count = len(plan.force.rms_n)
-        excitation = f"{'a Gaussian force' if count == 1 else f'{count} Gaussian forces, each'} of {levels} N rms"
-    return f"{plan.duration_s:g} s of {excitation} from {low_hz:.3g} to {high_hz:.3g} Hz"
+        excitation_words = f"{'a Gaussian force' if count == 1 else f'{count} Gaussian forces, each'} of {levels} N rms"
+    return f"{plan.duration_s:g} s of {excitation_words} from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
 def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     for contact in plan.contacts:
-        for name, quantity in contact.quantities.items():
+        for quantity_name, quantity in contact.quantities.items():
             yield (
-                f"{QUANTITY_UNITS[name][0]} of {contact.name}",
-                _interval_text(quantity, name),
+                f"{PRINTED_QUANTITIES[quantity_name][0]} of {contact.name}",
+                _interval_text(quantity, quantity_name),
                 f"{number(quantity.spread_factor, 3)}",
                 LIMIT_TEXTS[quantity.limited_by],
             )
@@ -170,28 +170,28 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     """Write plan.html."""
     lines: dict[str, Sequence[str]] = {
         contact.name: [
-            text
-            for text in (
+            interval_text
+            for interval_text in (
                 _interval_text(contact.clearance_m, "clearance_m"),
                 _interval_text(contact.stiffness_n_per_m, "stiffness_n_per_m"),
             )
-            if text
+            if interval_text
         ]
         for contact in plan.contacts
     }
     lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}
     caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
-    advised = (change_sentence(change) for change in plan.advice[:ADVISED])
-    sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised]
+    advised_sentences = (change_sentence(change) for change in plan.advice[:ADVISED_COUNT])
+    sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised_sentences]
     sentences += [f"{contact.name}: {contact.remedy}." for contact in plan.undetermined]
     no_advice_html = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
-    advice = page.list_html(sentences) if sentences else no_advice_html
+    advice_html = page.list_html(sentences) if sentences else no_advice_html
     verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
     page.write(
         path,
         title=f"{plan.rig}: plan of a test",
         answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
-        top_blocks=[f"<figure>{rig_drawing(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
+        top_blocks=[f"<figure>{rig_drawing(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice_html}"],
         sections=_sections(plan),
         folded_sections=_folded_sections(plan),
         foot_text="Made by identify plan; the numbers are in plan.json.",
@@ -207,24 +207,24 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     rings_html = page.list_html(f"{text}." for text in ring_sentences(plan)) if any(ring_sentences(plan)) else ""
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
-        rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
-        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
+        undetermined_rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
+        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), undetermined_rows)))
     if plan.effects:
-        intro = (
+        intro_html = (
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
             "a difference from what rig.json says, from the best to the worst place.</p>"
         )
-        sections.append(("Which effects would be named", intro + page.table(KIND_HEAD, kind_rows(plan.effects))))
+        sections.append(("Which effects would be named", intro_html + page.table(KIND_HEAD, kind_rows(plan.effects))))
     if plan.notes:
         sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
-        intro = (
+        intro_html = (
             "<p>Each change was simulated and identified under the same draws. Widest interval: the widest of all "
             "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
             f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
             "change.</p>"
         )
-        sections.append(("What would help, ranked", intro + page.table(CHANGE_HEAD, change_rows(plan.changes))))
+        sections.append(("What would help, ranked", intro_html + page.table(CHANGE_HEAD, change_rows(plan.changes))))
     if plan.sensors:
         idle_html = f"<p>{escape(idle_sentence(plan))}</p>" if plan.idle_sensors else ""
         sections.append(("Each sensor left out", idle_html + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
@@ -233,21 +233,21 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
 
 def _folded_sections(plan: PlanReport) -> list[tuple[str, str]]:
     intro = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
-    table = page.table(EFFECT_HEAD, effect_rows(plan.effects))
-    effect_sections = [("Which effects would be named, place by place", intro + table)] if plan.effects else []
+    table_html = page.table(EFFECT_HEAD, effect_rows(plan.effects))
+    effect_sections = [("Which effects would be named, place by place", intro + table_html)] if plan.effects else []
     return [*effect_sections, *_limit_sections(plan)]
 
 
 def _limit_sections(plan: PlanReport) -> list[tuple[str, str]]:
     if not plan.contacts:
         return []
-    intro = (
+    intro_html = (
         "<p>Factor: by which the interval of one record may be longer or shorter, one standard deviation over the "
         "simulated records.</p>"
     )
     return [
         (
             "What limits each interval",
-            intro + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
+            intro_html + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
         )
     ]

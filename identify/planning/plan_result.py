@@ -34,20 +34,20 @@ class PlanResult(Summarized):
         rows: list[dict[str, str | float]] = []
         for contact in self.report.contacts:
             row: dict[str, str | float] = {"contact": contact.name}
-            for name, quantity in contact.quantities.items():
-                row[name], row[f"{name}_within"] = quantity.value, COVERED * quantity.standard_error
+            for quantity_name, quantity in contact.quantities.items():
+                row[quantity_name], row[f"{quantity_name}_within"] = quantity.value, COVERED * quantity.standard_error
             rows.append(row)
         return rows
 
     def save(self, folder: str | Path) -> None:
         """Write plan.html, a self-contained page, and plan.json."""
-        out = Path(folder)
-        make_folder(out)
-        page.write_page(self.report, self.rig, out / "plan.html", self.sources)
-        write_json(self.report, out / "plan.json")
+        folder_path = Path(folder)
+        make_folder(folder_path)
+        page.write_page(self.report, self.rig, folder_path / "plan.html", self.sources)
+        write_json(self.report, folder_path / "plan.json")
 
     def summary(self) -> Summary:
         """Sentence on what the test will tell and what helps most, and the expected interval of each contact."""
-        rows = tuple(dict(zip(page.CONTACT_HEAD, row, strict=True)) for row in page.contact_rows(self.report))
+        contact_rows = tuple(dict(zip(page.CONTACT_HEAD, row, strict=True)) for row in page.contact_rows(self.report))
         below = (*page.ring_sentences(self.report), *self.report.notes)
-        return Summary(rows, above=(page.sentence(self.report),), below=below)
+        return Summary(contact_rows, above=(page.sentence(self.report),), below=below)

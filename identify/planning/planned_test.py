@@ -29,7 +29,7 @@ DEFAULT_DURATION_S, SHORTEST_S, LONGEST_S = 60.0, 4.0, 1e5
 """Default, shortest and longest duration, s: in less than four seconds no contact is determined."""
 MAX_BAND_TO_RATE = 0.25
 """Highest end of the band over the sampling rate: cubic interpolation of the force is right up to there."""
-LOWEST_BASE_HZ, BASE_BAND_RATIO = 5.0, 0.25
+LOWEST_BASE_HZ, BASE_LOW_TO_HIGH_RATIO = 5.0, 0.25
 """Lower end of the band of a base, Hz, and its largest share of the upper end: at lower frequencies a table moves far,
 bodies follow it, and gain errors of its sensors come near the clearances. Set by hand."""
 BAND_POWER_SHARES = (0.01, 0.99)
@@ -74,11 +74,11 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
     def with_duration(self, duration_s: float) -> "PlannedTest":
         return replace(self, duration_s=duration_s)
 
-    def at_level(self, factor: float) -> "PlannedTest":
+    def at_level(self, level_factor: float) -> "PlannedTest":
         """Test with every level that many times as high."""
         if self.base_rms_m_per_s2 is not None:
-            return replace(self, base_rms_m_per_s2=factor * self.base_rms_m_per_s2)
-        return replace(self, force_rms_n=tuple(factor * rms_n for rms_n in self.force_rms_n))
+            return replace(self, base_rms_m_per_s2=level_factor * self.base_rms_m_per_s2)
+        return replace(self, force_rms_n=tuple(level_factor * rms_n for rms_n in self.force_rms_n))
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -109,18 +109,18 @@ def planned_test(
     """
     rig = source.rig if isinstance(source, Recording) else source
     is_shaken = rig.is_on_ground(rig.forces[0])
-    level = base_rms_m_per_s2 if is_shaken else force_rms_n
-    _check_option(rig, is_shaken, force_rms_n if is_shaken else base_rms_m_per_s2)
-    levels: tuple[float, ...] | None = None if level is None else (level,) * len(rig.forces)
-    if isinstance(source, Recording) and np.any(excitations := _measured_excitations(source, is_shaken)):
+    given_level = base_rms_m_per_s2 if is_shaken else force_rms_n
+    _check_level_option(rig, is_shaken, force_rms_n if is_shaken else base_rms_m_per_s2)
+    levels: tuple[float, ...] | None = None if given_level is None else (given_level,) * len(rig.forces)
+    if isinstance(source, Recording) and np.any(measured_excitations := _measured_excitations(source, is_shaken)):
         duration_s = duration_s or source.samples / rig.sample_rate_hz
-        band_hz = band_hz or _measured_band_hz(excitations, rig.sample_rate_hz)
-        levels = levels or tuple(float(_excited_rms(row)) for row in excitations)
+        band_hz = band_hz or _measured_band_hz(measured_excitations, rig.sample_rate_hz)
+        levels = levels or tuple(float(_excited_rms(row)) for row in measured_excitations)
     if is_shaken and rig.base_motion:
         levels = levels or (rig.base_motion.acceleration_rms_m_per_s2,)
         band_hz = band_hz or (rig.base_motion.low_hz, rig.base_motion.high_hz)
     high_hz = BAND_TO_SAMPLE_RATE * rig.sample_rate_hz
-    band_hz = band_hz or (min(LOWEST_BASE_HZ, BASE_BAND_RATIO * high_hz) if is_shaken else LOWEST_HZ, high_hz)
+    band_hz = band_hz or (min(LOWEST_BASE_HZ, BASE_LOW_TO_HIGH_RATIO * high_hz) if is_shaken else LOWEST_HZ, high_hz)
     levels = levels or (rattling_level(rig, *band_hz).rms_n,) * len(rig.forces)
     return PlannedTest(
         rig=rig,
@@ -132,11 +132,11 @@ def planned_test(
     )
 
 
-def _check_option(rig: Rig, is_shaken: bool, other_level: float | None) -> None:
+def _check_level_option(rig: Rig, is_shaken: bool, other_level: float | None) -> None:
     """Raise RigError if the level of a force is given where the base shakes the rig, or the other way round."""
     if other_level is not None:
-        shaker, option = ("its base alone", "--base-rms") if is_shaken else ("a measured force", "--force-rms")
-        raise RigError(f"rig {rig.name!r} is shaken by {shaker}; give its level with {option}")
+        shaker_words, option = ("its base alone", "--base-rms") if is_shaken else ("a measured force", "--force-rms")
+        raise RigError(f"rig {rig.name!r} is shaken by {shaker_words}; give its level with {option}")
 
 
 def _measured_excitations(recording: Recording, is_shaken: bool) -> Float[np.ndarray, "excitations samples"]:
@@ -150,9 +150,9 @@ def simulated_recording(test: PlannedTest, actual_rig: Rig, simulate: Simulate, 
     Raises RigError where it cannot be simulated.
     """
     if test.base_rms_m_per_s2 is not None:
-        (low_hz, high_hz), rms = test.band_hz, test.base_rms_m_per_s2
+        (low_hz, high_hz), rms_m_per_s2 = test.band_hz, test.base_rms_m_per_s2
         base_motion = BaseMotion(
-            acceleration_rms_m_per_s2=rms, low_hz=low_hz, high_hz=high_hz, seed=seed, start_s=QUIET_S
+            acceleration_rms_m_per_s2=rms_m_per_s2, low_hz=low_hz, high_hz=high_hz, seed=seed, start_s=QUIET_S
         )
         actual_rig = replace(actual_rig, base_motion=base_motion)
     return simulate(test.rig, actual_rig, drawn_forces_n(test, seed), seed)
@@ -165,28 +165,28 @@ def drawn_forces_n(test: PlannedTest, seed: int) -> Float[np.ndarray, "forces sa
     excited_count = sample_count - quiet_count
     frequency_hz = np.fft.rfftfreq(excited_count, 1 / rate_hz)
     low_hz, high_hz = test.band_hz
-    in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz) & (frequency_hz > 0)
+    in_band_mask = (frequency_hz >= low_hz) & (frequency_hz <= high_hz) & (frequency_hz > 0)
     forces_n = np.zeros((len(test.rig.forces), sample_count))
     rise_weights = np.sin(np.pi / 2 * np.clip(np.arange(excited_count) / rate_hz / RISE_S, 0, 1)) ** 2
     for force_index, rms_n in enumerate(test.force_rms_n):
-        line_values = (
+        line_parts = (
             np.random.default_rng([seed, force_index, FORCE_SEED_STREAM]).standard_normal((2, frequency_hz.size))
-            * in_band
+            * in_band_mask
         )
-        gaussian_force = np.fft.irfft(line_values[0] + 1j * line_values[1], excited_count) * rise_weights
+        gaussian_force = np.fft.irfft(line_parts[0] + 1j * line_parts[1], excited_count) * rise_weights
         forces_n[force_index, quiet_count:] = rms_n * gaussian_force / np.sqrt(np.mean(gaussian_force**2))
     return forces_n
 
 
 def _excited_rms(excitation: Float[np.ndarray, " samples"]) -> float:
     """Root mean square of an excitation from its first to its last sample of a hundredth of the peak on."""
-    excited = np.flatnonzero(np.abs(excitation) > 0.01 * np.max(np.abs(excitation), initial=0.0))
-    return float(np.sqrt(np.mean(excitation[excited[0] : excited[-1] + 1] ** 2))) if excited.size else 0.0
+    indices = np.flatnonzero(np.abs(excitation) > 0.01 * np.max(np.abs(excitation), initial=0.0))
+    return float(np.sqrt(np.mean(excitation[indices[0] : indices[-1] + 1] ** 2))) if indices.size else 0.0
 
 
 def _measured_band_hz(excitations: Float[np.ndarray, "excitations samples"], rate_hz: float) -> tuple[float, float]:
     """Band that holds all but two hundredths of the power of the excitations, Hz."""
     cumulative_power = np.cumsum(np.sum(np.abs(np.fft.rfft(excitations, axis=1)) ** 2, axis=0)[1:])
-    edge_lines = np.searchsorted(cumulative_power, np.array(BAND_POWER_SHARES) * cumulative_power[-1]) + 1
-    low_hz, high_hz = edge_lines * rate_hz / excitations.shape[1]
+    end_lines = np.searchsorted(cumulative_power, np.array(BAND_POWER_SHARES) * cumulative_power[-1]) + 1
+    low_hz, high_hz = end_lines * rate_hz / excitations.shape[1]
     return float(low_hz), float(min(high_hz, MAX_BAND_TO_RATE * rate_hz))

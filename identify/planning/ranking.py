@@ -18,12 +18,12 @@ from identify.pages.wording import COVERED
 from identify.planning.changes import PlannedChange, changes_of
 from identify.planning.detectable import DetectableEffect, detectable_effects
 from identify.planning.expectation import (
-    MAX_MISS_ERRORS,
+    MAX_MISS_STANDARD_ERRORS,
     ExpectedContact,
     SimulatedTest,
     Undetermined,
     expected_contacts,
-    largest_miss,
+    largest_miss_and_contact,
     simulated_test,
 )
 from identify.planning.planned_test import PlannedTest
@@ -33,11 +33,11 @@ from rig.processes import mapped
 LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
 SEEDS = (1, 2, 3)
-SIMULATIONS = len(SEEDS)
+SIMULATION_COUNT = len(SEEDS)
 """Number of simulated records for the expected intervals, and for the best changes; odd, as medians are taken."""
 FINALIST_COUNT = 4
 """Number of changes that get further simulations. Effort."""
-MAX_CHANGES = 40
+MAX_CHANGE_COUNT = 40
 """Default of the largest number of changes, sensors left out included."""
 NO_EFFECTS_IN_SPACE = "effects that identify gap would name are predicted for rigs that move in one direction alone"
 RANKED_QUANTITIES = ("clearance_m", "stiffness_n_per_m")
@@ -52,7 +52,7 @@ IntervalShares = Mapping[tuple[str, str], float]
 def ranked_plan(
     test: PlannedTest,
     simulator: str = "modal",
-    most_changes: int = MAX_CHANGES,
+    max_change_count: int = MAX_CHANGE_COUNT,
     workers: int = 1,
     progress: Callable[[float], None] = lambda _: None,
 ) -> PlanReport:
@@ -63,20 +63,20 @@ def ranked_plan(
     check_described(test.rig)
     simulator_named(simulator)
     all_changes = list(changes_of(test))
-    changes = all_changes[:most_changes]
+    changes = all_changes[:max_change_count]
     finalist_count = min(FINALIST_COUNT, sum(change.kind != "leave out sensor" for change in changes))
-    run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1) + 1
+    run_count = SIMULATION_COUNT * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATION_COUNT - 1) + 1
 
     def run_all(runs: Sequence[SimulationRun], finished_count: int) -> list[SimulatedTest]:
         return mapped(_simulated_run, runs, workers, lambda finished: progress((finished_count + finished) / run_count))
 
     outcomes = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
     tried_changes = _tried_changes(
-        test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished)
+        test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATION_COUNT + finished)
     )
     effects, effect_notes = _effects_and_notes(test, simulator)
     progress(1.0)
-    contacts = expected_contacts(test.rig, outcomes)
+    expectations = expected_contacts(test.rig, outcomes)
     sensor_removals = sorted((r for r in tried_changes if r.kind == "leave out sensor"), key=_need_key, reverse=True)
     return PlanReport(
         rig=test.rig.name,
@@ -85,11 +85,11 @@ def ranked_plan(
         base=None
         if test.base_rms_m_per_s2 is None
         else PlannedBase(acceleration_rms_m_per_s2=test.base_rms_m_per_s2, band_hz=test.band_hz),
-        contacts=tuple(c for c in contacts if isinstance(c, ExpectedContact)),
-        undetermined=tuple(c for c in contacts if isinstance(c, Undetermined)),
+        contacts=tuple(c for c in expectations if isinstance(c, ExpectedContact)),
+        undetermined=tuple(c for c in expectations if isinstance(c, Undetermined)),
         changes=tuple(sorted((r for r in tried_changes if r.kind != "leave out sensor"), key=_rank_key)),
         sensors=tuple(sensor_removals),
-        simulations=SIMULATIONS,
+        simulations=SIMULATION_COUNT,
         simulated_s=min(test.duration_s, LONGEST_SIMULATED_S),
         effects=effects,
         notes=(*_plan_notes(test, outcomes, len(changes) < len(all_changes)), *effect_notes),
@@ -116,19 +116,19 @@ def _tried_changes(
     if not changes:
         return []
     unchanged = run_all([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
-    order = sorted(range(SIMULATIONS), key=lambda index: _widest_share(unchanged[index]))
-    usual_index = order.pop(SIMULATIONS // 2)
+    seed_order = sorted(range(SIMULATION_COUNT), key=lambda index: _widest_share(unchanged[index]))
+    usual_index = seed_order.pop(SIMULATION_COUNT // 2)
     first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
-    outcome_lists = [[outcome] for outcome in run_all(first_runs, SIMULATIONS)]
-    reference = [unchanged[usual_index], *(unchanged[index] for index in order)]
+    outcome_lists = [[outcome] for outcome in run_all(first_runs, SIMULATION_COUNT)]
+    reference = [unchanged[usual_index], *(unchanged[index] for index in seed_order)]
     tried_changes = [
         _tried_change(change, reference[:1], outcomes) for change, outcomes in zip(changes, outcome_lists, strict=True)
     ]
     finalists = _finalist_indices(tried_changes)
-    further_runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in order]
-    further_outcomes = iter(run_all(further_runs, SIMULATIONS + len(changes)))
+    further_runs = [_tried_run(test, changes[k].test, simulator, SEEDS[i]) for k in finalists for i in seed_order]
+    further_outcomes = iter(run_all(further_runs, SIMULATION_COUNT + len(changes)))
     for k in finalists:
-        outcome_lists[k] += [next(further_outcomes) for _ in order]
+        outcome_lists[k] += [next(further_outcomes) for _ in seed_order]
         tried_changes[k] = _tried_change(changes[k], reference, outcome_lists[k])
     return tried_changes
 
@@ -147,8 +147,8 @@ def _simulated_run(run: SimulationRun) -> SimulatedTest:
 
 def _interval_shares(outcome: SimulatedTest) -> IntervalShares:
     return {
-        (name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
-        for name, quantity_parts in outcome.error_parts.items()
+        (contact_name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
+        for contact_name, quantity_parts in outcome.error_parts.items()
         for quantity, parts in quantity_parts.items()
         if quantity in RANKED_QUANTITIES and parts.simulated_value
     }
@@ -161,29 +161,29 @@ def _tried_change(
     pairs = [
         (_interval_shares(before), _interval_shares(after)) for before, after in zip(unchanged, changed, strict=True)
     ]
-    determined_before, determined_after = (_determined_contacts(outcomes) for outcomes in (unchanged, changed))
-    common = set.intersection(*(set(before) & set(after) for before, after in pairs))
+    names_before, names_after = (_determined_names(outcomes) for outcomes in (unchanged, changed))
+    common_keys = set.intersection(*(set(before) & set(after) for before, after in pairs))
     log_factors = {
-        key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in common
+        key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in common_keys
     }
-    widest = np.array([[_widest_share(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
+    widest_shares = np.array([[_widest_share(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
     largest = max(log_factors, key=lambda key: (abs(log_factors[key]), key), default=None)
     return TriedChange(
         kind=change.kind,
         words=change.words,
-        widest_share=float(np.median(widest[1])),
-        widest_factor=float(np.median(widest[1] / widest[0])),
+        widest_share=float(np.median(widest_shares[1])),
+        widest_factor=float(np.median(widest_shares[1] / widest_shares[0])),
         largest=None
         if largest is None
         else IntervalFactor(contact=largest[0], quantity=largest[1], factor=float(np.exp(log_factors[largest]))),
-        gained=tuple(sorted(determined_after - determined_before)),
-        lost=tuple(sorted(determined_before - determined_after)),
+        gained=tuple(sorted(names_after - names_before)),
+        lost=tuple(sorted(names_before - names_after)),
         simulations=len(changed),
         largest_growth=float(np.exp(max(log_factors.values(), default=0.0))),
     )
 
 
-def _determined_contacts(outcomes: Sequence[SimulatedTest]) -> set[str]:
+def _determined_names(outcomes: Sequence[SimulatedTest]) -> set[str]:
     """Contacts that at least half of the records determine."""
     names = {name for outcome in outcomes for name in outcome.error_parts}
     return {name for name in names if sum(name in outcome.error_parts for outcome in outcomes) >= len(outcomes) / 2}
@@ -221,8 +221,8 @@ def _plan_notes(test: PlannedTest, outcomes: Sequence[SimulatedTest], is_truncat
             f"{LONGEST_SIMULATED_S:g} s were simulated; for {test.duration_s:g} s scatter and slow motion are taken to "
             "average, and tolerances are not"
         )
-    miss, name = largest_miss(outcomes)
-    if miss > MAX_MISS_ERRORS:
+    miss, name = largest_miss_and_contact(outcomes)
+    if miss > MAX_MISS_STANDARD_ERRORS:
         yield (
             f"an estimate of {name} from a simulated record missed what was simulated by {miss:.1f} standard errors: "
             "do not rely on its expected interval"

@@ -75,9 +75,9 @@ def peers(
             outcomes = [outcome_of(PeerTrial(method_name, rig_name, seed), out) for seed in range(1, seeds + 1)]
             rows.append(row(peer.title, peer.prior_knowledge, outcomes))
             print(" | ".join((TITLES[rig_name], *rows[-1][1:])), flush=True)
-    csv_text = io.StringIO()
-    csv.writer(csv_text).writerows([HEADINGS, *rows])
-    write_bytes(csv_text.getvalue().encode(), out / "peers.csv")
+    csv_buffer = io.StringIO()
+    csv.writer(csv_buffer).writerows([HEADINGS, *rows])
+    write_bytes(csv_buffer.getvalue().encode(), out / "peers.csv")
     installed_methods = [METHODS[method_name] for method_name in method or METHODS if METHODS[method_name].installed]
     Console().print(f"{out / 'peers.csv'}; {', '.join(m.versions for m in installed_methods)}", highlight=False)
 

@@ -28,19 +28,19 @@ def mujoco_sysid(recording: PeerData) -> tuple[ContactAnswer, ...]:
     """Clearance and stiffness of every contact, with the toolbox's confidence intervals."""
     from mujoco import sysid
 
-    contacts = len(recording.names)
+    contact_count = len(recording.names)
     parameters = _parameters(recording, sysid)
-    for window_s in WINDOWS_S[contacts]:
-        parameters, reach = _fitted(recording, parameters, window_s)
-    scale = np.array([recording.true_clearance_m, recording.true_stiffness_n_per_m]).T
-    values, reach = (scale * v.reshape(contacts, 2) for v in (parameters.as_vector(), reach))
+    for window_s in WINDOWS_S[contact_count]:
+        parameters, half_widths = _fitted(recording, parameters, window_s)
+    true_values = np.array([recording.true_clearance_m, recording.true_stiffness_n_per_m]).T
+    values, half_widths = (true_values * v.reshape(contact_count, 2) for v in (parameters.as_vector(), half_widths))
     return tuple(
         ContactAnswer(
             contact=name,
             clearance_m=float(values[j, 0]),
             stiffness_n_per_m=float(values[j, 1]),
-            clearance_half_width_m=float(reach[j, 0]),
-            stiffness_half_width_n_per_m=float(reach[j, 1]),
+            clearance_half_width_m=float(half_widths[j, 0]),
+            stiffness_half_width_n_per_m=float(half_widths[j, 1]),
         )
         for j, name in enumerate(recording.names)
     )
@@ -53,13 +53,13 @@ def _fitted(recording: PeerData, start: Any, window_s: float) -> tuple[Any, Floa
 
     spec = mujoco.MjSpec.from_string(_rig_xml(recording))
     model, modes = spec.compile(), _moving_modes(recording)
-    window = round(window_s * recording.sample_rate_hz)
-    firsts = np.arange(0, recording.force_n.size - window, window)
+    window_sample_count = round(window_s * recording.sample_rate_hz)
+    first_indices = np.arange(0, recording.force_n.size - window_sample_count, window_sample_count)
     to_modes = np.linalg.pinv(recording.model.sensor_rows[:, modes])
-    positions, rates = (to_modes @ s[:, firsts] for s in (recording.displacement_m, recording.velocity_m_per_s))
+    positions, rates = (to_modes @ s[:, first_indices] for s in (recording.displacement_m, recording.velocity_m_per_s))
     states = np.array([sysid.create_initial_state(model, q, v) for q, v in zip(positions.T, rates.T, strict=True)])
-    control_n, steps_a_sample = _control(recording, firsts, window_s)
-    times = firsts[:, None] + np.arange(1, window + 1)
+    control_n, steps_a_sample = _control(recording, first_indices, window_s)
+    times = first_indices[:, None] + np.arange(1, window_sample_count + 1)
     static = stepper(recording.model, np.isin(np.arange(recording.model.omega.size), modes), 1.0, False)
     measured_m = recording.displacement_m[:, times] - static.output_by_force[:, None, None] * recording.force_n[times]
     data, size_m = mujoco.MjData(model), np.std(recording.displacement_m)
@@ -71,10 +71,10 @@ def _fitted(recording: PeerData, start: Any, window_s: float) -> tuple[Any, Floa
             parameters.update_from_vector(column)
             rig = sysid.apply_param_modifiers(parameters, spec)
             state, _ = rollout.rollout(rig, data, states, control_n)
-            moved = state[:, steps_a_sample - 1 :: steps_a_sample, 1 : 1 + modes.size]
-            predicted_m = np.einsum("om,wtm->owt", recording.model.sensor_rows[:, modes], moved)
+            mode_motion = state[:, steps_a_sample - 1 :: steps_a_sample, 1 : 1 + modes.size]
+            predicted_m = np.einsum("om,wtm->owt", recording.model.sensor_rows[:, modes], mode_motion)
             for j, by_contact in enumerate(static.output_by_contact.T):
-                eta_m = moved @ recording.model.contact_rows[j, modes]
+                eta_m = mode_motion @ recording.model.contact_rows[j, modes]
                 contact_n = rig.tendon_stiffness[j] * dead_zone(eta_m, rig.tendon_lengthspring[j, 1])
                 predicted_m += by_contact[:, None, None] * contact_n
             columns.append(((predicted_m - measured_m) / size_m).ravel())
@@ -82,8 +82,8 @@ def _fitted(recording: PeerData, start: Any, window_s: float) -> tuple[Any, Floa
 
     with redirect_stdout(None):  # the toolbox passes on no wish for silence
         fitted, optimum = sysid.optimize(start, residuals, optimizer="scipy", verbose=False, x_scale="jac")
-    _, reach = sysid.calculate_intervals(residuals(fitted.as_vector(), fitted)[0], np.asarray(optimum.jac))
-    return fitted, reach
+    _, half_widths = sysid.calculate_intervals(residuals(fitted.as_vector(), fitted)[0], np.asarray(optimum.jac))
+    return fitted, half_widths
 
 
 def _moving_modes(recording: PeerData) -> Int[np.ndarray, " moving"]:
@@ -95,13 +95,13 @@ def _moving_modes(recording: PeerData) -> Int[np.ndarray, " moving"]:
 
 
 def _control(
-    recording: PeerData, firsts: Int[np.ndarray, " windows"], window_s: float
+    recording: PeerData, first_indices: Int[np.ndarray, " windows"], window_s: float
 ) -> tuple[Float[np.ndarray, "windows steps 1"], int]:
     """Force at the middle of every step, which MuJoCo holds over it, and the number of steps in a sample."""
     samples, step_s = np.arange(recording.force_n.size) / recording.sample_rate_hz, STEPS_S[len(recording.names)]
     steps_a_sample = round(1 / (recording.sample_rate_hz * step_s))
     steps = np.arange(round(window_s / step_s)) + 0.5
-    middles_s = firsts[:, None] / recording.sample_rate_hz + step_s * steps
+    middles_s = first_indices[:, None] / recording.sample_rate_hz + step_s * steps
     return CubicSpline(samples, recording.force_n)(middles_s)[..., None], steps_a_sample
 
 

@@ -22,7 +22,7 @@ ROLLED_MODES_PER_BEAM = 8
 """Modes whose motion is rolled out; those above follow statically."""
 DAMPING_SCALE_S = 1e-4
 """Unit of the damping's parameter: the damping over the stiffness that the search starts from."""
-STEP = 1e-6
+DIFF_STEP = 1e-6
 """Relative step of the numerical derivatives."""
 
 
@@ -52,15 +52,15 @@ def output_error(recording: PeerData) -> tuple[ContactAnswer, ...]:
     One mass is fitted to its acceleration; two beams to the displacements, as accelerations hold more than the modes
     that are rolled out. Measured displacements and velocities give the initial states to start from.
     """
-    contacts = len(recording.names)
+    contact_count = len(recording.names)
     stiffness_n_per_m = START_STIFFNESS * recording.true_stiffness_n_per_m
     scales = np.stack(
         [START_CLEARANCE * recording.true_clearance_m, stiffness_n_per_m, DAMPING_SCALE_S * stiffness_n_per_m], axis=1
     )
-    laws = np.tile([1.0, 1.0, 0.0], contacts)
-    for window_s in WINDOWS_S[contacts]:
+    laws = np.tile([1.0, 1.0, 0.0], contact_count)
+    for window_s in WINDOWS_S[contact_count]:
         laws, standard_errors = _fit_windows(_windows(recording, scales, window_s), laws)
-    estimates, half_widths = (scales * v.reshape(contacts, 3) for v in (laws, COVERED * standard_errors))
+    estimates, half_widths = (scales * v.reshape(contact_count, 3) for v in (laws, COVERED * standard_errors))
     return tuple(
         ContactAnswer(
             contact=name,
@@ -138,14 +138,14 @@ def _fit_windows(
         ftol=1e-8,
         max_nfev=25,
     )
-    fitted, starts = unpacked(optimum.x)
-    by_state, by_law = _derivatives(windows, fitted, starts, directions)
+    fitted_laws, fitted_starts = unpacked(optimum.x)
+    by_state, by_law = _derivatives(windows, fitted_laws, fitted_starts, directions)
     state_basis, _ = np.linalg.qr(by_state)
     # what no initial state can take over
     law_residuals = by_law - state_basis @ (np.swapaxes(state_basis, 1, 2) @ by_law)
     information = np.einsum("wri,wrj->ij", law_residuals, law_residuals)
     variance = 2 * optimum.cost / (optimum.fun.size - optimum.x.size)
-    return fitted, np.sqrt(variance * np.diag(np.linalg.inv(information)))
+    return fitted_laws, np.sqrt(variance * np.diag(np.linalg.inv(information)))
 
 
 def _derivatives(
@@ -156,10 +156,10 @@ def _derivatives(
 ) -> tuple[Float[np.ndarray, "windows residuals states"], Float[np.ndarray, "windows residuals parameters"]]:
     """Differences of the residuals along every state's direction, in all windows at once, and along every law."""
     residuals = windows.residuals(laws, starts)
-    step = STEP * np.abs(starts).max() / np.abs(directions).max()
+    step = DIFF_STEP * np.abs(starts).max() / np.abs(directions).max()
     by_state = [
         (windows.residuals(laws, starts + step * directions[:, :, i]) - residuals) / step
         for i in range(starts.shape[1])
     ]
-    by_law = [(windows.residuals(laws + STEP * row, starts) - residuals) / STEP for row in np.eye(laws.size)]
+    by_law = [(windows.residuals(laws + DIFF_STEP * row, starts) - residuals) / DIFF_STEP for row in np.eye(laws.size)]
     return np.stack(by_state, axis=-1), np.stack(by_law, axis=-1)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from scenarios.peers.peer_data import LinearModel
 
-SWEEPS = 4
+SWEEP_COUNT = 4
 """Fixed-point sweeps for the contact forces at the end of a step; each divides their error by the loop gain, ~20."""
 
 
@@ -83,20 +83,20 @@ def roll_out(
 @numba.njit(cache=True, fastmath=True)
 @no_type_check
 def _roll(states, force_n, laws, system, steps_per_output, outputs):
-    contacts, modes = system.contact_rows.shape
+    contact_count, mode_count = system.contact_rows.shape
     for w in range(states.shape[0]):
-        q, v = states[w, :modes], states[w, modes:]
-        contact_n, eta, rate = np.zeros(contacts), np.zeros(contacts), np.zeros(contacts)
+        q, v = states[w, :mode_count], states[w, mode_count:]
+        contact_n, eta, rate = np.zeros(contact_count), np.zeros(contact_count), np.zeros(contact_count)
         for n in range(force_n.shape[1]):
             if n:
                 _advance(q, v, force_n[w, n - 1], force_n[w, n], contact_n, system)
-            for j in range(contacts):
+            for j in range(contact_count):
                 eta[j] = system.static_eta_by_force[j] * force_n[w, n] + _product(system.contact_rows[j], q)
                 rate[j] = _product(system.contact_rows[j], v)
-            for _ in range(SWEEPS):
+            for _ in range(SWEEP_COUNT):
                 _sweep(contact_n, eta, rate, laws, system, 1.0 if n else 0.0)
-            for j in range(contacts if n else 0):
-                for i in range(modes):
+            for j in range(contact_count if n else 0):
+                for i in range(mode_count):
                     q[i] -= system.contact_rows[j, i] * system.respond[1, 0, i] * contact_n[j]
                     v[i] -= system.contact_rows[j, i] * system.respond[1, 1, i] * contact_n[j]
             for o in range(outputs.shape[2] if n % steps_per_output == 0 else 0):

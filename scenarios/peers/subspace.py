@@ -16,7 +16,7 @@ STATE_COUNT = {1: 4, 2: 24}
 what lies beyond. That of two beams was chosen by the true stiffness of seed 1, which favours the method."""
 BAND_HZ = {1: (1.0, 14.0), 2: (2.0, 90.0)}
 """Lines of which the stiffness is the mean: where the force excites."""
-BLOCK_ROWS = 15
+BLOCK_ROW_COUNT = 15
 
 
 def subspace(recording: PeerData) -> tuple[ContactAnswer, ...]:
@@ -28,8 +28,8 @@ def subspace(recording: PeerData) -> tuple[ContactAnswer, ...]:
     import pandas
     from nfoursid.nfoursid import NFourSID
 
-    contacts = len(recording.names)
-    decimation = round(recording.sample_rate_hz / SAMPLE_RATE_HZ[contacts])
+    contact_count = len(recording.names)
+    decimation = round(recording.sample_rate_hz / SAMPLE_RATE_HZ[contact_count])
     penetrations_m = np.array(
         [dead_zone(eta, d) for eta, d in zip(recording.eta_m, recording.true_clearance_m, strict=True)]
     )
@@ -39,24 +39,24 @@ def subspace(recording: PeerData) -> tuple[ContactAnswer, ...]:
     )
     signals = np.vstack([inputs, output_selection @ recording.acceleration_m_per_s2])
     while decimation > 1:  # scipy advises against more than 13 at once
-        factor = min(decimation, 4)
-        signals, decimation = decimate(signals, factor, ftype="fir", axis=1), decimation // factor
-    names = [f"signal {i}" for i in range(len(signals))]
+        decimation_factor = min(decimation, 4)
+        signals, decimation = decimate(signals, decimation_factor, ftype="fir", axis=1), decimation // decimation_factor
+    column_names = [f"signal {i}" for i in range(len(signals))]
     identifier = NFourSID(
-        pandas.DataFrame(signals.T, columns=names),
-        output_columns=names[len(inputs) :],
-        input_columns=names[: len(inputs)],
-        num_block_rows=BLOCK_ROWS,
+        pandas.DataFrame(signals.T, columns=column_names),
+        output_columns=column_names[len(inputs) :],
+        input_columns=column_names[: len(inputs)],
+        num_block_rows=BLOCK_ROW_COUNT,
     )
     identifier.subspace_identification()
-    system, _ = identifier.system_identification(rank=STATE_COUNT[contacts])
+    system, _ = identifier.system_identification(rank=STATE_COUNT[contact_count])
 
-    z = np.exp(2j * np.pi * np.linspace(*BAND_HZ[contacts], 200) / SAMPLE_RATE_HZ[contacts])
+    z = np.exp(2j * np.pi * np.linspace(*BAND_HZ[contact_count], 200) / SAMPLE_RATE_HZ[contact_count])
     states = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b[None])
-    response = system.c @ states + system.d
+    frequency_response = system.c @ states + system.d
     answers = []
     for j, name in enumerate(recording.names):
-        from_contact, across_contact = 1e4 * response[:, 0, 1 + j], response[:, 1 + j, 0]
-        stiffness = -np.vdot(across_contact, from_contact).real / np.vdot(across_contact, across_contact).real
-        answers.append(ContactAnswer(contact=name, clearance_m=None, stiffness_n_per_m=float(stiffness)))
+        from_contact, across_contact = 1e4 * frequency_response[:, 0, 1 + j], frequency_response[:, 1 + j, 0]
+        stiffness_n_per_m = -np.vdot(across_contact, from_contact).real / np.vdot(across_contact, across_contact).real
+        answers.append(ContactAnswer(contact=name, clearance_m=None, stiffness_n_per_m=float(stiffness_n_per_m)))
     return tuple(answers)

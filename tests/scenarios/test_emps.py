@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from rig.errors import RigError
 from rig.model.description import to_json
-from scenarios.emps import FILES, SAMPLE_RATE_HZ, CarriageDiagnosis, app, carriage, error_mm, import_benchmark
+from scenarios.emps import FILE_NAMES, SAMPLE_RATE_HZ, CarriageDiagnosis, app, carriage, error_mm, import_benchmark
 from scenarios.measured_data import simulated
 
 DATA = Path(os.environ.get("EMPS", "emps"))
@@ -20,8 +20,8 @@ DATA = Path(os.environ.get("EMPS", "emps"))
 
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory) -> CarriageDiagnosis:
-    if not (DATA / FILES["fit"]).exists():
-        pytest.skip(f"no {FILES['fit']}: let the environment variable EMPS name its folder")
+    if not (DATA / FILE_NAMES["fit"]).exists():
+        pytest.skip(f"no {FILE_NAMES['fit']}: let the environment variable EMPS name its folder")
     out = tmp_path_factory.mktemp("emps")
     result = CliRunner().invoke(app, ["--data", str(DATA), "--out", str(out)])
     assert result.exit_code == 0, result.output
@@ -48,7 +48,7 @@ def test_a_record_is_imported_with_the_gain_of_the_file_and_run_again(tmp_path):
     time_s = np.arange(round(4 * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     force_n = np.where((time_s > 0.5) & (time_s < 1.5), 95.1, 0.0)
     position_m = simulated(carriage(), carriage(), force_n, 1).signals["displacement"].values[0]
-    path, gain_n_per_v = tmp_path / FILES["fit"], 35.15
+    path, gain_n_per_v = tmp_path / FILE_NAMES["fit"], 35.15
     savemat(path, {"t": time_s, "qm": position_m, "vir": force_n / gain_n_per_v, "gtau": gain_n_per_v})
     (tmp_path / "rig.json").write_bytes(to_json(carriage()))
     record = import_benchmark(path, tmp_path, "fit")

@@ -26,7 +26,7 @@ def test_pieces_join_without_a_seam(monkeypatch):
     found = []
     for piece_s in (60.0, 20.0):
         monkeypatch.setattr(nifo_study, "PIECE_S", piece_s)
-        assert STUDY.pieces * piece_s == 60.0
+        assert STUDY.piece_count * piece_s == 60.0
         found.append(nifo_outcome(STUDY))
     for one, other in zip(*(f.estimates for f in found), strict=True):
         assert (other.form, other.block_s, other.contact) == (one.form, one.block_s, one.contact)

@@ -9,7 +9,7 @@ from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.plants.basis import modal_basis
 from rig.simulation.reference import BarrelCradle
-from scenarios.stepped_barrel import BREECH_M, POSITIONS_M, THICKNESS_RATIO, meshed, with_basis, with_effect
+from scenarios.stepped_barrel import BREECH_END_M, POSITIONS_M, THICKNESS_RATIO, meshed, with_basis, with_effect
 
 BELIEVED = with_basis(BarrelCradle().rig())
 UNIFORM = BarrelCradle().rig().body("barrel")
@@ -27,11 +27,11 @@ def test_without_sections_the_basis_is_that_of_the_beam(body):
 def test_the_stepped_barrel_has_its_mass_and_its_centre_of_mass():
     check_shapes_known(BELIEVED, "rig.json")
     basis = BELIEVED.body("barrel")
-    shares = np.array([THICKNESS_RATIO * BREECH_M, 1 - BREECH_M])  # of the uniform beam's mass
+    shares = np.array([THICKNESS_RATIO * BREECH_END_M, 1 - BREECH_END_M])  # of the uniform beam's mass
     assert np.sum(basis.translation() ** 2) == pytest.approx(UNIFORM.mass_kg * shares.sum(), rel=1e-6)
     translation, rotation = basis.shapes(POSITIONS_M, 2).T
     np.testing.assert_allclose(translation, 1 / np.sqrt(UNIFORM.mass_kg * shares.sum()), rtol=1e-6)
-    centre = shares @ [BREECH_M / 2, (1 + BREECH_M) / 2] / shares.sum()
+    centre = shares @ [BREECH_END_M / 2, (1 + BREECH_END_M) / 2] / shares.sum()
     assert np.interp(0.0, rotation, POSITIONS_M) == pytest.approx(centre, abs=1e-6)
 
 

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from pyarrow import parquet
 
-from identify.commands.contact_folder import COLUMNS
+from identify.commands.contact_folder import COLUMN_NAMES
 from identify.contacts.results import ContactReport
 from rig.recording import truth_path
 from rig.simulation.reference import Sdof
@@ -76,7 +76,7 @@ def test_a_row_for_each_recording_and_contact_holds_what_its_files_hold(results)
 
 def test_the_parquet_file_is_the_same_table(results):
     table = parquet.read_table(results / "contacts.parquet")
-    assert tuple(table.column_names) == COLUMNS
+    assert tuple(table.column_names) == COLUMN_NAMES
     rows = rows_of(results)
     for row in table.to_pylist():
         written = rows[row["recording"]]

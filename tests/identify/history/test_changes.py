@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 import identify
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
-from identify.history.changes import LEVEL, Observation, history_of
+from identify.history.changes import SIGNIFICANCE_LEVEL, Observation, history_of
 from identify.history.observations import sources_in
 from identify.history.page import csv_of, history_figure, sentence, write_page
 from rig.effects.contact_clearance import ContactClearance
@@ -68,7 +68,7 @@ def changed(result):
 @pytest.mark.parametrize("count", [2, 3, 12])
 def test_of_machines_that_do_not_change_hardly_any_is_said_to(count):
     alarms = sum(bool(changed(history(seed, np.ones(count)))) for seed in range(400))
-    assert alarms < 400 * LEVEL + 2.6 * np.sqrt(400 * LEVEL)
+    assert alarms < 400 * SIGNIFICANCE_LEVEL + 2.6 * np.sqrt(400 * SIGNIFICANCE_LEVEL)
 
 
 def test_wear_of_one_contact_is_found_with_its_size():
@@ -94,9 +94,9 @@ def test_scatter_beyond_the_intervals_is_no_trend():
     for seed in range(200):
         result = history(seed, 1 + 0.005 * rng.normal(size=12))
         worn = next(q for q in result.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
-        alarms += worn.p_trend < LEVEL
-        assert worn.p_different < LEVEL
-    assert alarms < 200 * LEVEL
+        alarms += worn.p_trend < SIGNIFICANCE_LEVEL
+        assert worn.p_different < SIGNIFICANCE_LEVEL
+    assert alarms < 200 * SIGNIFICANCE_LEVEL
 
 
 def test_what_a_recording_does_not_tell_is_left_out():
@@ -179,7 +179,7 @@ def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(r
     comparison = identify.compare(sources)
     assert comparison.changed
     assert changed(comparison.report) == [("stop", "clearance_m")]
-    assert all(observation.recorded for observation in comparison.report.used)
+    assert all(observation.recorded for observation in comparison.report.compared)
     (worn,) = (q for q in comparison.report.quantities if q.changed)
     assert worn.drift.value == pytest.approx(0.02e-3, abs=1.96 * worn.drift.standard_error)
     comparison.save(tmp_path)
@@ -190,7 +190,7 @@ def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(r
     assert all(hashlib.sha256(path.read_bytes()).hexdigest()[:12] in page for path in sources[:4])
     assert sentence(comparison.report) in page
     from_reports = identify.compare(
-        [write(tmp_path / path.stem, o) for path, o in zip(sources, comparison.report.used, strict=False)]
+        [write(tmp_path / path.stem, o) for path, o in zip(sources, comparison.report.compared, strict=False)]
     )
     assert [q.values for q in from_reports.report.quantities] == [q.values for q in comparison.report.quantities]
 

@@ -8,8 +8,8 @@ from identify.laws.fitted_laws import (
     ForceSamples,
     SlidingFriction,
     force_without_low_pass,
+    law_knees_m,
     sliding_friction,
-    slope_jumps,
     straight_pieces,
 )
 from identify.signals.spectra import decimated
@@ -37,7 +37,7 @@ def test_straight_pieces_are_found_from_too_many_knees_in_the_wrong_places():
     law = straight_pieces(samples, INNER, np.array([-2e-3, -0.3e-3, 0.3e-3, 2e-3]))
     assert np.allclose(law.knees_m, [-LOWER_M, UPPER_M], rtol=1e-5)
     assert np.allclose(law.slopes_n_per_m, [STIFFNESS, 0, STIFFNESS], atol=1e-5 * STIFFNESS)
-    assert np.allclose(slope_jumps(law, -3e-3, 3e-3), law.knees_m, atol=6e-3 / 4000)
+    assert np.allclose(law_knees_m(law, -3e-3, 3e-3), law.knees_m, atol=6e-3 / 4000)
 
 
 def test_a_law_of_many_knees_gives_the_largest_of_them():
@@ -46,7 +46,7 @@ def test_a_law_of_many_knees_gives_the_largest_of_them():
     def law(eta):
         return np.maximum(eta[:, None] - knees, 0) @ np.where(np.arange(19) % 2, 1.0, 3.0)
 
-    assert np.allclose(slope_jumps(law, -3e-3, 3e-3), knees[::2][:8], atol=6e-3 / 4000)
+    assert np.allclose(law_knees_m(law, -3e-3, 3e-3), knees[::2][:8], atol=6e-3 / 4000)
 
 
 @pytest.mark.study

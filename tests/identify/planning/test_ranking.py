@@ -23,7 +23,7 @@ MASS = Sdof(sensors="acceleration", noise_density=1e-3, rms_n=0.7, low_hz=0.5)
 def scaled():
     """Plan of a test where nothing but mass and force gain is uncertain."""
     tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
-    return ranked_plan(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), most_changes=8)
+    return ranked_plan(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), max_change_count=8)
 
 
 def test_a_stiffness_is_as_uncertain_as_the_scale_of_the_forces(scaled):
@@ -48,7 +48,7 @@ def test_changes_are_ranked_and_those_that_change_nothing_do_not_help(scaled):
 
 
 def test_a_force_that_closes_no_contact_is_foretold_and_its_advice_closes_it():
-    plan = ranked_plan(planned_test(MASS.rig(), duration_s=20.0, force_rms_n=0.06), most_changes=4)
+    plan = ranked_plan(planned_test(MASS.rig(), duration_s=20.0, force_rms_n=0.06), max_change_count=4)
     assert not plan.contacts
     (stop,) = plan.undetermined
     assert stop.name == "stop"
@@ -79,14 +79,14 @@ def test_a_rig_without_contacts_has_no_plan():
 @pytest.mark.study
 def test_processes_give_the_same_plan():
     test = planned_test(MASS.rig(), duration_s=10.0)
-    assert ranked_plan(test, most_changes=1, workers=2) == ranked_plan(test, most_changes=1)
+    assert ranked_plan(test, max_change_count=1, workers=2) == ranked_plan(test, max_change_count=1)
 
 
 def test_a_ring_is_told_all_around_and_as_well_as_the_scale_of_the_forces():
     """The two forces have a gain each: sigma^-2 = sigma_m^-2 + 2 sigma_F^-2, if both directions tell alike."""
     tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
     test = planned_test(MASS_IN_RING, 12.0, 20.0, (1.0, 50.0), tolerances)
-    plan = ranked_plan(test, most_changes=1)
+    plan = ranked_plan(test, max_change_count=1)
     (ring,) = plan.contacts
     share = ring.stiffness_n_per_m.standard_error / ring.stiffness_n_per_m.value
     assert 0.9 < share / (0.02 / np.sqrt(3)) < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
@@ -99,7 +99,7 @@ def test_a_ring_is_told_all_around_and_as_well_as_the_scale_of_the_forces():
     assert plan.effects == ()
     assert NO_EFFECTS_IN_SPACE in plan.notes
     in_y = replace(test, rig=replace(MASS_IN_RING, sensors=MASS_IN_RING.sensors[:1]))
-    (refused,) = ranked_plan(in_y, most_changes=0).undetermined
+    (refused,) = ranked_plan(in_y, max_change_count=0).undetermined
     assert refused.code == "one_direction"
 
 
@@ -107,7 +107,7 @@ def test_on_a_shaken_base_a_stiffness_is_as_uncertain_as_the_mass():
     """The motion gives k / m, and no force tells the scale."""
     tolerances = replace(EXACT, mass=0.02)
     test = planned_test(MASS_ON_TABLE, 12.0, None, (4.0, 40.0), tolerances, 1.5)
-    plan = ranked_plan(test, most_changes=0)
+    plan = ranked_plan(test, max_change_count=0)
     (stops,) = plan.contacts
     share = stops.stiffness_n_per_m.standard_error / stops.stiffness_n_per_m.value
     assert 0.95 < share / 0.02 < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
@@ -124,7 +124,7 @@ def fresh_ratios(settings, simulate, folder) -> np.ndarray:
     """Standard errors that identify contact states on five recordings over the planned ones, recordings x contacts x
     quantities."""
     test = planned_test(settings.rig(), settings.duration_s, settings.rms_n, (settings.low_hz, settings.high_hz))
-    plan = ranked_plan(test, most_changes=0)
+    plan = ranked_plan(test, max_change_count=0)
     names = [name for name in plan.contacts[0].quantities if not name.startswith("center")]
     planned_errors = standard_errors(plan, names)
     stated = []
