@@ -14,7 +14,7 @@ from identify.linear.modal import ModalEquation, modal_equations, relative_motio
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
-from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
+from identify.signals.spectra import Averaging, Blocks, WindowedTerm, blocks, decimated
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal
@@ -128,7 +128,7 @@ def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_se
 
     With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.
     """
-    spectra = block_set.spectra_of_sums([[Term(signal)] for signal in signals], block_set.starts)
+    spectra = block_set.spectra_of_sums([[WindowedTerm(signal)] for signal in signals], block_set.starts)
     normal_matrix = np.einsum("ibl,jbl->lij", spectra.conj(), spectra)
     norms = np.sqrt(np.einsum("lii->li", normal_matrix).real)
     inverse_normal = np.linalg.inv(normal_matrix / (norms[:, :, None] * norms[:, None, :]))

@@ -18,7 +18,7 @@ from identify.contacts.joint_fit import (
 )
 from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_excess
 from identify.contacts.linearization import Jacobian
-from identify.signals.scores import informative_parts, part_scores
+from identify.signals.scores import informative_part_starts, part_scores
 
 CENTER_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
@@ -101,7 +101,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], free_to_law @ pulls_and_free[pull_count:]])
     influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
     influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
-    part_starts = informative_parts(np.hypot(*influences[:, :, STIFFNESS]))
+    part_starts = informative_part_starts(np.hypot(*influences[:, :, STIFFNESS]))
     planes = zip(influences, residuals_n, strict=True)
     scores = np.sum([part_scores(*plane, part_starts) for plane in planes], axis=0)
     rows_by_source = {

@@ -231,7 +231,7 @@ class AnnularFit:
         magnitude_n, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
         weights = []
         for k, plane in enumerate(record.planes):
-            unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
+            unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_noise_m)
             open_n = np.std(residual[k, is_open] if np.any(residual[k, is_open]) else residual[k])
             unmodelled_n = plane.unmodelled_share * np.hypot(magnitude_n, np.std(record.force_n))
             stiffness_n_per_m = np.hypot(*by_eta[k])
@@ -246,7 +246,9 @@ class AnnularFit:
         def weights_agree(before: "AnnularFit", after: "AnnularFit") -> bool:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
-        return refit_until_settled(self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS)
+        return refit_until_settled(
+            self.weighted, lambda fit: fit.minimum.weighted, weights_agree, max_rounds=WEIGHT_ROUNDS
+        )
 
 
 def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularFit:

@@ -9,7 +9,7 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from rig.model.description import Station
 from rig.model.modes import condensed
 from rig.model.tolerances import EXACT, Tolerances
@@ -75,8 +75,8 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        words = "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
-        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{words}."
+        note = "" if body_force_count(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
+        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{note}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."

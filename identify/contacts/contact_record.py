@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Drift, Spline
-from identify.signals.scores import COUNTED_HZ, quiet_deviation
+from identify.signals.scores import INDEPENDENT_RATE_HZ, quiet_deviation
 
 CLOSED_FORCE_SHARE = 0.1
 """A contact is clearly closed where its force exceeds this share of the force's 99.5 % quantile, ..."""
@@ -64,7 +64,7 @@ class ContactRecord:
     @property
     def samples_per_error(self) -> float:
         """Weight of a tolerance over that of a sample: the samples per independent error of the model."""
-        return max(1.0, self.sample_rate_hz / self.decimation / COUNTED_HZ)
+        return max(1.0, self.sample_rate_hz / self.decimation / INDEPENDENT_RATE_HZ)
 
     @property
     def spring_n_per_m(self) -> float:

@@ -58,7 +58,7 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
 
     if not np.any(coupling_n_per_m):
         return determine_all(records, forms)
-    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
+    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, max_rounds=COUPLING_ROUNDS)
     return refit(settled_outcomes, forms) if forms else settled_outcomes
 
 

@@ -25,7 +25,7 @@ from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import CONVERGED_SHARE, Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, MotionQuantity, taper
-from identify.signals.noise import spectrogram_noise_density
+from identify.signals.noise import noise_density_and_certainty
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
 
@@ -135,7 +135,7 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         densities = [
-            gauge.noise_density or spectrogram_noise_density(signal, rate_hz)[0]
+            gauge.noise_density or noise_density_and_certainty(signal, rate_hz)[0]
             for gauge, signal in zip(gauges, signals, strict=True)
         ]
         noise = np.sqrt(rate_hz / 2) * np.array(densities)

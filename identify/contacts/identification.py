@@ -22,7 +22,7 @@ from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics, MotionQuantity
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
@@ -151,7 +151,7 @@ def contact_report(
         surface=results.Surfaces(surfaces, _clearances(rig, methods.histogram)),
         transformation=tuple(map(_transformation_result, methods.transformations)),
         trusted_hz=motion.trusted_hz,
-        channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
+        channels_used=(*rig.force_names[: body_force_count(rig)], *motion.channels),
         findings=findings,
         noise_from=noise_source(motion, rig),
         notes=methods.notes,

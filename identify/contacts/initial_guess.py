@@ -270,7 +270,7 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
         prior_matrix = np.eye(len(state_rows)) / median_n
         return np.linalg.solve(weighted_rows @ state_rows.T + prior_matrix, weighted_rows @ record.force_n)
 
-    pulls[is_state] = refit_until_settled(pulls[is_state], reweighted, rounds=REWEIGHTING_ROUNDS)
+    pulls[is_state] = refit_until_settled(pulls[is_state], reweighted, max_rounds=REWEIGHTING_ROUNDS)
     return pulls
 
 

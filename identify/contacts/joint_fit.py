@@ -29,7 +29,7 @@ from identify.contacts.linearization import FitState, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
-from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
+from identify.signals.scores import PARTS, informative_part_starts, part_scores, quiet_deviation
 
 DRIFT_PULL_LIMIT = 25.0
 """Largest mean square of the drift's curvature less the measured one, in standard deviations."""
@@ -191,7 +191,7 @@ def fit_joint(
     pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], to_laws @ pulls_and_free[pull_count:]])
     # by residuals
     influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
-    part_starts = informative_parts(influence @ to_laws[LAW.names.index("stiffness_n_per_m")])
+    part_starts = informative_part_starts(influence @ to_laws[LAW.names.index("stiffness_n_per_m")])
     scores = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
         "scatter": small_sample_factor(free_count) * scores,

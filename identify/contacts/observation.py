@@ -25,7 +25,7 @@ from identify.linear.nuisance import ObservedSignals
 from identify.linear.observed_motion import ObservedBase, ObservedTransverse
 from identify.linear.slow_stiffness import has_high_passed_springs
 from identify.signals.kinematics import Kinematics
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -114,7 +114,7 @@ def observation_of(
         omega=lines.omega,
         sensor_response=np.concatenate([response, gauge_rows.response]),
         signals=np.concatenate([signals, gauge_rows.measured]),
-        force_accelerations=input_accelerations[: count_on_bodies(rig)],
+        force_accelerations=input_accelerations[: body_force_count(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, body, motion, signals / response) for body in responses),
         base=observed_base,

@@ -18,7 +18,7 @@ from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
 from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_S, Drift, spline
+from identify.signals.drift import KNOT_SPACING_S, Drift, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
 from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -32,7 +32,7 @@ FORCE_BAND_RATIO = 4.0
 LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
-DRIFT_BAND_HZ = 0.5 / KNOT_S
+DRIFT_BAND_HZ = 0.5 / KNOT_SPACING_S
 """Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""

@@ -20,7 +20,7 @@ from jaxtyping import Complex, Float
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, ResponseCache, input_shapes, responses_of
 from identify.linear.nuisance import Nuisance, ObservedSignals, changes_of
-from identify.signals.kinematics import CORNER_HZ, Kinematics, integrated
+from identify.signals.kinematics import CORNER_HZ, Kinematics, omega_power
 from rig.model.description import Rig
 
 LOWEST_CORNER_HZ = 2 * CORNER_HZ
@@ -38,7 +38,7 @@ def is_held(response: Response) -> bool:
 
 def low_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
     """L: one below half the corner, zero above it."""
-    return np.asarray(1 + omega**2 * integrated(omega, -2, corner_hz).real)
+    return np.asarray(1 + omega**2 * omega_power(omega, -2, corner_hz).real)
 
 
 @dataclass(frozen=True)

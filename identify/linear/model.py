@@ -21,7 +21,7 @@ from jaxtyping import Complex, Float
 
 from identify.linear.modal import receptance
 from identify.linear.point_dampers import DamperFeedback, damper_feedback
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import CORNER_HZ, omega_power
 from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
 from rig.model.description import Body, PointDamper, Rig, Sensor, Station
@@ -241,8 +241,8 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
     for mode in dynamics.high_passed:
         natural_omega = 2 * np.pi * hz[mode]
-        spring_term = natural_omega**2 * integrated(omega, -2, CORNER_HZ)
-        accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * integrated(omega, -1, CORNER_HZ))
+        spring_term = natural_omega**2 * omega_power(omega, -2, CORNER_HZ)
+        accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * omega_power(omega, -1, CORNER_HZ))
     accelerance[hz == 0] = 1.0
     accelerance.flags.writeable = False
     return accelerance

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from identify.linear.model import Response, real_product
 from identify.linear.observed_motion import BodyMotion, ObservedBase, ObservedTransverse
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import CORNER_HZ, omega_power
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
@@ -260,7 +260,7 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[
     if not (motion.response.body.length_m and rows):
         return
     slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
-    double_integral = integrated(observed.omega, -2, CORNER_HZ)
+    double_integral = omega_power(observed.omega, -2, CORNER_HZ)
     for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
         sensor, displaced_by, response = observed.sensors[i], observed.displaced_by[i], observed.sensor_response[i]
         for channel in dict.fromkeys((sensor, displaced_by)):

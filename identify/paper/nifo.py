@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.linear.modal import ModalEquation, receptance
-from identify.signals.regression import influences, line_by_line, variance_of_sum
-from identify.signals.spectra import Blocks, Term
+from identify.signals.regression import influences, jackknife_variance, weights_by_line
+from identify.signals.spectra import Blocks, WindowedTerm
 from rig.errors import RigError
 
 Form = Literal["weak", "paper"]
@@ -74,12 +74,12 @@ def nifo(
             f"{len(blocks.starts)} blocks for {unknown_count} unknowns a line; use shorter blocks or record longer"
         )
     displacement = equation.displacement
-    terms = [[Term(force_n, factor=equation.shape_at_force)]]
-    terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
+    terms = [[WindowedTerm(force_n, factor=equation.shape_at_force)]]
+    terms += [[WindowedTerm(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
     if form == "weak":
-        terms[0].append(Term(displacement, derivative=2, factor=-1.0))
-        terms.append([Term(displacement, derivative=1)])
-    terms.append([Term(displacement)])
+        terms[0].append(WindowedTerm(displacement, derivative_order=2, factor=-1.0))
+        terms.append([WindowedTerm(displacement, derivative_order=1)])
+    terms.append([WindowedTerm(displacement)])
     derivative_factor = 2j * 2 * np.pi * blocks.frequency_hz
 
     def channel_spectra(block_indices: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
@@ -88,7 +88,7 @@ def nifo(
             spectra[0] += derivative_factor * spectra[-2]
         return spectra
 
-    weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
+    weights, inverse_normal = weights_by_line(channel_spectra, len(blocks.starts))
     frf, of_contacts = weights[:, 0], slice(1, 1 + len(active))
     stiffness_n_per_m = -weights[:, of_contacts] / frf[:, None]
 
@@ -103,7 +103,7 @@ def nifo(
     def block_influences(block_indices: Sequence[int]) -> Float[np.ndarray, "blocks contacts"]:
         return influences(channel_spectra, block_indices, weights, inverse_normal, mean_stiffness_influence)
 
-    mean_variances = variance_of_sum(block_influences, len(blocks.starts))
+    mean_variances = jackknife_variance(block_influences, len(blocks.starts))
     return Nifo(
         equation=equation,
         contacts=active,

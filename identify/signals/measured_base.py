@@ -45,14 +45,14 @@ def excitations(recording: Recording) -> Float[np.ndarray, "excitations samples"
 
 def excitation_names(rig: Rig) -> tuple[str, ...]:
     """Channels of the `excitations`."""
-    return (*rig.force_names[: count_on_bodies(rig)], *(sensor.name for sensor in rig.base_sensors))
+    return (*rig.force_names[: body_force_count(rig)], *(sensor.name for sensor in rig.base_sensors))
 
 
 def forces_on_bodies(recording: Recording) -> Float[np.ndarray, "forces samples"]:
     """Measured forces on bodies, N; none where the base alone shakes the rig."""
-    return recording.forces_n[: count_on_bodies(recording.rig)]
+    return recording.forces_n[: body_force_count(recording.rig)]
 
 
-def count_on_bodies(rig: Rig) -> int:
+def body_force_count(rig: Rig) -> int:
     """Number of the measured forces on bodies, which come first among the inputs of a rig."""
     return len(rig.inputs) - bool(rig.base_sensors)

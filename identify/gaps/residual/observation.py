@@ -12,7 +12,7 @@ from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
-from identify.signals.law_evaluation import evaluated_on, finer_batches
+from identify.signals.law_evaluation import evaluated_on_batches, finer_signal_batches
 from identify.signals.recent_values import RecentValues
 
 CLOSED_DEVIATIONS = 5.0
@@ -72,10 +72,10 @@ class ContactSignals:
 
         def finer_signals() -> list[Results]:
             signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if depends_on_time else [])]
-            return list(finer_batches(np.stack(signals), self.sample_rate_hz))
+            return list(finer_signal_batches(np.stack(signals), self.sample_rate_hz))
 
         batches = self.finer_motions.get((motion, depends_on_time), finer_signals)
-        results = evaluated_on(
+        results = evaluated_on_batches(
             law_function, batches, motion.eta_m.size, self.sample_rate_hz, self.decimation, rate_multiple
         )
         return results[..., : (self.force_n.size - 1) * rate_multiple + 1]

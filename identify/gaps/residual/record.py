@@ -11,9 +11,9 @@ from identify.gaps.residual.ringing import MeasuredMode
 from identify.gaps.residual.shaken_base import BaseSpectra
 from identify.linear.sampled_motion import Sampling
 from identify.signals.drift import Drift
-from identify.signals.kinematics import integrated
+from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import product_rate_multiple
-from identify.signals.scores import COUNTED_HZ
+from identify.signals.scores import INDEPENDENT_RATE_HZ
 from rig.model.description import Rig, Sensor
 from rig.model.tolerances import Tolerances
 
@@ -151,12 +151,12 @@ class Record:
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
         """Transfer from an acceleration to a displacement, high-passed."""
-        return integrated(self.omega, -2, self.corner_hz)
+        return omega_power(self.omega, -2, self.corner_hz)
 
     @property
     def sample_ratio(self) -> float:
         """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
-        return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
+        return max(1.0, len(self.sensors) * self.rate_hz / INDEPENDENT_RATE_HZ)
 
     @property
     def product_multiple(self) -> int:

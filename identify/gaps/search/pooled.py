@@ -220,7 +220,7 @@ def fitted_together(
         return earlier if later.cost > earlier.cost else later
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=POOLING_ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, max_rounds=POOLING_ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

@@ -11,7 +11,7 @@ from identify.paper.nifo import Nifo, fit_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
-from identify.signals.regression import line_by_line
+from identify.signals.regression import weights_by_line
 from identify.signals.spectra import Averaging, blocks
 from rig.errors import RigError
 from rig.recording import read
@@ -114,7 +114,7 @@ def test_more_blocks_than_unknowns_are_needed(form, unknowns):
 
 def test_inputs_that_are_copies_are_refused():
     with pytest.raises(RigError, match="the force and the contacts' displacements are the same at some frequency"):
-        line_by_line(lambda chosen: np.ones((3, len(chosen), 5), dtype=complex), 8)
+        weights_by_line(lambda chosen: np.ones((3, len(chosen), 5), dtype=complex), 8)
 
 
 def test_a_modes_frequency_and_damping_from_its_frf():
