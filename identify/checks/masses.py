@@ -162,7 +162,7 @@ def _open_mask(
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // decimation), dtype=bool)
     for group in contact_groups(rig):
-        stations = contact_stations(group.contact)
+        stations = contact_stations(group.joined_contact)
         if motion.stations[station_index].body not in [station.body for station in stations]:
             continue
         laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]

@@ -189,7 +189,7 @@ def equation_findings(
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
     for nifo in spectra:
         for index, mean_n_per_m, mean_error, deviation in zip(
-            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
+            nifo.contact_indices, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
             name, is_visible = names[index], nifo.equation.visibility[index] >= NEARLY_INVISIBLE_SHARE
             if name not in estimates or not is_visible or deviation > STEADY_SHARE * abs(mean_n_per_m):

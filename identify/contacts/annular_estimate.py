@@ -87,7 +87,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     derivatives, equations = fit.linearized()
     pull_count, free_to_law = state.pulls.size, fit.to_law
     eta, rate = fit.motion(state.knots, state.pulls)
-    ring_by_knots = np.zeros((drift_spline.knots, len(RING)))
+    ring_by_knots = np.zeros((drift_spline.knot_count, len(RING)))
     ring_by_free = np.zeros((pull_count + free_to_law.shape[1], len(RING)))
     ring_by_free[pull_count:] = free_to_law.T
     ring_by_free[pull_count - 1, LOG_SPEED] = 1.0

@@ -66,7 +66,7 @@ class AnnularRecord:
     def drift_spline(self) -> Spline:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
         curves = [plane.drift_spline for plane in self.planes]
-        empty_columns = csr_matrix((0, sum(curve.knots for curve in curves)))
+        empty_columns = csr_matrix((0, sum(curve.knot_count for curve in curves)))
         curvature = vstack([interleaved(curve.curvature, k) for k, curve in enumerate(curves)]).tocsr()
         return Spline(empty_columns, empty_columns, curvature, np.concatenate([curve.target for curve in curves]))
 

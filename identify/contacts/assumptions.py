@@ -66,7 +66,7 @@ def assumptions(result: Identification) -> Iterator[str]:
             if stop_count > 1:
                 rules.append("each stop has the knee that comes nearest to its clearance and stiffness in rig.json")
             yield (
-                f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{group.joined_contact.name} act between the same places: the record tells the sum of their forces; "
                 f"{' and '.join(rules)}."
             )
     if is_unforced(motion):

@@ -61,8 +61,8 @@ def _motion_table(result: Identification) -> Table:
     row_count = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(row_count, decimation)}
     for group, eta_m, force_n in zip(result.contact_groups, eta, force, strict=True):
-        table[f"{group.contact.name} relative displacement m"] = eta_m[:row_count]
-        table[f"{group.contact.name} contact force N"] = force_n[:row_count]
+        table[f"{group.joined_contact.name} relative displacement m"] = eta_m[:row_count]
+        table[f"{group.joined_contact.name} contact force N"] = force_n[:row_count]
     return table
 
 
@@ -71,12 +71,12 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
     surface = result.surface
     eta = result.eta_m[:, :: surface.decimation]
     velocity = surface.equation.velocity[:: surface.decimation]
-    row_count = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    row_count = min(eta.shape[1], surface.measured_modal_force.size, velocity.size)
     table: Table = {"time_s": result.motion.time_s(row_count, surface.decimation)}
     table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, eta, strict=True)}
     table["modal velocity sqrt(kg) m/s"] = velocity[:row_count]
-    table["restoring force N/sqrt(kg)"] = surface.measured_force[:row_count]
-    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:row_count]
+    table["restoring force N/sqrt(kg)"] = surface.measured_modal_force[:row_count]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_modal_force[:row_count]
     return table
 
 
@@ -88,7 +88,7 @@ def _nifo_table(result: Identification, names: list[str]) -> Table:
         if nifo.frequency_hz.size != weak.frequency_hz.size:
             continue
         table |= _parts(f"{form} FRF s^2", nifo.frf)
-        for contact_index, stiffness in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True):
+        for contact_index, stiffness in zip(nifo.contact_indices, nifo.stiffness_n_per_m, strict=True):
             table |= _parts(f"{form} {names[contact_index]} stiffness N/m", stiffness)
     return table
 

@@ -107,15 +107,15 @@ def _draw_surface(figure: Any, result: Identification, references: References, r
     eta = 1e3 * result.eta_m[first_group.contact_indices[0]][every_nth]
     if other_groups:
         second = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
-        second_label = f"η of {other_groups[0].contact.name}, mm"
+        second_label = f"η of {other_groups[0].joined_contact.name}, mm"
     else:
         second = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0]
         second_label = "velocity, m/s"
-    count = min(eta.size, second.size, surface.measured_force.size)
-    axes, force = figure.subplots(), surface.measured_force[:count]
+    count = min(eta.size, second.size, surface.measured_modal_force.size)
+    axes, force = figure.subplots(), surface.measured_modal_force[:count]
     cells = axes.hexbin(eta[:count], second[:count], C=force, gridsize=70, cmap="RdBu_r", mincnt=3)
     figure.colorbar(cells, label="restoring force, N/√kg")
-    axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=second_label)
+    axes.set(xlabel=f"η of {first_group.joined_contact.name}, mm", ylabel=second_label)
     for k, group in enumerate(result.contact_groups[:2]):
         _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -127,20 +127,20 @@ def _draw_section(figure: Any, result: Identification, references: References, r
     pair of places."""
     surface = result.surface
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
-    unexplained = surface.measured_force - surface.fitted_force
+    unexplained = surface.measured_modal_force - surface.fitted_modal_force
     for axes, group in zip(axes_row, result.contact_groups, strict=True):
         first_contact, contact_indices = group.contact_indices[0], list(group.contact_indices)
         shape_at_contact = surface.equation.shape_at_contacts[first_contact] or 1.0
         eta = result.eta_m[first_contact][:: surface.decimation]
         count = min(eta.size, unexplained.size)
         eta_mm, drawn = 1e3 * eta[:count], slice(None, None, max(1, count // 6000))
-        fitted_n = surface.contact_forces[contact_indices].sum(axis=0)[:count] / shape_at_contact
+        fitted_n = surface.fitted_contact_parts[contact_indices].sum(axis=0)[:count] / shape_at_contact
         force = unexplained[:count] / shape_at_contact + fitted_n
         order = np.argsort(eta_mm)
         axes.plot(eta_mm[order], fitted_n[order], color=RED, lw=2.5, label="dead zone as fitted")
         axes.plot(eta_mm[drawn], force[drawn], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
         _mark_stops(axes, result, group, references, reference_name)
-        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
+        axes.set(xlabel=f"η of {group.joined_contact.name}, mm", title=group.joined_contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "lower", markerscale=6)
     figure.suptitle(f"Section of the restoring force, modal equation {surface.equation.name}")
@@ -161,7 +161,7 @@ def _draw_separated_forces(figure: Any, result: Identification, references: Refe
         if laws:
             axes.plot(1e3 * grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, result, group, references, reference_name)
-        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
+        axes.set(xlabel=f"η of {group.joined_contact.name}, mm", title=group.joined_contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "upper", markerscale=2)
 
@@ -179,7 +179,7 @@ def _draw_histogram(figure: Any, result: Identification, references: References,
         density_axes.hist(eta_mm[motion.excited_from :], **bars)
         for panel in (time_axes, density_axes):
             _mark_stops(panel, result, group, references, reference_name, horizontal=True)
-        time_axes.set_ylabel(f"η of {group.contact.name}, mm")
+        time_axes.set_ylabel(f"η of {group.joined_contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
@@ -188,12 +188,12 @@ def _draw_histogram(figure: Any, result: Identification, references: References,
 def _draw_stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
     weak, paper = result.weak_nifo, result.paper_nifo
-    if not weak.contacts:
+    if not weak.contact_indices:
         figure.text(0.5, 0.5, f"modal equation {weak.equation.name} tells no contact's stiffness", ha="center")
         return
-    axes = figure.subplots(2, len(weak.contacts), squeeze=False, sharex=True)
+    axes = figure.subplots(2, len(weak.contact_indices), squeeze=False, sharex=True)
     for column, (upper, lower) in enumerate(axes.T):
-        contact = result.rig.contacts[weak.contacts[column]]
+        contact = result.rig.contacts[weak.contact_indices[column]]
         mean_n_per_m = weak.mean_n_per_m[column]
         reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in ((paper, GREY, "the paper's form"), (weak, BLUE, "weak form")):
@@ -221,7 +221,7 @@ def _draw_frf(figure: Any, result: Identification, _references: References, _ref
     for frf, frequency, colour, style, label in (
         (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
         (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
-        (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
+        (weak.described_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
     ):
         receptance_m_per_n = weak.equation.shape_at_force**2 * np.abs(frf)
         magnitude_axes.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)

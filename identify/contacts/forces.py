@@ -32,12 +32,12 @@ from identify.contacts.slow_motion import (
 from identify.contacts.station_spectra import (
     SpectralLines,
     StationErrors,
+    estimated_free_motion,
     force_weights,
     has_hidden_modes,
-    initial_states,
     start_transient_s,
 )
-from identify.linear.free_motion import InitialStates
+from identify.linear.free_motion import FreeMotionEstimate
 from identify.linear.modal import force_on_mass
 from identify.linear.model import Response, ResponseCache, accelerances, responses_of
 from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
@@ -112,7 +112,7 @@ class _WeightedRows:
     noise_alone: ObservedSignals
     force_weights: ForceWeights
     unexplained_signals: Complex[np.ndarray, "rows lines"]
-    initial_states: InitialStates | None
+    initial_states: FreeMotionEstimate | None
     parameters: tuple[Nuisance, ...]
     corner_hz: float
     noise_m: Float[np.ndarray, " contacts"]
@@ -153,7 +153,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         weights = force_weights(by_input[force_count:] * sensor_response, errors)
         unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
-            states = initial_states(responses, motion, rows, lines, sensor_response * by_input, errors)
+            states = estimated_free_motion(responses, motion, rows, lines, sensor_response * by_input, errors)
             unexplained = unexplained - states.signals
         if slow_by_gauges:
             padded_power = noise_power * (lines.padded_samples / motion.samples)

@@ -207,7 +207,7 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
                 for contact in rig.contacts
                 if contact.name in refusals and equation.body in {s.body for s in contact_stations(contact)}
             )
-            modes.append(results.Mode(equation.body, equation.index, *fit_mode(nifo), undetermined))
+            modes.append(results.Mode(equation.body, equation.mode_number, *fit_mode(nifo), undetermined))
     return tuple(modes)
 
 
@@ -216,13 +216,13 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
     stiffnesses = tuple(
         results.Stiffness(names[index], results.Estimate(float(mean_n_per_m), float(error)), float(deviation))
         for index, mean_n_per_m, error, deviation in zip(
-            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
+            nifo.contact_indices, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
     visibilities = zip(names, equation.visibility, strict=True)
     invisible = tuple(name for name, visibility in visibilities if visibility < NEARLY_INVISIBLE_SHARE)
     band_hz = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(equation.name, band_hz, nifo.resolution_hz, nifo.averages, stiffnesses, invisible)
+    return results.NifoResult(equation.name, band_hz, nifo.resolution_hz, nifo.average_count, stiffnesses, invisible)
 
 
 def _clearances(rig: Rig, stop_by_contact: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:

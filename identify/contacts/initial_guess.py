@@ -124,7 +124,7 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
     """
     is_side_touched, form = np.any(touched, axis=0), linear_form(touched)
     if not is_side_touched.any():
-        unit_spring, no_drift = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots)
+        unit_spring, no_drift = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knot_count)
         return [_refined_guess(record, unit_spring, no_drift, form)[1]]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
@@ -223,7 +223,7 @@ def _refined_guess(
 
 def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[LawGuess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
-    magnitude_n, knot_count = np.abs(record.force_n), record.drift_spline.knots
+    magnitude_n, knot_count = np.abs(record.force_n), record.drift_spline.knot_count
     counts, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
     contact_counts = np.where(record.force_n < 0, *counts)
     least_closed_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()

@@ -186,7 +186,7 @@ def fit_joint(
     state, to_laws, (derivatives, equations) = fit.state, fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, to_laws.shape[1]
     knots, pulls_and_free = equations.solved(
-        np.zeros((drift_spline.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
+        np.zeros((drift_spline.knot_count, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
     pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], to_laws @ pulls_and_free[pull_count:]])
     # by residuals
@@ -260,7 +260,8 @@ def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[f
 def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> None:
     """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
     square is usually 1 to 2 squared standard deviations."""
-    if drift_spline.knots and np.mean((drift_spline.curvature @ knots - drift_spline.target) ** 2) > DRIFT_PULL_LIMIT:
+    prior_residual = drift_spline.curvature @ knots - drift_spline.target
+    if drift_spline.knot_count and np.mean(prior_residual**2) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 

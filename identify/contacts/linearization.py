@@ -178,7 +178,7 @@ def ground_n_per_m(record: ContactRecord) -> csr_matrix:
     """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
     curve = record.drift_spline
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
-        return csr_matrix((record.force_n.size, curve.knots))
+        return csr_matrix((record.force_n.size, curve.knot_count))
     knot_values, knot_rates = record.at_force_samples(curve.value), record.at_force_samples(curve.rate)
     return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates
 
@@ -230,20 +230,20 @@ def normal_equations(
     free_block = np.diag(np.r_[np.full(pull_count, record.samples_per_error), np.zeros(free_count)])
     free_gradient = np.r_[-record.samples_per_error * state.pulls, np.zeros(free_count)]
     curve, weighted_residual = record.drift_spline, weights * state.residual_n
-    border = np.zeros((curve.knots, pull_count + free_count))
+    border = np.zeros((curve.knot_count, pull_count + free_count))
     by_knots = csr_matrix(diags(weights) @ derivatives.by_knots)
     for chunk in sample_chunks(weighted_residual.size):
         rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ scaled_to_laws], axis=1)
         rows *= weights[chunk, None]
         free_block += rows.T @ rows
         free_gradient += rows.T @ weighted_residual[chunk]
-        if curve.knots:
+        if curve.knot_count:
             border += by_knots[chunk].T @ rows
     prior_residual = curve.target - curve.curvature @ state.knots
     knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ prior_residual
     try:
         cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)
-        eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knots else border
+        eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knot_count else border
         schur_inverse = np.linalg.inv(free_block - border.T @ eliminated_border)
     except LinAlgError as error:
         raise refused(RefusalCode.NO_LAW) from error

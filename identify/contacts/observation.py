@@ -119,7 +119,7 @@ def observation_of(
         bodies=tuple(observed_body_motion(rig, body, motion, signals / response) for body in responses),
         base=observed_base,
         transverse=_observed_transverse(record, lines, rows),
-        by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
+        is_from_displacement=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
     gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))

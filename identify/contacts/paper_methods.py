@@ -21,7 +21,7 @@ from identify.linear.modal import (
     modal_equations,
     transformation,
 )
-from identify.paper.nifo import Form, Nifo, nifo
+from identify.paper.nifo import Nifo, NifoForm, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics
 from identify.signals.law_evaluation import evaluated_law
@@ -179,7 +179,7 @@ def paper_methods(
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
     surface_decimation = _surface_decimation(rig, motion)
 
-    def nifo_of(modal: ModalEquation, form: Form = "weak") -> Nifo:
+    def nifo_of(modal: ModalEquation, form: NifoForm = "weak") -> Nifo:
         force_n = equivalent_force_n(rig, modal, motion.forces_n)
         return nifo(modal, force_n, force_over_stiffness_m, blocks_by_body[modal.body], form)
 
@@ -263,8 +263,9 @@ def _main_equation(
     if requested_name is not None:
         notes.append(f"the modal equation {requested_name} cannot be made; the figures show another one")
 
-    def deviation(name: str) -> tuple[int, float]:
+    def count_and_deviation(name: str) -> tuple[int, float]:
         weak = spectra[name]
-        return -len(weak.contacts), float(np.max(weak.deviation_n_per_m / np.abs(weak.mean_n_per_m), initial=0.0))
+        deviation_shares = weak.deviation_n_per_m / np.abs(weak.mean_n_per_m)
+        return -len(weak.contact_indices), float(np.max(deviation_shares, initial=0.0))
 
-    return min(spectra, key=deviation) if spectra else next(iter(driven_equations), "")
+    return min(spectra, key=count_and_deviation) if spectra else next(iter(driven_equations), "")

@@ -16,7 +16,7 @@ from identify.contacts.observation import RINGING_S, SeparationInput
 from identify.contacts.refusals import RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
-from identify.linear.modal import relative_motion
+from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_SPACING_S, Drift, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
@@ -229,8 +229,8 @@ def _contact_records(
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
     sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
-    eta_m = relative_motion(rig, motion, motion.displacement_m)
-    velocity_m_per_s = relative_motion(rig, motion, motion.velocity_m_per_s)
+    eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
+    velocity_m_per_s = signals_across_contacts(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
     is_initial_state = np.array([p.kind == NuisanceKind.INITIAL_STATE for p in nuisances.parameters], dtype=bool)
     quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]

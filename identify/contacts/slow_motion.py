@@ -196,7 +196,7 @@ def with_slow_modes(
     for body in observed.bodies:
         response, acceleration = body.response, body.acceleration.copy()
         held_modes = np.flatnonzero(response.dynamics.natural_hz[: len(acceleration)]).tolist()
-        held_modes = [mode for mode in held_modes if mode not in response.dynamics.high_passed]
+        held_modes = [mode for mode in held_modes if mode not in response.dynamics.high_passed_modes]
         modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ input_spectra[:, slow]
         acceleration[held_modes, slow] = response.accelerance[held_modes, slow] * modal_force
         bodies.append(replace(body, acceleration=acceleration))

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.linear.free_motion import InitialStates, estimated_states, free_motions, unit_free_spectra
+from identify.linear.free_motion import FreeMotionEstimate, estimated_states, free_motions, unit_free_spectra
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import Change, elastic_modes, modes_near_band
+from identify.linear.nuisance import Change, elastic_modes, mode_count_near_band
 from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
@@ -173,7 +173,7 @@ def observed_body_motion(
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return modes_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
+    return mode_count_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
 
 
 def driven_body_motion(
@@ -199,7 +199,7 @@ def driven_body_motion(
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic_indices=elastic_modes(response, max(count, modes_near_band(response))),
+        elastic_indices=elastic_modes(response, max(count, mode_count_near_band(response))),
     )
 
 
@@ -221,14 +221,14 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
     return np.asarray(spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
-def initial_states(
+def estimated_free_motion(
     responses: tuple[Response, ...],
     motion: Kinematics,
     station_rows: StationRows,
     lines: SpectralLines,
     accelerations_by_input: Complex[np.ndarray, "inputs stations lines"],
     station_errors: StationErrors,
-) -> InitialStates:
+) -> FreeMotionEstimate:
     """Initial states of the modes, from the record cut off sharply at both ends.
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
@@ -262,4 +262,4 @@ def initial_states(
         correlated_line_count=lines.correlated_line_count,
     )
     held_modes = np.flatnonzero([mode.is_held for mode in modes])
-    return states.initial_states(unit_spectra(lines, sample_count), held_modes)
+    return states.free_motion(unit_spectra(lines, sample_count), held_modes)

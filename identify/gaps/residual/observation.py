@@ -123,7 +123,7 @@ class ContactObservation:
     @property
     def tolerance_slice(self) -> slice:
         """Slice of the law's tolerances among a contact's unknowns, after the knots of the drift."""
-        return slice(self.drift_spline.knots, None)
+        return slice(self.drift_spline.knot_count, None)
 
     @property
     def prior_weight(self) -> float:
@@ -150,7 +150,7 @@ def contact_observations(
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES + 1)
         is_clear = envelope_n > CLOSED_DEVIATIONS * error_n
-        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_m
+        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_noise_m
         stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         deviation_n = np.sqrt(

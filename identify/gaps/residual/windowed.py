@@ -243,7 +243,7 @@ def displaced_at(
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    weights = np.sum([response.weights(stations, element_stations) for response in responses], axis=0)
+    weights = np.sum([response.sensor_weights(stations, element_stations) for response in responses], axis=0)
     return real_product(weights, displacements)
 
 

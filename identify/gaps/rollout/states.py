@@ -148,7 +148,7 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
     record, contacts = residual.model.record, group_rig_of(rig).contacts
     motions = {
-        response.body.name: (motion, response.dynamics.high_passed)
+        response.body.name: (motion, response.dynamics.high_passed_modes)
         for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
     }
     at_stations, against_stations = [contact.at for contact in contacts], [contact.against for contact in contacts]
@@ -210,7 +210,7 @@ def _slow_relative_motion(residual: Residual, sample_count: int) -> Float[np.nda
     for index, contact in enumerate(residual.contacts):
         spline = contact.observation.drift_spline
         for row, value_per_knot in zip(slow_motion[:, index], (spline.value, spline.rate), strict=True):
-            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knots])
+            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knot_count])
     return slow_motion
 
 

@@ -131,7 +131,7 @@ def without_drift(
     """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
     contact = residual.contacts[contact_index]
     normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact.residual
-    if not contact.observation.drift_spline.knots:
+    if not contact.observation.drift_spline.knot_count:
         return normal_matrix, gradient
     solver, drift_columns = contact.drift_solver, contact.drift_columns
     coupling = drift_columns.T @ unknown_columns

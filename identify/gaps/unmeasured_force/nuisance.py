@@ -38,7 +38,7 @@ def nuisance_columns(
     motion = _measured_motion(whitened)
     parameters, columns, trace_terms = list[Nuisance](), list[Complex[np.ndarray, "lines rows"]](), list[float]()
     for changes in (
-        changes_of(motion, with_common=False),
+        changes_of(motion, with_common_tolerances=False),
         crosstalk_of(motion),
         state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
     ):

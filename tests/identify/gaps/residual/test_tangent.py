@@ -66,7 +66,7 @@ def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     curve = spline(SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, Drift(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 0.0))
     columns = tangent.spline_columns(curve.value)
     assert columns.shape == curve.value.shape
-    coefficients = np.random.default_rng(3).standard_normal(curve.knots)
+    coefficients = np.random.default_rng(3).standard_normal(curve.knot_count)
     drift_m = curve.value @ coefficients
     fine_m = np.interp(np.arange(SAMPLES), FACTOR * np.arange(drift_m.size), drift_m)
     assert relative_error(columns @ coefficients, force_change_n(eta_m, 1e-3 * fine_m) / 1e-3) < 0.02
