@@ -101,7 +101,7 @@ class AnnularFit:
             ground_force_n = ground_n_per_m(plane) @ knots[k::DIRECTIONS]
             residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground_force_n)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
-        prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.target
+        prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.curvature_target
         cost = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior_residual**2)
         return replace(state, cost=float(cost + record.samples_per_error * np.sum(pulls**2)))
 

@@ -68,7 +68,7 @@ class AnnularRecord:
         curves = [plane.drift_spline for plane in self.planes]
         empty_columns = csr_matrix((0, sum(curve.knot_count for curve in curves)))
         curvature = vstack([interleaved(curve.curvature, k) for k, curve in enumerate(curves)]).tocsr()
-        return Spline(empty_columns, empty_columns, curvature, np.concatenate([curve.target for curve in curves]))
+        return Spline(empty_columns, empty_columns, curvature, np.concatenate([c.curvature_target for c in curves]))
 
     @property
     def zero_known(self) -> bool:

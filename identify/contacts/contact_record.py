@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import Drift, Spline
+from identify.signals.drift import DriftPrior, Spline
 from identify.signals.scores import INDEPENDENT_RATE_HZ, quiet_deviation
 
 CLOSED_FORCE_SHARE = 0.1
@@ -43,7 +43,7 @@ class ContactRecord:
     quiet_deviation_n: float
     noise_n: float
     unmodelled_share: float
-    drift: Drift | None
+    drift: DriftPrior | None
     drift_spline: Spline
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
     force_noise_multiple: Float[np.ndarray, " nuisances"]

@@ -156,7 +156,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
             states = estimated_free_motion(responses, motion, rows, lines, sensor_response * by_input, errors)
             unexplained = unexplained - states.signals
         if slow_by_gauges:
-            padded_power = noise_power * (lines.padded_samples / motion.samples)
+            padded_power = noise_power * (lines.padded_samples / motion.sample_count)
             acceleration_power = padded_power[:station_count] / np.abs(rows.response) ** 2
             corner_hz, noise_m = quietest_corner(
                 record.signs, by_input[force_count:], weights, padded_power, acceleration_power, lines
@@ -195,8 +195,8 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         end_transient_s = max(end_transient_s, TAPER_S + 2 / rows.corner_hz)
         input_spectra = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
         correction = slow_response.correction(input_spectra, rows.observed.displacements[: len(motion.stations)])
-        slow = slow_motion(correction, lines, motion.samples, rows.noise_m)
-    kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // decimation
+        slow = slow_motion(correction, lines, motion.sample_count, rows.noise_m)
+    kept_samples = (motion.sample_count - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
         rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, slow_response
     )
@@ -225,9 +225,9 @@ def _noise_n(
     weights: ForceWeights, noise_power: Float[np.ndarray, "rows lines"], motion: Kinematics, lines: SpectralLines
 ) -> Float[np.ndarray, " contacts"]:
     """Standard deviation of the sensors' noise in the contact forces, N."""
-    padded_power = noise_power * lines.padded_samples / motion.samples  # over the silence behind, too
+    padded_power = noise_power * lines.padded_samples / motion.sample_count  # over the silence behind, too
     force_noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
-    return np.asarray(lines.signals(force_noise_spectra, motion.samples // lines.decimation).std(axis=1))
+    return np.asarray(lines.signals(force_noise_spectra, motion.sample_count // lines.decimation).std(axis=1))
 
 
 def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:

@@ -118,7 +118,7 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
-    rig, sample_count, rate_hz = recording.rig, motion.samples, recording.rig.sample_rate_hz
+    rig, sample_count, rate_hz = recording.rig, motion.sample_count, recording.rig.sample_rate_hz
     gauges = [
         sensor for sensor in rig.sensors if not sensor.measures.translates and np.ptp(recording.values_of(sensor)) > 0
     ]
@@ -129,9 +129,9 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     if gauges and tells_no_start and all(sensor.measures.order == 2 for sensor in motion.sensors):
         channels = (recording.values_of(gauge) for gauge in gauges)
         excited_from = excitation_start(recording.forces_n, channels, rate_hz)
-    quiet_samples = replace(motion, excited_from=excited_from).quiet_samples
+    quiet_samples = replace(motion, excited_from=excited_from).quiet_sample_count
     if not (gauges and (quiet_samples or is_segment)):
-        return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
+        return Gauges((), np.empty((0, motion.sample_count)), np.empty(0), np.empty(0)), motion
     signals = np.stack([recording.values_of(gauge)[:sample_count] for gauge in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         densities = [

@@ -90,13 +90,15 @@ def robust_regression(
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
     columns = hstack([drift_columns, law_columns]).tocsr()
-    curvature_rows = hstack([drift_spline.curvature, csr_matrix((drift_spline.target.size, law_columns.shape[1]))])
+    curvature_rows = hstack(
+        [drift_spline.curvature, csr_matrix((drift_spline.curvature.shape[0], law_columns.shape[1]))]
+    )
     weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
     for residual_share, curvature_weight in REGRESSION_STAGES:
         scale_m = residual_share * float(np.std(eta_m))
         rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
         normal_matrix = rows.T @ rows
-        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * drift_spline.target])
+        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * drift_spline.curvature_target])
         knot_ridge = np.full(knot_count, 1e-12 * normal_matrix.diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
         coefficients = spsolve((normal_matrix + ridge).tocsc(), rows.T @ right_side)

@@ -260,7 +260,7 @@ def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[f
 def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> None:
     """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
     square is usually 1 to 2 squared standard deviations."""
-    prior_residual = drift_spline.curvature @ knots - drift_spline.target
+    prior_residual = drift_spline.curvature @ knots - drift_spline.curvature_target
     if drift_spline.knot_count and np.mean(prior_residual**2) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 

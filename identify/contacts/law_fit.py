@@ -102,7 +102,7 @@ class LawFit:
         """State with its cost: weighted squares of residuals and of the priors."""
         drift_spline = self.record.drift_spline
         residual_square = np.sum((self.weights * state.residual_n) ** 2)
-        curvature_square = np.sum((drift_spline.curvature @ state.knots - drift_spline.target) ** 2)
+        curvature_square = np.sum((drift_spline.curvature @ state.knots - drift_spline.curvature_target) ** 2)
         pull_square = self.record.samples_per_error * np.sum(state.pulls**2)
         return replace(state, cost=float(residual_square + curvature_square + pull_square))
 

@@ -239,7 +239,7 @@ def normal_equations(
         free_gradient += rows.T @ weighted_residual[chunk]
         if curve.knot_count:
             border += by_knots[chunk].T @ rows
-    prior_residual = curve.target - curve.curvature @ state.knots
+    prior_residual = curve.curvature_target - curve.curvature @ state.knots
     knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ prior_residual
     try:
         cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)

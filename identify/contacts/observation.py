@@ -52,7 +52,7 @@ class SeparationInput:
     def lines(self) -> SpectralLines:
         """Lines of the record padded with the time in which the beams' ringing decays."""
         rate_hz = self.motion.sample_rate_hz
-        padded_samples = -(-(self.motion.samples + round(RINGING_S * rate_hz)) // self.decimation)
+        padded_samples = -(-(self.motion.sample_count + round(RINGING_S * rate_hz)) // self.decimation)
         return SpectralLines(self.decimation * next_fast_len(padded_samples, real=True), self.decimation, rate_hz)
 
     @property
@@ -96,7 +96,7 @@ def observation_of(
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
-    rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.samples
+    rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.sample_count
     displacements, accelerations = _station_spectra(record, motion, lines)
     signals, response = rows.signals(displacements, accelerations), rows.response
     shows_slow_motion = [not (has_high_passed_springs(responses) or sensor.high_pass_hz) for sensor in gauges.sensors]

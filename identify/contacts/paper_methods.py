@@ -174,7 +174,7 @@ def paper_methods(
     transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
     equation_rows = results_by_name(notes, "the modal equations", transformations, body_equations)
     equations = {e.name: e for row in equation_rows.values() for e in row}
-    motion = motion.segment(slice(sample_count)).without_rows
+    motion = motion.segment(slice(sample_count)).without_motion
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
     surface_decimation = _surface_decimation(rig, motion)

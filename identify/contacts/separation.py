@@ -18,7 +18,7 @@ from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
 from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_SPACING_S, Drift, spline
+from identify.signals.drift import KNOT_STEP_S, DriftPrior, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
 from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -32,7 +32,7 @@ FORCE_BAND_RATIO = 4.0
 LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
-DRIFT_BAND_HZ = 0.5 / KNOT_SPACING_S
+DRIFT_BAND_HZ = 0.5 / KNOT_STEP_S
 """Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
@@ -162,7 +162,7 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     """
     highest_moving_hz = highest_driven_hz(motion)
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
-    segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
+    segment_samples = min(motion.sample_count, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     line_hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
     noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND)
     noise_power = np.median(power[:, (line_hz > noise_low_hz) & (line_hz < noise_high_hz)], axis=1, keepdims=True)
@@ -228,7 +228,7 @@ def _contact_records(
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
+    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.sample_count)
     eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
     velocity_m_per_s = signals_across_contacts(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
@@ -275,7 +275,7 @@ def drift_of(
     noise_m_per_s2: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
     sample_count: int,
-) -> Drift | None:
+) -> DriftPrior | None:
     """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
 
     Raises ContactRefusedError if no sensor stands at the contact.
@@ -295,7 +295,7 @@ def drift_of(
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
         error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
         densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
-    return Drift(
+    return DriftPrior(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,

@@ -128,11 +128,11 @@ def annular_records(
     """Record of every annular contact."""
     (y_names, z_names) = (rig.force_names_in(direction) for direction in rig.directions)
     (y_parameters, z_parameters) = (separation.forces.nuisances.parameters for separation in separations)
-    records = {}
+    records, quiet_count = {}, separations[0].motion.quiet_sample_count
     for name in (contact.name for contact in rig.contacts if contact.law.spatial):
         y_record, z_record = (_record_of(name, separation, tolerances) for separation in separations)
         records[name] = annular_record(
-            (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), separations[0].motion.quiet_samples
+            (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), quiet_count
         )
     return records
 

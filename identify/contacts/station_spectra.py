@@ -234,7 +234,7 @@ def estimated_free_motion(
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
     untapered, omega, force_count = replace(lines, is_tapered=False), lines.omega, len(motion.forces_n)
-    sample_count, padding_samples = motion.samples, lines.padded_samples - motion.samples
+    sample_count, padding_samples = motion.sample_count, lines.padded_samples - motion.sample_count
     highest_hz = float(omega[-1]) / (2 * np.pi)
     modes, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
     orders = [sensor.measures.order for sensor in motion.sensors]

@@ -61,7 +61,7 @@ def free_motions(
     modes of the body; otherwise it is zero, with a wide one. A mode whose spring acts on the high-passed displacement
     moves as a free one: the part that integration loses.
     """
-    time_s = np.arange(max(motion.samples, sample_count - motion.samples)) / motion.sample_rate_hz
+    time_s = np.arange(max(motion.sample_count, sample_count - motion.sample_count)) / motion.sample_rate_hz
     motions, prior_mean, prior_deviation, wide_deviation = list[FreeMotion](), [], [], []
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios

@@ -139,7 +139,7 @@ def equivalent_force_n(
 
 def correctable_samples(motion: Kinematics) -> int:
     """Number of samples from whose modal coordinates the higher modes can be subtracted."""
-    return motion.samples - round(0.25 * motion.sample_rate_hz)
+    return motion.sample_count - round(0.25 * motion.sample_rate_hz)
 
 
 def _without_higher_modes(
@@ -151,7 +151,7 @@ def _without_higher_modes(
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
     body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
-    padded_length = next_fast_len(motion.samples, real=True)
+    padded_length = next_fast_len(motion.sample_count, real=True)
     line_hz = np.fft.rfftfreq(padded_length, 1 / motion.sample_rate_hz)
     force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), padded_length)
     positions_m = np.array([motion.stations[row].position_m for row in transform.station_rows])

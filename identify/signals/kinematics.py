@@ -65,9 +65,9 @@ class Kinematics:
     base: MeasuredBase | None = None
     transverse: "Kinematics | None" = None
 
-    def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
-        """Times of every `factor`-th of the first samples, s."""
-        return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
+    def time_s(self, sample_count: int, decimation: int = 1) -> Float[np.ndarray, " samples"]:
+        """Times of every `decimation`-th of the first samples, s."""
+        return self.start_s + np.arange(sample_count) * decimation / self.sample_rate_hz
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
@@ -76,11 +76,11 @@ class Kinematics:
         return np.asarray(force_n)
 
     @property
-    def samples(self) -> int:
+    def sample_count(self) -> int:
         return self.forces_n.shape[1]
 
     @property
-    def quiet_samples(self) -> int:
+    def quiet_sample_count(self) -> int:
         """Number of samples at the start that show the noise; 0 if they are too few."""
         quiet_count = self.excited_from - round(0.05 * self.sample_rate_hz)
         return quiet_count if quiet_count > QUIET_S * self.sample_rate_hz else 0
@@ -88,27 +88,27 @@ class Kinematics:
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
 
-    def segment(self, samples: slice) -> "Kinematics":
+    def segment(self, sample_slice: slice) -> "Kinematics":
         """Kinematics of a slice of the samples."""
         return replace(
             self,
-            forces_n=self.forces_n[:, samples],
-            displacement_m=self.displacement_m[:, samples],
-            velocity_m_per_s=self.velocity_m_per_s[:, samples],
-            acceleration_m_per_s2=self.acceleration_m_per_s2[:, samples],
-            lost_m_per_s2=self.lost_m_per_s2[:, samples],
-            excited_from=max(0, self.excited_from - (samples.start or 0)),
-            start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
-            base=self.base and self.base.segment(samples),
-            transverse=self.transverse and self.transverse.segment(samples),
+            forces_n=self.forces_n[:, sample_slice],
+            displacement_m=self.displacement_m[:, sample_slice],
+            velocity_m_per_s=self.velocity_m_per_s[:, sample_slice],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[:, sample_slice],
+            lost_m_per_s2=self.lost_m_per_s2[:, sample_slice],
+            excited_from=max(0, self.excited_from - (sample_slice.start or 0)),
+            start_s=self.start_s + (sample_slice.start or 0) / self.sample_rate_hz,
+            base=self.base and self.base.segment(sample_slice),
+            transverse=self.transverse and self.transverse.segment(sample_slice),
         )
 
     @property
-    def without_rows(self) -> "Kinematics":
+    def without_motion(self) -> "Kinematics":
         """Kinematics without the motion of any station, which takes much memory."""
-        empty = np.empty((0, self.samples))
+        no_rows = np.empty((0, self.sample_count))
         return replace(
-            self, displacement_m=empty, velocity_m_per_s=empty, acceleration_m_per_s2=empty, lost_m_per_s2=empty
+            self, displacement_m=no_rows, velocity_m_per_s=no_rows, acceleration_m_per_s2=no_rows, lost_m_per_s2=no_rows
         )
 
 

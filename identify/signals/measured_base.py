@@ -25,13 +25,13 @@ class MeasuredBase:
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
     lost_m_per_s2: Float[np.ndarray, " samples"]
 
-    def segment(self, samples: slice) -> "MeasuredBase":
+    def segment(self, sample_slice: slice) -> "MeasuredBase":
         """Motion over a slice of the samples."""
         return replace(
             self,
-            displacement_m=self.displacement_m[samples],
-            acceleration_m_per_s2=self.acceleration_m_per_s2[samples],
-            lost_m_per_s2=self.lost_m_per_s2[samples],
+            displacement_m=self.displacement_m[sample_slice],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[sample_slice],
+            lost_m_per_s2=self.lost_m_per_s2[sample_slice],
         )
 
 

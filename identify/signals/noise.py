@@ -36,7 +36,7 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     """Standard deviation per sample of each station's acceleration noise, m/s^2, from `noise_source`."""
     source, rate_hz = noise_source(motion, rig), motion.sample_rate_hz
     if source == "the quiet start of the record":
-        return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
+        return motion.acceleration_m_per_s2[:, : motion.quiet_sample_count].std(axis=1)
     if source == "noise_density in rig.json":
         base_noise = _described_noise(motion.base.sensor, rate_hz) if motion.base else 0.0
         return np.array([np.hypot(_described_noise(sensor, rate_hz), base_noise) for sensor in motion.sensors])
@@ -51,7 +51,7 @@ def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     sensor_signals = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
-        return np.array([row[: motion.quiet_samples].std() for row in sensor_signals])
+        return np.array([row[: motion.quiet_sample_count].std() for row in sensor_signals])
     if source == "noise_density in rig.json":
         base_noise_density = motion.base.displaced_by.noise_density if motion.base else 0.0
         noise_densities = [np.hypot(sensor.noise_density, base_noise_density) for sensor in motion.displaced_by]
@@ -61,7 +61,7 @@ def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
 
 def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:
     """Source of the noise: the quiet start; without one, the description if it states any noise."""
-    if motion.quiet_samples:
+    if motion.quiet_sample_count:
         return "the quiet start of the record"
     if any(sensor.noise_density > 0 for sensor in rig.sensors):
         return "noise_density in rig.json"

@@ -277,7 +277,7 @@ def contact_residual(
 
     law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
     residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
-    drift_rows = drift_spline.target - drift_spline.curvature @ knots_m
+    drift_rows = drift_spline.curvature_target - drift_spline.curvature @ knots_m
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     residual = np.concatenate([observation.weights * residual_n, drift_rows, prior_rows])
     return ContactResidual(observation, signals, law, adjusted_law, unknowns, motion, residual)

@@ -10,7 +10,7 @@ from scipy.fft import irfft, rfft
 from identify.gaps.residual.ringing import MeasuredMode
 from identify.gaps.residual.shaken_base import BaseSpectra
 from identify.linear.sampled_motion import Sampling
-from identify.signals.drift import Drift
+from identify.signals.drift import DriftPrior
 from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import product_rate_multiple
 from identify.signals.scores import INDEPENDENT_RATE_HZ
@@ -68,7 +68,7 @@ class Record:
     smoothed_power: Float[np.ndarray, "sensors lines"]
     corner_hz: float
     eta_above_band: Complex[np.ndarray, "contacts morelines"]
-    drifts: tuple[Drift | None, ...]
+    drifts: tuple[DriftPrior | None, ...]
     counts_from_blow: bool
     first_states: Float[np.ndarray, "sensors 2"]
     measured_modes: tuple[MeasuredMode, ...]

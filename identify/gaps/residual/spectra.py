@@ -33,7 +33,7 @@ from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
 from identify.gaps.residual.transform import RecordTransform, transform_of
 from identify.linear.joined import group_rig_of
-from identify.signals.drift import Drift
+from identify.signals.drift import DriftPrior
 from identify.signals.kinematics import CORNER_HZ, kinematics, omega_power
 from identify.signals.noise import acceleration_noise
 from rig.model.description import ON_GROUND, Rig, Sensor
@@ -138,7 +138,7 @@ def _drifts(
     sensors: tuple[Sensor, ...],
     tolerances: Tolerances,
     beginning: RecordBeginning,
-) -> tuple[Drift | None, ...]:
+) -> tuple[DriftPrior | None, ...]:
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
         return (None,) * len(joined_rig.contacts)

@@ -80,13 +80,13 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     record = residual.model.record
     motion = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
     modes = _station_modes_of(rig, residual, motion.stations)
-    slow_motion, slow_shapes = _slow_relative_motion(residual, motion.samples), modes.slow_motion_shapes()
+    slow_motion, slow_shapes = _slow_relative_motion(residual, motion.sample_count), modes.slow_motion_shapes()
     displacement_m = motion.displacement_m + slow_shapes @ slow_motion[0]
     velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]
     counted_start = record.counted_slice.start * record.decimation
     has_drift = any(drift is not None for drift in record.drifts)
     first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
-    stop_sample = min(motion.samples, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
+    stop_sample = min(motion.sample_count, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
     valid, by_force = slice(first_sample, stop_sample), modes.is_force_determined
 
     inverse_shapes = modes.inverse_shapes()
@@ -98,7 +98,7 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
     eta_errors_m = modes.contact_shapes @ coordinates_m
     for error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
-        fitted_eta_m = contact.motion.eta_m[: motion.samples - counted_start]
+        fitted_eta_m = contact.motion.eta_m[: motion.sample_count - counted_start]
         counted_stop = counted_start + fitted_eta_m.size
         error_m[:counted_start], error_m[counted_stop:] = 0.0, 0.0
         error_m[counted_start:counted_stop] -= fitted_eta_m
