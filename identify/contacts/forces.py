@@ -115,7 +115,7 @@ class _WeightedRows:
     initial_states: FreeMotionEstimate | None
     parameters: tuple[Nuisance, ...]
     corner_hz: float
-    noise_m: Float[np.ndarray, " contacts"]
+    eta_noise_m: Float[np.ndarray, " contacts"]
 
 
 def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRows:
@@ -177,7 +177,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         initial_states=states,
         parameters=tuple(change.parameter for change in changes),
         corner_hz=corner_hz,
-        noise_m=noise_m,
+        eta_noise_m=noise_m,
     )
 
 
@@ -195,7 +195,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         end_transient_s = max(end_transient_s, TAPER_S + 2 / rows.corner_hz)
         input_spectra = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
         correction = slow_response.correction(input_spectra, rows.observed.displacements[: len(motion.stations)])
-        slow = slow_motion(correction, lines, motion.sample_count, rows.noise_m)
+        slow = slow_motion(correction, lines, motion.sample_count, rows.eta_noise_m)
     kept_samples = (motion.sample_count - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
         rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, slow_response

@@ -185,7 +185,7 @@ def _open_deviation_n(state: FitState) -> float:
 def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
-    unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_noise_m)
+    unfollowed_m = np.hypot(record.eta_noise_m, 0.0 if record.drift is None else record.drift.unfollowed_noise_m)
     unmodelled_n = record.unmodelled_share * np.hypot(record.force_n, np.std(record.force_n))
     return np.asarray(1 / np.sqrt(open_deviation_n**2 + (state.tangent_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2))
 

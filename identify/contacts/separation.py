@@ -254,7 +254,7 @@ def _contact_records(
                 quiet_deviation_n=float(quiet_deviation_n[j]),
                 noise_n=float(forces.noise_n[j]),
                 unmodelled_share=tolerances.unmodelled_contact,
-                noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
+                eta_noise_m=float(forces.slow_motion.eta_noise_m[j]) if forces.slow_motion else 0.0,
                 drift=drift,
                 drift_spline=spline(sample_count, motion.sample_rate_hz, drift),
                 nuisance_n=nuisances.force_n[:, j],

@@ -119,7 +119,7 @@ class SlowMotion:
 
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
-    noise_m: Float[np.ndarray, " contacts"]
+    eta_noise_m: Float[np.ndarray, " contacts"]
 
     def added_to(self, motion: Kinematics) -> Kinematics:
         """Motion with the slow displacement: its zero is known."""
@@ -137,7 +137,7 @@ class SlowMotion:
         """True if the noise of the relative displacements is small against the penetrations by the nominal
         stiffness."""
         stiffness = np.array([contact.law.stiffness_n_per_m for contact in rig.contacts])
-        return bool(np.all(stiffness * self.noise_m <= NOISE_SHARE * force_n.std(axis=1)))
+        return bool(np.all(stiffness * self.eta_noise_m <= NOISE_SHARE * force_n.std(axis=1)))
 
 
 def slow_motion(
