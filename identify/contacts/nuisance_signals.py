@@ -50,7 +50,7 @@ class NuisanceSignals:
 def nuisance_signals(
     parameters: tuple[Nuisance, ...],
     observed: ObservedSignals,
-    noise_alone: ObservedSignals,
+    observed_noise: ObservedSignals,
     contact_weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
@@ -59,17 +59,17 @@ def nuisance_signals(
 ) -> NuisanceSignals:
     """Nuisance signals of the parameters of `changes_of(observed)` over some samples.
 
-    `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
-    what a parameter adds to the contact forces moves the stations slowly.
+    `observed_noise` is the observation of the sensors' noise; the stations are the first rows of both. With a slow
+    model, what a parameter adds to the contact forces moves the stations slowly.
     """
     row_count, station_count = contact_weights.shape[1], signs.shape[1]
     signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
     shape = (len(parameters), len(signs), sample_count)
     force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
     force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_forces = contact_spectra(contact_weights, noise_alone.signals)
-    noise_etas = real_product(signs, noise_alone.displacements)
-    pairs = zip(changes_of(observed), changes_of(noise_alone), strict=True)
+    noise_forces = contact_spectra(contact_weights, observed_noise.signals)
+    noise_etas = real_product(signs, observed_noise.displacements)
+    pairs = zip(changes_of(observed), changes_of(observed_noise), strict=True)
     for index, (change, noise_change) in enumerate(pairs):
         sensor_weights, sensor_signs = contact_weights[:, change.sensors], signs[:, change.sensors]
         force_spectra = contact_spectra(sensor_weights, change.signals)

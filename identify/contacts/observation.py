@@ -113,13 +113,13 @@ def observation_of(
         tolerances=record.tolerances,
         omega=lines.omega,
         sensor_response=np.concatenate([response, gauge_rows.response]),
-        signals=np.concatenate([signals, gauge_rows.measured]),
+        signals=np.concatenate([signals, gauge_rows.spectra]),
         force_accelerations=input_accelerations[: body_force_count(rig)],
-        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
+        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.spectra)]),
         bodies=tuple(observed_body_motion(rig, body, motion, signals / response) for body in responses),
         base=observed_base,
         transverse=_observed_transverse(record, lines, rows),
-        is_from_displacement=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
+        is_from_displacement=np.concatenate([rows.in_metres, np.zeros(gauge_rows.spectra.shape, dtype=bool)]),
     )
     gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))

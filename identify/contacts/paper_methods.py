@@ -66,9 +66,9 @@ class PaperMethods:
     transformations: tuple[Transformation, ...]
     surfaces: tuple[Surface, ...]
     histogram: tuple[Stops | None, ...]
-    spectra: tuple[Nifo, ...]
+    nifo_results: tuple[Nifo, ...]
     main_equation: str
-    main_spectra: tuple[Nifo, ...]
+    main_nifo_results: tuple[Nifo, ...]
     notes: tuple[str, ...]
 
     @property
@@ -204,9 +204,9 @@ def paper_methods(
         transformations=tuple(transformations.values()),
         surfaces=tuple(surfaces.values()),
         histogram=tuple(histogram.get(contact.name) for contact in rig.contacts),
-        spectra=tuple(spectra.values()),
+        nifo_results=tuple(spectra.values()),
         main_equation=main_name,
-        main_spectra=(*main_spectra.values(), *paper_spectra.values()) if paper_spectra else (),
+        main_nifo_results=(*main_spectra.values(), *paper_spectra.values()) if paper_spectra else (),
         notes=tuple(notes),
     )
 

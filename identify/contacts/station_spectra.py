@@ -221,7 +221,7 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
     return np.asarray(spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
-def estimated_free_motion(
+def start_free_motion(
     responses: tuple[Response, ...],
     motion: Kinematics,
     station_rows: StationRows,
