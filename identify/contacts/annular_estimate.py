@@ -16,7 +16,7 @@ from identify.contacts.joint_fit import (
     small_sample_factor,
     unexplained_share,
 )
-from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_excess
+from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_of_halves
 from identify.contacts.linearization import Jacobian
 from identify.signals.scores import informative_part_starts, part_scores
 
@@ -99,7 +99,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         ring_by_free[pull_count:, CENTER_AND_REST] = (rest_by_ring @ free_to_law).T
     knot_columns, free_columns = normal_equations.solved(ring_by_knots, ring_by_free)
     law_columns = np.concatenate([free_columns[:pull_count], free_to_law @ free_columns[pull_count:]])
-    influence = jacobian.columns(knot_columns, law_columns) * fit.weights[:, None] ** 2
+    influence = jacobian.times_columns(knot_columns, law_columns) * fit.weights[:, None] ** 2
     influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
     part_starts = informative_part_starts(np.hypot(*influences[:, :, STIFFNESS]))
     influences_and_residuals = zip(influences, residuals_n, strict=True)
@@ -194,7 +194,7 @@ def _misfit_covariance(
         in_first, in_second = is_closed & is_first, is_closed & ~is_first
         if min(in_first.sum(), in_second.sum()) < LEAST_HALF_SAMPLES:
             continue
-        law_difference, excess_share = misfit_excess(half_scores(in_first) - half_scores(in_second))
+        law_difference, excess_share = misfit_of_halves(half_scores(in_first) - half_scores(in_second))
         law_error = np.zeros(len(RING))
         law_error[free_indices] = law_difference / largest_slopes / 2
         covariance += excess_share * np.outer(law_error, law_error)

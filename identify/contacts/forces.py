@@ -152,14 +152,14 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         errors = StationErrors(noise_power, least_noise_power, weighed_changes, lines.correlated_line_count)
         contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors)
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
-        if not record.from_rest:
+        if not record.begins_at_rest:
             start_motion = start_free_motion(responses, motion, stations, lines, sensor_response * accelerance, errors)
             unexplained_signals = unexplained_signals - start_motion.signals
         if slow_by_gauges:
             padded_power = noise_power * (lines.padded_samples / motion.sample_count)
             acceleration_power = padded_power[:station_count] / np.abs(stations.response) ** 2
             corner_hz, eta_noise_m = quietest_corner(
-                record.signs, accelerance[force_count:], contact_weights, padded_power, acceleration_power, lines
+                record.eta_signs, accelerance[force_count:], contact_weights, padded_power, acceleration_power, lines
             )
         if is_first_pass:
             input_spectra = np.concatenate([excitations, contact_spectra(contact_weights, unexplained_signals)])
@@ -184,7 +184,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
 def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
     """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
     `_weighted_rows`."""
-    rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
+    rig, motion, decimation, lines, signs = record.rig, record.motion, record.decimation, record.lines, record.eta_signs
     weighed, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
     weights, start_motion = weighed.force_weights, weighed.start_motion
     contact_force_spectra = contact_spectra(weights, weighed.unexplained_signals)
@@ -198,14 +198,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         gauged_motion = slow_motion(correction, lines, motion.sample_count, weighed.eta_noise_m)
     kept_count = (motion.sample_count - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
-        weighed.parameters,
-        weighed.observed,
-        weighed.observed_noise,
-        weights,
-        record.signs,
-        lines,
-        kept_count,
-        slow_gains,
+        weighed.parameters, weighed.observed, weighed.observed_noise, weights, signs, lines, kept_count, slow_gains
     )
     force_n = lines.signals(contact_force_spectra, kept_count)
     slow_n_per_m = slow_stiffness(rig, weighed.responses)

@@ -116,7 +116,7 @@ def _separated(
             displacement_noise=displacement_noise(motion, rig),
             tolerances=tolerances,
             gauges=gauges,
-            from_rest=begins_at_rest,
+            begins_at_rest=begins_at_rest,
         )
     )
     if forces.slow_motion:

@@ -80,7 +80,7 @@ class StationRows:
     in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
     accelerations, per sample and line, (m/s^2)^2."""
 
-    in_metres: Bool[np.ndarray, "stations lines"]
+    is_in_metres: Bool[np.ndarray, "stations lines"]
     scale_per_s2: Float[np.ndarray, " stations"]
     omega: Float[np.ndarray, " lines"]
     acceleration_variance: Float[np.ndarray, "stations lines"]
@@ -88,17 +88,17 @@ class StationRows:
     @cached_property
     def response(self) -> Complex[np.ndarray, "stations lines"]:
         """Signals per acceleration."""
-        return np.where(self.in_metres, -self.scale_per_s2[:, None] / self.omega**2, 1.0).astype(complex)
+        return np.where(self.is_in_metres, -self.scale_per_s2[:, None] / self.omega**2, 1.0).astype(complex)
 
     @property
     def noise_variance(self) -> Float[np.ndarray, "stations lines"]:
         """Variance of the signals' noise per sample on each line."""
         return np.asarray(self.acceleration_variance * np.abs(self.response) ** 2)
 
-    def of(self, stations: list[int]) -> "StationRows":
+    def at(self, stations: list[int]) -> "StationRows":
         """Rows of some stations."""
         return StationRows(
-            self.in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]
+            self.is_in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]
         )
 
     def signals(
@@ -106,7 +106,7 @@ class StationRows:
         displacements: Complex[np.ndarray, "*some stations lines"],
         accelerations: Complex[np.ndarray, "*some stations lines"],
     ) -> Complex[np.ndarray, "*some stations lines"]:
-        return np.where(self.in_metres, self.scale_per_s2[:, None] * displacements, accelerations)
+        return np.where(self.is_in_metres, self.scale_per_s2[:, None] * displacements, accelerations)
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def start_free_motion(
         def cut_spectra(signals: Float[np.ndarray, "rows samples"]) -> Complex[np.ndarray, "rows lines"]:
             return cut_lines.spectra(signals[:, :cut_samples])
 
-        spectra = unit_free_spectra(modes, orders, station_rows.in_metres, omega, cut_spectra)
+        spectra = unit_free_spectra(modes, orders, station_rows.is_in_metres, omega, cut_spectra)
         return station_rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)

@@ -127,19 +127,19 @@ class InitialStateEstimate:
 def unit_free_spectra(
     motions: list[FreeMotion],
     derivative_orders: list[int],
-    in_metres: Bool[np.ndarray, "stations lines"],
+    is_in_metres: Bool[np.ndarray, "stations lines"],
     omega: Float[np.ndarray, " lines"],
     spectra_of: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
 ) -> Complex[np.ndarray, "values stations lines"]:
     """Spectra at the stations per unit of every initial value: accelerations, as (i omega)^(2 - order) times the
     spectrum of the derivative that the station's sensor measures, or displacements on the lines in metres."""
     acceleration_factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
-    unit_spectra = np.empty((len(motions), *in_metres.shape), dtype=complex)
+    unit_spectra = np.empty((len(motions), *is_in_metres.shape), dtype=complex)
     for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
         derivative_spectra = spectra_of(motion.derivatives)
         for row, (shape, order) in enumerate(zip(motion.shape, derivative_orders, strict=True)):
             acceleration = acceleration_factors[order] * derivative_spectra[order]
-            unit_spectrum[row] = shape * np.where(in_metres[row], derivative_spectra[0], acceleration)
+            unit_spectrum[row] = shape * np.where(is_in_metres[row], derivative_spectra[0], acceleration)
     return unit_spectra
 
 
