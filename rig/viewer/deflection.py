@@ -99,6 +99,6 @@ def _integrate(
     omega = 2 * np.pi * np.fft.rfftfreq(samples.size, 1 / sample_rate_hz)
     tapered_spectrum = np.fft.rfft(samples * tukey(samples.size, min(1.0, 2 * TAPER_S * sample_rate_hz / samples.size)))
     in_passband = omega >= 2 * np.pi * CORNER_HZ
-    omega_power = np.zeros(omega.size, dtype=complex)
-    omega_power[in_passband] = (1j * omega[in_passband]) ** -integrations
-    return np.fft.irfft(tapered_spectrum * omega_power, samples.size)
+    integration_factor = np.zeros(omega.size, dtype=complex)
+    integration_factor[in_passband] = (1j * omega[in_passband]) ** -integrations
+    return np.fft.irfft(tapered_spectrum * integration_factor, samples.size)

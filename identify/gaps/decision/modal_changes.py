@@ -18,7 +18,7 @@ from rig.errors import RigError
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 from rig.model.modes import Modes, basis_places_beside, mode_count, modes_of
 
-DOMINANT_VARIANCE_SHARE = 0.5
+DOMINANT_SHARE = 0.5
 """Share of the squared changes of all modes in the band, in half bandwidths, above which one mode dominates. Derived:
 more than all others together."""
 SHAPE_RATIO_LIMIT = 1.5
@@ -114,7 +114,7 @@ def _dominant_mode(
         change_in_half_widths = shapes**2 / (frequencies_hz**2 * damping_ratios)
     squares_in_band = np.where(frequencies_hz < highest_hz, change_in_half_widths, 0.0) ** 2
     largest = int(np.argmax(squares_in_band))
-    return largest if squares_in_band[largest] > DOMINANT_VARIANCE_SHARE * squares_in_band.sum() else None
+    return largest if squares_in_band[largest] > DOMINANT_SHARE * squares_in_band.sum() else None
 
 
 def _standard_error_of(

@@ -49,7 +49,7 @@ SMOOTHED_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
 
 
-SETTLED_COST_FALL = 1 / 3
+SETTLED_SHARE = 1 / 3
 """Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
 by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and frames vibrate above 3 Hz."""
 
@@ -183,13 +183,13 @@ def _unsettled_noise_factors(
     rig: Rig, sensors: tuple[Sensor, ...], omega: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, "sensors lines"]:
     """Factor of the noise's variance for AC-coupled sensors whose high-passes have not settled where a record begins in
-    motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `SETTLED_COST_FALL`."""
+    motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `SETTLED_SHARE`."""
     factors = np.ones((len(sensors), omega.size))
     for k, sensor in enumerate(sensors):
         body = rig.body(sensor.station.body)
         natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
         if sensor.measures.ac_coupled and np.any(natural_hz > 0):
-            factors[k] += (2 * np.pi * SETTLED_COST_FALL * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
+            factors[k] += (2 * np.pi * SETTLED_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
     return factors
 
 

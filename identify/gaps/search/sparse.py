@@ -61,7 +61,7 @@ MIN_REFINED_GAIN = 3.0
 HINT_GAIN, MAX_HINTS = MIN_GAIN / 3, 3
 """Gain in the local model from which a candidate is fitted if none gains `MIN_GAIN`; number at most. Set by hand: a
 third of `MIN_GAIN`."""
-DOMINANT_VARIANCE_SHARE = 0.5
+DOMINANT_SHARE = 0.5
 """Share of the mismatch above which a set is compared with one that starts from a single effect. Derived: more is left
 than removed."""
 
@@ -122,7 +122,7 @@ def _with_single_effects(
     if search.linearization.record.measured_modes:
         is_doubtful = best_set.hypothesis.is_incomplete
     else:
-        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_VARIANCE_SHARE * nominal_misfit.excess_cost)
+        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess_cost)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
         is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SIZE
     start_fits = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []

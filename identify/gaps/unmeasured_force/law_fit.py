@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, ForceLawForm, Series, tone_form
-from identify.gaps.unmeasured_force.time_history import KNOT_STEP_S, ForceHistory, with_law_error
+from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, with_law_error
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
 
@@ -278,7 +278,7 @@ def _descent_of_form(
 ) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
     knots = np.eye(history.slow_basis.shape[1])
-    second_differences = np.diff(knots, 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_STEP_S) ** 2
+    second_differences = np.diff(knots, 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
     motion_variance_m2 = float(np.std(history.displacement_m)) ** 2
     knot_precision = (knots + second_differences.T @ second_differences) / motion_variance_m2
     return Descent(history, form, 1e-4 * largest_m, parameter_range, knot_precision)

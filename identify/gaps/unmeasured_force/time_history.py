@@ -17,7 +17,7 @@ OVERSAMPLING = 4
 """Rate at which laws are evaluated, over the residual's: their kinks widen the band. Set by hand."""
 LAW_ERROR_SHARE = 0.03
 """Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
-KNOT_STEP_S = 0.25
+KNOT_SPACING_S = 0.25
 """Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz
 corner."""
 
@@ -107,7 +107,7 @@ class ForceHistory:
         record = self.located_force.whitened_record.record
         sample_count = record.counted_slice.stop
         end_s = sample_count / self.rate_hz
-        inner_knots_s = np.linspace(0, end_s, max(2, round(end_s / KNOT_STEP_S) + 1))
+        inner_knots_s = np.linspace(0, end_s, max(2, round(end_s / KNOT_SPACING_S) + 1))
         knots_s = np.concatenate([[0.0] * 3, inner_knots_s, [end_s] * 3])
         times_s = np.minimum(np.arange(sample_count) / self.rate_hz, end_s)
         basis = np.zeros((record.transform_length // record.decimation, knots_s.size - 4))
