@@ -97,16 +97,16 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         springs_n_per_m = np.array([plane.spring_n_per_m for plane in record.planes])
         ring_values[CENTER_AND_REST], rest_by_ring = _center_and_rest_force(ring_values, springs_n_per_m)
         ring_by_free[pull_count:, CENTER_AND_REST] = (rest_by_ring @ free_to_law).T
-    knot_columns, free_columns = normal_equations.solved(ring_by_knots, ring_by_free)
-    law_columns = np.concatenate([free_columns[:pull_count], free_to_law @ free_columns[pull_count:]])
-    influence = jacobian.times_columns(knot_columns, law_columns) * fit.weights[:, None] ** 2
+    knot_columns, pull_free_columns = normal_equations.solved(ring_by_knots, ring_by_free)
+    pull_law_columns = np.concatenate([pull_free_columns[:pull_count], free_to_law @ pull_free_columns[pull_count:]])
+    influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
     influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
     part_starts = informative_part_starts(np.hypot(*influences[:, :, STIFFNESS]))
     influences_and_residuals = zip(influences, residuals_n, strict=True)
     scores = np.sum([part_scores(*plane, part_starts) for plane in influences_and_residuals], axis=0)
     error_rows_by_source = {
         "scatter": small_sample_factor(free_to_law.shape[1]) * scores,
-        "tolerances": record.samples_per_error * free_columns[:pull_count],
+        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
         "drift": drift_spline.curvature @ knot_columns,
     }
     covariances = {source: rows.T @ rows for source, rows in error_rows_by_source.items()}

@@ -39,13 +39,13 @@ def assumptions(result: Identification) -> Iterator[str]:
         "stiff, and nothing wears during the record."
     )
     body_texts = (
-        f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
+        f"{body.name}, {_frequencies_text(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
         for body in condensed(rig).bodies
     )
     yield f"The bodies are those of rig.json, linear: {'; '.join(body_texts)}."
     yield tolerances_sentence(tolerances)
-    places_text = "; ".join(places_text(body.name, motion.stations) for body in rig.bodies)
-    yield f"Stations used: {places_text}. Channels: {', '.join(report.channels_used)}."
+    stations_text = "; ".join(places_text(body.name, motion.stations) for body in rig.bodies)
+    yield f"Stations used: {stations_text}. Channels: {', '.join(report.channels_used)}."
     if unused_channels := [sensor.name for sensor in rig.sensors if sensor.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
     low_hz, high_hz = report.trusted_hz
@@ -141,7 +141,7 @@ def places_text(body: str, stations: tuple[Station, ...]) -> str:
     return f"{body} at " + ", ".join(f"{station.position_m:g}" for station in stations if station.body == body) + " m"
 
 
-def _frequencies(frequencies_hz: np.ndarray) -> str:
+def _frequencies_text(frequencies_hz: np.ndarray) -> str:
     return ", ".join(f"{frequency_hz:.4g}" for frequency_hz in frequencies_hz if frequency_hz > 0) + " Hz"
 
 

@@ -28,8 +28,8 @@ class ContactRecord:
 
     The force is low-passed and sampled at every `decimation`-th sample. quiet_deviation_n is its standard deviation
     before the excitation, noise_n that of the sensors' noise in it, unmodelled_share the share of it that no law
-    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; noise_m is the noise of
-    the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
+    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; eta_noise_m is the noise
+    of the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
     parameter adds its row of nuisance_n to the force; those with `shifts_eta` also add their row of nuisance_m to the
     displacement. force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise in these rows.
     `is_initial_state` marks the modes' initial states of a record that does not begin at rest.

@@ -69,11 +69,11 @@ def _motion_table(result: Identification) -> Table:
 def _surface_table(result: Identification, names: list[str]) -> Table:
     """Relative displacements, modal velocity and restoring force of the main modal equation over time."""
     surface = result.surface
-    eta = result.eta_m[:, :: surface.decimation]
+    etas = result.eta_m[:, :: surface.decimation]
     modal_velocity = surface.equation.velocity[:: surface.decimation]
-    row_count = min(eta.shape[1], surface.measured_modal_force.size, modal_velocity.size)
+    row_count = min(etas.shape[1], surface.measured_modal_force.size, modal_velocity.size)
     table: Table = {"time_s": result.motion.time_s(row_count, surface.decimation)}
-    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, eta, strict=True)}
+    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, etas, strict=True)}
     table["modal velocity sqrt(kg) m/s"] = modal_velocity[:row_count]
     table["restoring force N/sqrt(kg)"] = surface.measured_modal_force[:row_count]
     table["fitted restoring force N/sqrt(kg)"] = surface.fitted_modal_force[:row_count]

@@ -24,8 +24,8 @@ from identify.contacts.observation import (
 from identify.contacts.slow_motion import (
     LOWEST_CORNER_HZ,
     SlowMotion,
-    corner_and_noise,
     is_held,
+    quietest_corner_and_noise,
     slow_model,
     slow_motion,
 )
@@ -158,7 +158,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         if slow_by_gauges:
             padded_power = noise_power * (lines.padded_samples / motion.sample_count)
             acceleration_power = padded_power[:station_count] / np.abs(stations.response) ** 2
-            corner_hz, eta_noise_m = corner_and_noise(
+            corner_hz, eta_noise_m = quietest_corner_and_noise(
                 record.eta_signs, accelerance[force_count:], contact_weights, padded_power, acceleration_power, lines
             )
         if is_first_pass:

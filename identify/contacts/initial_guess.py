@@ -111,8 +111,8 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
     Raises ContactRefusedError as `regressed_guess` does.
     """
-    eta = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
-    return np.array([-eta.min(), eta.max()])
+    eta_m = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
+    return np.array([-eta_m.min(), eta_m.max()])
 
 
 def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[LawGuess]:
@@ -215,11 +215,11 @@ def _refined_guess(
     eta = record.at_force_samples(record.eta_m + drift_spline.value @ knots)
     velocity = record.at_force_samples(record.velocity_m_per_s + drift_spline.rate @ knots)
     unit_force_columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
-    spring_force_n = record.force_n - ground_n_per_m(record) @ knots
-    coefficients, _, column_rank, _ = np.linalg.lstsq(unit_force_columns, spring_force_n, rcond=None)
+    law_force_n = record.force_n - ground_n_per_m(record) @ knots
+    coefficients, _, column_rank, _ = np.linalg.lstsq(unit_force_columns, law_force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
     is_determined = column_rank == unit_force_columns.shape[1] and np.all(laws[:, 2] > 0)
-    misfit = float(np.sum((spring_force_n - unit_force_columns @ coefficients) ** 2)) if is_determined else np.inf
+    misfit = float(np.sum((law_force_n - unit_force_columns @ coefficients) ** 2)) if is_determined else np.inf
     return misfit, (laws.ravel(), knots)
 
 

@@ -29,7 +29,7 @@ from identify.contacts.linearization import FitState, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
-from identify.signals.scores import PARTS, informative_part_starts, part_scores, quiet_deviation
+from identify.signals.scores import PART_COUNT, informative_part_starts, part_scores, quiet_deviation
 
 DRIFT_PULL_LIMIT = 25.0
 """Largest mean square of the drift's curvature less the measured one, in standard deviations."""
@@ -185,17 +185,17 @@ def fit_joint(
     fit = fit_of_chosen_form(fit, forms)
     state, scaled_to_laws, (jacobian, normal_equations) = fit.state, fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    knot_columns, free_columns = normal_equations.solved(
+    knot_columns, pull_free_columns = normal_equations.solved(
         np.zeros((drift_spline.knot_count, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    law_columns = np.concatenate([free_columns[:pull_count], scaled_to_laws @ free_columns[pull_count:]])
+    pull_law_columns = np.concatenate([pull_free_columns[:pull_count], scaled_to_laws @ pull_free_columns[pull_count:]])
     # by residuals
-    influence = jacobian.times_columns(knot_columns, law_columns) * fit.weights[:, None] ** 2
+    influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
     part_starts = informative_part_starts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     scores = part_scores(influence, state.residual_n, part_starts)
     error_rows = {
         "scatter": small_sample_factor(free_count) * scores,
-        "tolerances": record.samples_per_error * free_columns[:pull_count],
+        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
         "drift": drift_spline.curvature @ knot_columns,
     }
     covariances = {source: scaled_to_laws @ (rows.T @ rows) @ scaled_to_laws.T for source, rows in error_rows.items()}
@@ -229,8 +229,8 @@ def fit_joint(
 def small_sample_factor(free_count: int) -> float:
     """Factor of the scatter of few parts, less the free parameters: Student's t, so that 1.96 standard errors cover
     95 %."""
-    degrees_of_freedom = PARTS - free_count
-    return float(np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
+    degrees_of_freedom = PART_COUNT - free_count
+    return float(np.sqrt(PART_COUNT / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
 
 
 def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, float]]) -> float:
@@ -242,7 +242,7 @@ def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, flo
     residual_power, force_power = 0.0, 0.0
     for residual_n, force_n, sensor_noise_n in residual_force_noise_n:
         noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
-        noise_power = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual_n.size))
+        noise_power = noise_n**2 * (1 + 3 * np.sqrt(2 * PART_COUNT / residual_n.size))
         residual_power += max(float(np.var(residual_n)) - noise_power, 0.0)
         force_power += max(float(np.var(force_n)) - noise_power, 0.0)
     return float(np.sqrt(residual_power / force_power)) if force_power > 0 else 0.0

@@ -34,7 +34,7 @@ from identify.contacts.linearization import (
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.refit import refit_until_settled
-from identify.signals.scores import PARTS, part_scores
+from identify.signals.scores import PART_COUNT, part_scores
 
 MOST_STEPS, WEIGHT_ROUNDS, COST_TOLERANCE = 30, 3, 1e-7
 EXPONENT_SCALE = 0.1
@@ -64,10 +64,10 @@ class LawFit:
         lower_m, upper_m, stiffness_n_per_m, _ = form.contact_parameters(self.state.law_parameters).T
         clearance_m = np.maximum(np.minimum(lower_m, upper_m), 1e-9)
         law_scales = np.stack([clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1).ravel()
-        scaled = self.free_to_laws * np.max(self.free_to_laws * law_scales[:, None], axis=0)
+        scaled_matrix = self.free_to_laws * np.max(self.free_to_laws * law_scales[:, None], axis=0)
         if not form.exponent_count:
-            return scaled
-        return np.asarray(block_diag(scaled, EXPONENT_SCALE * np.eye(form.exponent_count)))
+            return scaled_matrix
+        return np.asarray(block_diag(scaled_matrix, EXPONENT_SCALE * np.eye(form.exponent_count)))
 
     @property
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
@@ -196,7 +196,7 @@ CONSISTENCY_LIMIT = 3.0
 MISFIT_CONFIDENCE = 0.99
 BAND_COUNT, LOWEST_BAND_LINES = 24, 8
 """Number of bands, and lines in the lowest one: bands widen with frequency."""
-LEAST_HALF_SAMPLES = 10 * PARTS
+LEAST_HALF_SAMPLES = 10 * PART_COUNT
 """Samples that either half of a split needs."""
 
 
@@ -242,8 +242,8 @@ def form_evidence(dead_zone_fit: LawFit, alternative_fit: LawFit, independent_co
     likelihood_gain = independent_count * float(band_line_counts @ np.log(dead_zone_power / form_power)) / line_count
     amplitude = np.repeat(np.sqrt(dead_zone_power / band_line_counts), band_line_counts)
     squares = [np.fft.irfft(spectrum / amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in residual_spectra]
-    part_gains = np.array([part.sum() for part in np.array_split(squares[0] - squares[1], PARTS)])
-    gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
+    part_gains = np.array([part.sum() for part in np.array_split(squares[0] - squares[1], PART_COUNT)])
+    gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PART_COUNT)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 
 

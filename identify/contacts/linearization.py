@@ -192,11 +192,11 @@ def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) ->
 class BorderedEquations:
     """Normal equations [A B; B' C] [knots; free] = right-hand side, solved by elimination of the knots.
 
-    `cholesky` is the factor of the banded A, `border` is B, `eliminated_border` A^-1 B, `schur_inverse`
+    `knot_cholesky` is the factor of the banded A, `border` is B, `eliminated_border` A^-1 B, `schur_inverse`
     (C - B' A^-1 B)^-1, and the gradients are the right-hand side of a Gauss-Newton step.
     """
 
-    cholesky: Float[np.ndarray, "band knots"]
+    knot_cholesky: Float[np.ndarray, "band knots"]
     border: Float[np.ndarray, "knots free"]
     eliminated_border: Float[np.ndarray, "knots free"]
     schur_inverse: Float[np.ndarray, "free free"]
@@ -209,7 +209,7 @@ class BorderedEquations:
         """Solution for a right-hand side: knots, and free parameters."""
         knots_alone = knot_right_side
         if knot_right_side.size:
-            knots_alone = cho_solve_banded((self.cholesky, False), knot_right_side)
+            knots_alone = cho_solve_banded((self.knot_cholesky, False), knot_right_side)
         free_solution = self.schur_inverse @ (free_right_side - self.border.T @ knots_alone)
         return knots_alone - self.eliminated_border @ free_solution, free_solution
 

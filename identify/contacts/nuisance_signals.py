@@ -32,10 +32,10 @@ class NuisanceSignals:
 
     def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
         """Signals with the contact forces by initial states, which change no displacement."""
-        states = (Nuisance(NuisanceKind.INITIAL_STATE, RECORD_NAME, k + 1) for k in range(len(force_n)))
+        state_parameters = (Nuisance(NuisanceKind.INITIAL_STATE, RECORD_NAME, k + 1) for k in range(len(force_n)))
         zero_multiples = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (*self.parameters, *states),
+            (*self.parameters, *state_parameters),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
             np.concatenate([self.force_noise_multiple, zero_multiples]),
@@ -74,8 +74,8 @@ def nuisance_signals(
         sensor_weights, sensor_signs = contact_weights[:, change.sensors], signs[:, change.sensors]
         force_spectra = contact_spectra(sensor_weights, change.signals)
         force_n[parameter_index] = lines.signals(force_spectra, sample_count)
-        change_noise = contact_spectra(sensor_weights, noise_change.signals)
-        force_noise_multiple[parameter_index] = _noise_multiple(noise_force_spectra, change_noise)
+        noise_force_change = contact_spectra(sensor_weights, noise_change.signals)
+        force_noise_multiple[parameter_index] = _noise_multiple(noise_force_spectra, noise_force_change)
         moves_contact = np.any(sensor_signs)
         if slow_model is not None:
             displacements = np.zeros((row_count, change.signals.shape[1]), dtype=complex)
@@ -85,8 +85,8 @@ def nuisance_signals(
         elif moves_contact and change.displacements is not None:
             eta_m[parameter_index] = lines.signals(real_product(sensor_signs, change.displacements), sample_count)
         if moves_contact and not (change.displacements is None or noise_change.displacements is None):
-            change_eta_noise = real_product(sensor_signs, noise_change.displacements)
-            eta_noise_multiple[parameter_index] = _noise_multiple(noise_eta_spectra, change_eta_noise)
+            noise_eta_change = real_product(sensor_signs, noise_change.displacements)
+            eta_noise_multiple[parameter_index] = _noise_multiple(noise_eta_spectra, noise_eta_change)
     return NuisanceSignals(parameters, force_n, eta_m, force_noise_multiple, eta_noise_multiple)
 
 

@@ -148,7 +148,8 @@ def _observed_transverse(
     indices = [k for k, station in enumerate(record.motion.stations) if transverse.row(station) is not None]
     transverse_rows = np.array([transverse.row(record.motion.stations[k]) for k in indices], dtype=int)
     displacements, accelerations = (spectra[transverse_rows] for spectra in _station_spectra(record, transverse, lines))
-    return ObservedTransverse(indices, station_rows.at(indices).signals(displacements, accelerations), displacements)
+    signals = station_rows.rows_of(indices).signals(displacements, accelerations)
+    return ObservedTransverse(indices, signals, displacements)
 
 
 def noise_observation(

@@ -57,8 +57,8 @@ class PaperMethods:
     """Results of the paper's methods; notes say which could not be computed, and why.
 
     motion and eta_m are the inputs, transformations those of the bodies. histogram has the stops of each contact, None
-    where the density does not show them. main_equation is the one that the figures show; main_spectra are its NIFO in
-    the weak form and in the paper's, empty without NIFO, as of a record without a force.
+    where the density does not show them. main_equation is the one that the figures show; main_nifo_results are its
+    NIFO in the weak form and in the paper's, empty without NIFO, as of a record without a force.
     """
 
     motion: Kinematics

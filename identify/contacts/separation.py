@@ -212,7 +212,7 @@ def _check_displacements(rig: Rig, motion: Kinematics) -> None:
     there does not follow from those at the stations."""
     for contact in rig.contacts:
         for station in contact_stations(contact):
-            body, count = station.body, sum(other.body == station.body for other in motion.stations)
+            body, count = station.body, sum(place.body == station.body for place in motion.stations)
             if motion.row(station) is None and count < rig.body(body).max_modes:
                 position_m = station.position_m
                 raise refused(
@@ -311,7 +311,7 @@ def _error_density(
     of the other direction.
     """
     station_row = motion.stations.index(station)
-    body_rows = [k for k, other in enumerate(motion.stations) if other.body == station.body]
+    body_rows = [k for k, place in enumerate(motion.stations) if place.body == station.body]
     body_rows.sort(key=lambda k: motion.stations[k].position_m)
     slow_m_per_s2 = np.stack([_slow_acceleration(motion.acceleration_m_per_s2[k], motion) for k in body_rows])
     row_on_body = body_rows.index(station_row)

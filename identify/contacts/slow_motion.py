@@ -82,7 +82,7 @@ def slow_model(
     unit_accelerations: Complex[np.ndarray, "inputs rows lines"],
     observed: ObservedSignals,
 ) -> SlowModel:
-    """Slow model of a rig; `accelerations_by_input` are per newton, those of the stations first; `observed` has the
+    """Slow model of a rig; `unit_accelerations` are per newton, those of the stations first; `observed` has the
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
@@ -114,8 +114,8 @@ def slow_model(
 
 @dataclass(frozen=True)
 class SlowMotion:
-    """Slow displacement (m) and velocity that every station lacks; noise_m is the noise of each relative displacement
-    with it."""
+    """Slow displacement (m) and velocity that every station lacks; eta_noise_m is the noise of each relative
+    displacement with it."""
 
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
@@ -156,7 +156,7 @@ def slow_motion(
     return SlowMotion(displacement_m, velocity_m_per_s, eta_noise_m)
 
 
-def corner_and_noise(
+def quietest_corner_and_noise(
     eta_signs: Float[np.ndarray, "contacts stations"],
     contact_accelerances: Complex[np.ndarray, "contacts rows lines"],
     force_weights: Complex[np.ndarray, "contacts rows lines"],

@@ -98,8 +98,8 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     check_described(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
-            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
+            unmodelled = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled)
     rest_recording = recording_from_rest(recording)
     planes = [plane_recording(rest_recording, direction) for direction in rig.directions]
     y_plane, z_plane = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)

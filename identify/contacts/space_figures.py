@@ -37,7 +37,7 @@ class _Panel:
     @property
     def eta_m(self) -> Float[np.ndarray, "2 fewer"]:
         """Relative displacement at the samples of the separated force, m."""
-        return _at_forces(self.result, self.estimate.eta_m, self.estimate)
+        return _at_shown_forces(self.result, self.estimate.eta_m, self.estimate)
 
     @property
     def force_n(self) -> Float[np.ndarray, "2 fewer"]:
@@ -45,7 +45,9 @@ class _Panel:
         return self.estimate.force_n[:, _first_shown_sample(self.result) :]
 
     @property
-    def polar(self) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
+    def polar_force(
+        self,
+    ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
         """Radius (m), and the separated force across and along the wall (N)."""
         (eta_y, eta_z), (force_y, force_z) = self.eta_m, self.force_n
         radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
@@ -94,7 +96,7 @@ def _orbit(panel: _Panel) -> None:
 def _radial(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
     axes, estimate = panel.axes, panel.estimate
-    radius_m, normal_n, _ = panel.polar
+    radius_m, normal_n, _ = panel.polar_force
     drawn = slice(None, None, max(1, radius_m.size // MAX_POINTS))
     axes.plot(1e3 * radius_m[drawn], normal_n[drawn], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
     radius_grid_m = np.linspace(0, radius_m.max(), 200)
@@ -110,7 +112,7 @@ def _radial(panel: _Panel) -> None:
 def _surface(panel: _Panel) -> None:
     """Normal force over radius and angle, averaged in cells."""
     axes, estimate = panel.axes, panel.estimate
-    radius_m, normal_n, _ = panel.polar
+    radius_m, normal_n, _ = panel.polar_force
     eta_y, eta_z = panel.eta_m
     angles_deg = np.degrees(np.arctan2(eta_z, eta_y))
     cells = axes.hexbin(angles_deg, 1e3 * radius_m, C=normal_n, gridsize=(36, 36), cmap="viridis", mincnt=2)
@@ -122,8 +124,8 @@ def _surface(panel: _Panel) -> None:
 def _friction(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     axes, estimate, law = panel.axes, panel.estimate, panel.reference_law
-    radius_m, normal_n, tangential_n = panel.polar
-    (eta_y, eta_z), (rate_y, rate_z) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
+    radius_m, normal_n, tangential_n = panel.polar_force
+    (eta_y, eta_z), (rate_y, rate_z) = panel.eta_m, _at_shown_forces(panel.result, estimate.rate_m_per_s, estimate)
     is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius_m > estimate.values[CLEARANCE])
     speed_m_per_s = ((eta_y * rate_z - eta_z * rate_y) / radius_m)[is_closed]
     friction_ratio = tangential_n[is_closed] / normal_n[is_closed]
@@ -173,7 +175,7 @@ def _first_shown_sample(result: SpaceIdentification) -> int:
     return -(-result.contacts.separations[0].motion.excited_from // result.decimation)
 
 
-def _at_forces(
+def _at_shown_forces(
     result: SpaceIdentification, signals: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
 ) -> Float[np.ndarray, "2 fewer"]:
     """Signals at the samples of the separated force that are shown."""
@@ -188,7 +190,7 @@ def space_curves(result: SpaceIdentification) -> dict[str, Table]:
     table: Table = {}
     motion = result.contacts.separations[0].motion
     for name, estimate in result.contacts.annular.items():
-        eta, first_sample = _at_forces(result, estimate.eta_m, estimate), _first_shown_sample(result)
+        eta, first_sample = _at_shown_forces(result, estimate.eta_m, estimate), _first_shown_sample(result)
         table.setdefault("time_s", motion.time_s(first_sample + eta.shape[1], result.decimation)[first_sample:])
         for eta_row, force, direction in zip(eta, estimate.force_n[:, first_sample:], "yz", strict=True):
             table[f"{name} relative displacement {direction} m"] = eta_row

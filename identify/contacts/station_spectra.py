@@ -76,8 +76,8 @@ class SpectralLines:
 
 @dataclass(frozen=True)
 class StationRows:
-    """Signals of the stations in the separation: accelerations, or on the lines `in_metres` displacements times a scale
-    in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
+    """Signals of the stations in the separation: accelerations, or on the lines `is_in_metres` displacements times a
+    scale in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
     accelerations, per sample and line, (m/s^2)^2."""
 
     is_in_metres: Bool[np.ndarray, "stations lines"]
@@ -95,7 +95,7 @@ class StationRows:
         """Variance of the signals' noise per sample on each line."""
         return np.asarray(self.acceleration_variance * np.abs(self.response) ** 2)
 
-    def at(self, stations: list[int]) -> "StationRows":
+    def rows_of(self, stations: list[int]) -> "StationRows":
         """Rows of some stations."""
         return StationRows(
             self.is_in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]

@@ -41,7 +41,7 @@ Place = Station | Sensor | None
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes of one cache.
 
-    The springs of the modes in high_passed act on the high-passed displacement alone.
+    The springs of the high_passed_modes act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
@@ -67,10 +67,10 @@ class ResponseCache:
         self,
         natural_hz: Float[np.ndarray, " modes"],
         damping_ratios: Float[np.ndarray, " modes"],
-        high_passed: tuple[int, ...] = (),
+        high_passed_modes: tuple[int, ...] = (),
     ) -> Dynamics:
-        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed)
-        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed))
+        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed_modes)
+        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed_modes))
 
     def accelerance(self, dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
         return self._accelerances.get(dynamics, lambda: _accelerance(dynamics))
@@ -205,10 +205,10 @@ class Response:
         hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed_modes))
 
-    def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
+    def with_high_passed(self, mode_indices: tuple[int, ...]) -> "Response":
         """Response in which the springs of these modes act on the high-passed displacement alone."""
         hz, zeta = self.dynamics.natural_hz, self.dynamics.damping_ratios
-        return replace(self, dynamics=self.cache.dynamics(hz, zeta, modes))
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, mode_indices))
 
 
 def _station_of(place: Place) -> Station:
@@ -306,9 +306,10 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         )
     if zero_known or not rig.contacts:
         return responses
-    high_passed = _high_passed_modes(responses, eta_shapes)
+    high_passed_modes = _high_passed_modes(responses, eta_shapes)
     return tuple(
-        r.with_high_passed(tuple(sorted(m for body, m in high_passed if body == k))) for k, r in enumerate(responses)
+        r.with_high_passed(tuple(sorted(m for body, m in high_passed_modes if body == k)))
+        for k, r in enumerate(responses)
     )
 
 

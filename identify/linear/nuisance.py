@@ -135,7 +135,7 @@ class ObservedSignals:
 
 
 def elastic_modes(response: Response, mode_count: int) -> Int[np.ndarray, " some"]:
-    """Modes among the first `count` that bend a body; none for a single mass."""
+    """Modes among the first `mode_count` that bend a body; none for a single mass."""
     body = response.body
     return np.arange(body.rigid_modes, max(mode_count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
 
@@ -202,14 +202,14 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     if base is None:
         return
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
-        for kind, relative in _chain_changes(channel, observed.tolerances, observed.omega).items():
-            if np.any(relative):
+        for kind, relative_change in _chain_changes(channel, observed.tolerances, observed.omega).items():
+            if np.any(relative_change):
                 given_lines = np.stack([observed.lines_given_by(channel, i, base) for i in sensor_indices])
                 accelerations = given_lines * base.acceleration + base.station_accelerations * (channel == base.sensor)
-                signals = -relative * observed.sensor_response * accelerations
+                signals = -relative_change * observed.sensor_response * accelerations
                 displacements = None
                 if channel == base.displaced_by:
-                    displacements = np.tile(-relative * base.displacement, (len(sensor_indices), 1))
+                    displacements = np.tile(-relative_change * base.displacement, (len(sensor_indices), 1))
                 yield Change(Nuisance(kind, channel.name), sensor_indices, signals, displacements)
 
 

@@ -20,7 +20,7 @@ class Nifo:
     """Result of NIFO in one modal equation.
 
     frf is q over the modal force (s^2); stiffness_n_per_m is the complex contact stiffness of each contact that takes
-    part, and contacts are their indices. stiffness_error_n_per_m is the standard error of the spectral means.
+    part, and contact_indices are their indices. stiffness_error_n_per_m is the standard error of the spectral means.
     """
 
     equation: ModalEquation

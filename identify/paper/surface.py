@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
 
 from identify.linear.modal import ModalEquation
-from identify.signals.scores import PARTS, part_scores
+from identify.signals.scores import PART_COUNT, part_scores
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import penetration_m
 
@@ -51,9 +51,9 @@ class Stops:
 class Surface:
     """Restoring force of a modal equation, measured and fitted, at every `decimation`-th sample of the record.
 
-    measured_force = shape_at_force F - q'' (N / sqrt(kg));
-    fitted_force = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
-    contact_forces are the parts of each contact in the fitted force.
+    measured_modal_force = shape_at_force F - q'' (N / sqrt(kg));
+    fitted_modal_force = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
+    fitted_contact_parts are the parts of each contact in the fitted force.
     """
 
     equation: ModalEquation
@@ -160,12 +160,12 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m
     likeliest = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
-    parts_m = np.array_split(eta_m, PARTS)
+    parts_m = np.array_split(eta_m, PART_COUNT)
     part_stops_m = np.array([np.abs(fit_density(part_m, [likeliest])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
     lower_m, upper_m = np.abs(likeliest[3:]) * deviation_m
     lower_error_m, upper_error_m, mean_error_m = (
-        float(np.std(stops_m, ddof=1) / np.sqrt(PARTS))
+        float(np.std(stops_m, ddof=1) / np.sqrt(PART_COUNT))
         for stops_m in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
     return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, mean_error_m)
@@ -189,7 +189,7 @@ def _sandwich(
     unit_columns = jacobian / norms
     inverse_normal = np.linalg.pinv(unit_columns.T @ unit_columns, rcond=1e-12, hermitian=True)
     scores = part_scores(unit_columns @ inverse_normal, residual) / norms
-    return np.asarray(scores.T @ scores * PARTS / (PARTS - 1))
+    return np.asarray(scores.T @ scores * PART_COUNT / (PART_COUNT - 1))
 
 
 def _column_norms(columns: Float[np.ndarray, "samples columns"]) -> Float[np.ndarray, " columns"]:

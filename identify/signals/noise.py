@@ -80,8 +80,8 @@ def _noise_from_high_band(signal: Float[np.ndarray, " samples"], differentiation
     low_share, high_share = (share * 2 for share in NOISE_BAND)
     band_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), signal)
     part_samples = max(1, round(PART_S * rate_hz))
-    parts = band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples)
-    part_powers, exponent = (parts**2).mean(axis=1), 2 * differentiations + 1
+    band_parts = band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples)
+    part_powers, exponent = (band_parts**2).mean(axis=1), 2 * differentiations + 1
     return float(np.sqrt(np.quantile(part_powers[1:], QUIET_QUANTILE) / (high_share**exponent - low_share**exponent)))
 
 
@@ -99,12 +99,12 @@ def noise_density_and_certainty(signal: Float[np.ndarray, " samples"], rate_hz: 
     cell_count = len(line_power) // CELL_LINES
     if not cell_count:
         return 0.0, False
-    cells = line_power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
+    cell_power = line_power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
     quantile_ratio = chi2.ppf(QUIET_QUANTILE, CELL_DEGREES_OF_FREEDOM) / CELL_DEGREES_OF_FREEDOM
-    power_density = float(np.quantile(cells, QUIET_QUANTILE)) / quantile_ratio
-    segment_power = np.median(cells, axis=0)
+    power_density = float(np.quantile(cell_power, QUIET_QUANTILE)) / quantile_ratio
+    segment_power = np.median(cell_power, axis=0)
     quiet_share = max(QUIET_QUANTILE, MIN_SEGMENTS / segment_power.size)
-    quiet_power_by_cell = cells[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
+    quiet_power_by_cell = cell_power[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
     return float(np.sqrt(power_density)), bool(np.max(quiet_power_by_cell) < FLAT_RATIO * np.min(quiet_power_by_cell))
 
 

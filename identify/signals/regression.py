@@ -33,13 +33,13 @@ def weights_by_line(
         channel_count, _, line_count = block_spectra.shape
         if first_block == 0:
             normal_matrices = np.zeros((line_count, channel_count, channel_count), dtype=complex)
-        for line_slice in _chunks(line_count):
-            line_spectra = _by_line(block_spectra, line_slice)
+        for line_slice in _line_slices(line_count):
+            line_spectra = _lines_first(block_spectra, line_slice)
             normal_matrices[line_slice] += line_spectra.conj().transpose(0, 2, 1) @ line_spectra
     input_count = normal_matrices.shape[1] - 1
     input_weights = np.empty((len(normal_matrices), input_count), dtype=complex)
     inverse_normals = normal_matrices[:, :input_count, :input_count]
-    for line_slice in _chunks(len(normal_matrices)):
+    for line_slice in _line_slices(len(normal_matrices)):
         input_norms = np.sqrt(np.einsum("lii->li", normal_matrices[line_slice]).real[:, :input_count])
         input_norms[input_norms == 0] = 1.0
         norm_products = input_norms[:, :, None] * input_norms[:, None, :]
@@ -72,8 +72,8 @@ def influences(
     for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
         block_spectra = spectra_of(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
         influence_sums = []
-        for line_slice in _chunks(len(input_weights)):
-            line_spectra = _by_line(block_spectra, line_slice)
+        for line_slice in _line_slices(len(input_weights)):
+            line_spectra = _lines_first(block_spectra, line_slice)
             input_spectra, response_spectra = line_spectra[:, :, :-1], line_spectra[:, :, -1]
             weight_changes = input_spectra.conj() @ inverse_normals[line_slice].transpose(0, 2, 1)
             leverage = np.sum(input_spectra * weight_changes, axis=2).real
@@ -102,14 +102,14 @@ def jackknife_variance(
     return np.maximum(neighbour_variance, independent_variance / 4)
 
 
-def _chunks(line_count: int) -> list[slice]:
+def _line_slices(line_count: int) -> list[slice]:
     """Slices of the lines."""
     return [
         slice(first_line, min(first_line + CHUNK_LINES, line_count)) for first_line in range(0, line_count, CHUNK_LINES)
     ]
 
 
-def _by_line(
+def _lines_first(
     spectra: Complex[np.ndarray, "channels blocks lines"], line_slice: slice
 ) -> Complex[np.ndarray, "some blocks channels"]:
     """Spectra on a slice of the lines, with the line as the first axis."""

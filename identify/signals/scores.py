@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-PARTS = 16
+PART_COUNT = 16
 QUIET_QUANTILE, MIN_EFFECTIVE_PARTS = 0.25, 5.0
 INDEPENDENT_RATE_HZ = 20.0
 """Samples a second that count as independent where residuals are weighed against tolerances."""
@@ -27,7 +27,7 @@ def part_scores(
 
 def even_part_starts(sample_count: int) -> Int[np.ndarray, " parts"]:
     """First samples of sixteenths of the record."""
-    part_samples = np.array_split(np.arange(sample_count), PARTS)
+    part_samples = np.array_split(np.arange(sample_count), PART_COUNT)
     return np.array([part[0] if part.size else sample_count for part in part_samples])
 
 
@@ -37,15 +37,15 @@ def informative_part_starts(influence: Float[np.ndarray, " samples"]) -> Int[np.
     Of parts with shares w of the squared influence, 1 / sum(w^2) are effective. Few are, for instance, in a decay.
     """
     even_starts = even_part_starts(influence.size)
-    cumulative_information = np.cumsum(influence**2)
-    information_shares = np.add.reduceat(influence**2, even_starts) / max(float(cumulative_information[-1]), 1e-300)
+    information_sum = np.cumsum(influence**2)
+    information_shares = np.add.reduceat(influence**2, even_starts) / max(float(information_sum[-1]), 1e-300)
     if information_shares.sum() == 0 or 1 / np.sum(information_shares**2) >= MIN_EFFECTIVE_PARTS:
         return even_starts
-    inner_starts = np.searchsorted(cumulative_information, cumulative_information[-1] * np.arange(1, PARTS) / PARTS)
+    inner_starts = np.searchsorted(information_sum, information_sum[-1] * np.arange(1, PART_COUNT) / PART_COUNT)
     return np.unique(np.append(0, inner_starts))
 
 
 def quiet_deviation(signal: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows"]:
     """Standard deviation that a quarter of the sixteenths of each row do not exceed: a bound of lasting noise."""
-    part_deviations = [samples.std(axis=-1) for samples in np.array_split(signal, PARTS, axis=-1)]
+    part_deviations = [samples.std(axis=-1) for samples in np.array_split(signal, PART_COUNT, axis=-1)]
     return np.asarray(np.quantile(part_deviations, QUIET_QUANTILE, axis=0))

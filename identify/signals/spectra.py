@@ -11,7 +11,7 @@ from jaxtyping import Complex, Float
 
 from rig.errors import RigError
 
-WINDOW_POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
+WINDOW_EXPONENTS = {"hann": 2, "sin4": 4, "sin6": 6}
 """Exponent p of the window sin^p, by its name."""
 RAMP_SAMPLES = 512
 """Samples over which a resampled signal is led to zero at its ends."""
@@ -37,8 +37,8 @@ class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise RigError(f"the block is {self.block_s} s; give a value above zero")
         if not 0 <= self.overlap < 1:
             raise RigError(f"overlap is {self.overlap}; give a value from 0 to below 1")
-        if self.window not in WINDOW_POWERS:
-            raise RigError(f"no window {self.window!r}; there are {', '.join(WINDOW_POWERS)}")
+        if self.window not in WINDOW_EXPONENTS:
+            raise RigError(f"no window {self.window!r}; there are {', '.join(WINDOW_EXPONENTS)}")
         if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1] < np.inf:
             raise RigError(f"the band {self.band_hz[0]} to {self.band_hz[1]} Hz is empty; give 0 <= low < high")
 
@@ -71,10 +71,10 @@ class Blocks:
         return self.sample_rate_hz / self.block_samples
 
     def spectra(
-        self, signal: Float[np.ndarray, " samples"], derivative: int = 0
+        self, signal: Float[np.ndarray, " samples"], derivative_order: int = 0
     ) -> Complex[np.ndarray, "blocks lines"]:
         """Fourier transforms of the blocks under the window, or under its first or second time derivative."""
-        return self.spectra_of_sums([[WindowedTerm(signal, derivative)]], self.starts)[0]
+        return self.spectra_of_sums([[WindowedTerm(signal, derivative_order)]], self.starts)[0]
 
     def spectra_of_sums(
         self, channel_terms: Sequence[Sequence[WindowedTerm]], starts: Sequence[int]
@@ -129,7 +129,7 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
 
 def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
     """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
-    exponent = WINDOW_POWERS[window_name]
+    exponent = WINDOW_EXPONENTS[window_name]
     phase_rad = np.pi * np.arange(block_samples) / block_samples
     rate_rad_per_s = np.pi * sample_rate_hz / block_samples
     sine, cosine = np.sin(phase_rad), np.cos(phase_rad)
