@@ -99,23 +99,22 @@ def ring_derivatives(
 ) -> RingDerivatives:
     """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
     motion = ring_motion(values, eta_m, rate_m_per_s)
-    radial, tangent, unit_force = motion.radial, motion.tangent, motion.unit_force
-    pushes, normal_n = motion.pushes, motion.normal_n
+    radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
-    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * pushes
+    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * motion.pushes
     # of the tangential force by v_t
     friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
-    normal_by_eta = stiffness * pushes * radial + turning_slope * tangent
+    normal_by_eta = stiffness * motion.pushes * radial + turning_slope * tangent
     tangential_n = normal_n - friction_slope * motion.radial_rate_m_per_s
     turning_n = tangential_n * tangent - friction * normal_n * motion.sliding_tanh * radial
     by_eta = unit_force[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
     by_rate = unit_force[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
     by_law = np.stack(
         [
-            -stiffness * pushes * unit_force,
-            motion.depth_m * pushes * unit_force,
-            motion.damper_m_per_s * pushes * unit_force,
+            -stiffness * motion.pushes * unit_force,
+            motion.depth_m * motion.pushes * unit_force,
+            motion.damper_m_per_s * motion.pushes * unit_force,
             normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
             -by_eta[:, 0],

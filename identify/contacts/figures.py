@@ -51,8 +51,7 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
             middle_times_s = [(segment.start_s + segment.end_s) / 2 for segment, _ in pairs]
             quantities = (("clearance_m", 1e3), ("stiffness_n_per_m", 1.0))
             for axes, (quantity, scale) in zip(axes_column, quantities, strict=True):
-                estimates = [getattr(contact, quantity) for _, contact in pairs]
-                pooled_estimate = getattr(pooled, quantity)
+                estimates, pooled_estimate = [getattr(c, quantity) for _, c in pairs], getattr(pooled, quantity)
                 band = scale * (pooled_estimate.value + COVERED * pooled_estimate.standard_error * np.array([-1, 1]))
                 half_widths = [COVERED * scale * estimate.standard_error for estimate in estimates]
                 scaled_values = [scale * estimate.value for estimate in estimates]
@@ -154,8 +153,7 @@ def _draw_separated_forces(figure: Any, result: Identification, references: Refe
         eta_m = result.eta_m[group.contact_indices[0]][:: result.decimation]
         force_n = separated_n[: eta_m.size]
         axes.plot(1e3 * eta_m, force_n, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law assumed")
-        grid_m = np.linspace(eta_m.min(), eta_m.max(), 400)
-        law_forces = []
+        grid_m, law_forces = np.linspace(eta_m.min(), eta_m.max(), 400), []
         for sign, index in zip(group.signs, group.contact_indices, strict=True):
             if estimate := result.outcomes.estimates.get(result.rig.contacts[index].name):
                 law_forces.append(sign * estimate.force_n(sign * grid_m, np.zeros_like(grid_m)))

@@ -90,9 +90,8 @@ def robust_regression(
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
     columns = hstack([drift_columns, law_columns]).tocsr()
-    curvature_rows = hstack(
-        [drift_spline.curvature, csr_matrix((drift_spline.curvature.shape[0], law_columns.shape[1]))]
-    )
+    no_law_columns = csr_matrix((drift_spline.curvature_target.size, law_columns.shape[1]))
+    curvature_rows = hstack([drift_spline.curvature, no_law_columns])
     weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
     for residual_share, curvature_weight in REGRESSION_STAGES:
         error_m = residual_share * float(np.std(eta_m))
@@ -239,8 +238,7 @@ def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: Tou
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
             clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
-            stiffnesses_n_per_m = np.diff([0.0, *summed_n_per_m])
-            laws = nominal_laws.copy()
+            stiffnesses_n_per_m, laws = np.diff([0.0, *summed_n_per_m]), nominal_laws.copy()
             for side in range(2):
                 contact_indices = np.flatnonzero(touched[:, side])
                 contact_indices = contact_indices[np.argsort(nominal_laws[contact_indices, side], kind="stable")]

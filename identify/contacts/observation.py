@@ -68,8 +68,7 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     motion, omega = record.motion, lines.omega
     sensor_pairs = list(zip(motion.sensors, motion.displaced_by, strict=True))
     orders = np.array([[sensor.measures.order, displaced.measures.order] for sensor, displaced in sensor_pairs])
-    differentiations = np.maximum(0, 2 - orders)
-    nyquist_omega = np.pi * lines.rate_hz
+    differentiations, nyquist_omega = np.maximum(0, 2 - orders), np.pi * lines.rate_hz
     noise_colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
     variance_by_acceleration = record.noise_m_per_s2[:, None] ** 2 * noise_colour
     variance_by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])

@@ -53,8 +53,7 @@ def identify_long(
             f"segments of {segment_s:g} s: give {SHORTEST_SEGMENT_S:g} s or more, of which contacts can be told"
         )
     identified_segments: list[Segment] = []
-    refusal_reason = ""
-    file_bytes = path.stat().st_size if path.exists() else 0
+    refusal_reason, file_bytes = "", path.stat().st_size if path.exists() else 0
     for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         start_s = recording.start_s + (RINGING_S if recording.start_s else 0.0)
         try:

@@ -99,8 +99,7 @@ def _separated(
     recording: Recording, gauges: Gauges, motion: Kinematics, highest_excited_hz: float, tolerances: Tolerances
 ) -> Separation:
     """Contact forces of a recording that is excited up to that frequency."""
-    rig = recording.rig
-    least_band_end_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
+    rig, least_band_end_hz = recording.rig, LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_band_end_hz), motion.trusted_hz[1])
     noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
     begins_at_rest = recording.start_s > 0 or motion.excited_from > 0

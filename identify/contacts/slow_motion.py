@@ -176,8 +176,7 @@ def quietest_corner_and_noise(
     modelled_noise = np.einsum("crl,rl->cl", np.abs(eta_by_row) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, omega[-1] / (2 * np.pi))
     corner_count = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
-    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count)
-    noises_m = []
+    corners_hz, noises_m = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count), []
     for corner_hz in corners_hz:
         low_pass_gain = low_pass(omega, float(corner_hz))
         noise_power_m2 = low_pass_gain**2 * modelled_noise + (1 - low_pass_gain) ** 2 * integrated_noise
@@ -191,8 +190,7 @@ def with_slow_modes(
 ) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
-    slow_lines = slice(int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz)))
-    bodies = []
+    slow_lines, bodies = slice(int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))), []
     for body in observed.bodies:
         response, accelerations = body.response, body.acceleration.copy()
         held_indices = np.flatnonzero(response.dynamics.natural_hz[: len(accelerations)]).tolist()

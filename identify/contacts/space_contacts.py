@@ -104,8 +104,7 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     planes = [plane_recording(rest_recording, direction) for direction in rig.directions]
     y_plane, z_plane = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)
     records = annular_records(rig, (y_plane, z_plane), tolerances)
-    estimates = dict[str, AnnularEstimate]()
-    refusals = dict[str, Refusal]()
+    estimates, refusals = dict[str, AnnularEstimate](), dict[str, Refusal]()
     for name, record in records.items():
         law = rig.contact(name).law
         assert isinstance(law, Annular)

@@ -16,6 +16,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.contact_laws.annular import Annular
 
 Laws = Mapping[str, ContactLaw]
+Samples = Float[np.ndarray, " fewer"]
 MAX_POINTS = 6000
 """Points of a figure."""
 EXCERPT_S = 1.0
@@ -45,9 +46,7 @@ class _Panel:
         return self.estimate.force_n[:, _first_shown_sample(self.result) :]
 
     @property
-    def polar_force(
-        self,
-    ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
+    def radius_and_forces(self) -> tuple[Samples, Samples, Samples]:
         """Radius (m), and the separated force across and along the wall (N)."""
         (eta_y, eta_z), (force_y, force_z) = self.eta_m, self.force_n
         radius_m = np.maximum(np.hypot(eta_y, eta_z), 1e-12)
@@ -96,7 +95,7 @@ def _orbit(panel: _Panel) -> None:
 def _radial(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
     axes, estimate = panel.axes, panel.estimate
-    radius_m, normal_n, _ = panel.polar_force
+    radius_m, normal_n, _ = panel.radius_and_forces
     drawn = slice(None, None, max(1, radius_m.size // MAX_POINTS))
     axes.plot(1e3 * radius_m[drawn], normal_n[drawn], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
     radius_grid_m = np.linspace(0, radius_m.max(), 200)
@@ -112,7 +111,7 @@ def _radial(panel: _Panel) -> None:
 def _surface(panel: _Panel) -> None:
     """Normal force over radius and angle, averaged in cells."""
     axes, estimate = panel.axes, panel.estimate
-    radius_m, normal_n, _ = panel.polar_force
+    radius_m, normal_n, _ = panel.radius_and_forces
     eta_y, eta_z = panel.eta_m
     angles_deg = np.degrees(np.arctan2(eta_z, eta_y))
     cells = axes.hexbin(angles_deg, 1e3 * radius_m, C=normal_n, gridsize=(36, 36), cmap="viridis", mincnt=2)
@@ -124,7 +123,7 @@ def _surface(panel: _Panel) -> None:
 def _friction(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     axes, estimate, law = panel.axes, panel.estimate, panel.reference_law
-    radius_m, normal_n, tangential_n = panel.polar_force
+    radius_m, normal_n, tangential_n = panel.radius_and_forces
     (eta_y, eta_z), (rate_y, rate_z) = panel.eta_m, _at_shown_forces(panel.result, estimate.rate_m_per_s, estimate)
     is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius_m > estimate.values[CLEARANCE])
     speed_m_per_s = ((eta_y * rate_z - eta_z * rate_y) / radius_m)[is_closed]

@@ -306,10 +306,9 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         )
     if zero_known or not rig.contacts:
         return responses
-    high_passed_modes = _high_passed_modes(responses, eta_shapes)
+    passed_modes = _high_passed_modes(responses, eta_shapes)
     return tuple(
-        r.with_high_passed(tuple(sorted(m for body, m in high_passed_modes if body == k)))
-        for k, r in enumerate(responses)
+        r.with_high_passed(tuple(sorted(m for body, m in passed_modes if body == k))) for k, r in enumerate(responses)
     )
 
 

@@ -298,12 +298,11 @@ def _mode_changes(
             yield Change(Nuisance(kind, body.name), sensors, signals)
         for mode_index in motion.elastic_indices.tolist():
             if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode_index + 1), kind):
-                mode_shape = shapes[:, mode_index, None]
-                per_acceleration = tolerance * sensor_response * (mode_shape * sensitivities[mode_index])
+                mode_response = tolerance * sensor_response * (shapes[:, mode_index, None] * sensitivities[mode_index])
                 pattern = None
                 if sensor_weights is not None and mode_index < len(sensor_weights):
-                    pattern = SensorPattern(per_acceleration, sensor_weights[mode_index])
-                signals = per_acceleration * motion.acceleration[mode_index]
+                    pattern = SensorPattern(mode_response, sensor_weights[mode_index])
+                signals = mode_response * motion.acceleration[mode_index]
                 yield Change(Nuisance(kind, body.name, mode_index + 1), sensors, signals, sensor_pattern=pattern)
 
 

@@ -89,9 +89,8 @@ def sampled_accelerations(
     natural_hz: float, damping_ratio: float, sampling: Sampling
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
-    poles = _poles(natural_hz, damping_ratio)
+    poles, order = _poles(natural_hz, damping_ratio), sampling.derivative_order
     poles = poles - max(0.0, LEAST_LOG_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
     tapered_sums = [tapered_sum(complex(pole), sampling) for pole in poles]
-    order = sampling.derivative_order
     acceleration_factor = (1j * sampling.omega) ** (2 - order) / ((poles[1] - poles[0]) * sampling.rate_hz)
     return np.stack([acceleration_factor * _pole_combination(poles, tapered_sums, k, order) for k in range(2)])

@@ -135,8 +135,7 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record;
     NaN for a stop that is not reached in each of them.
     """
-    bin_edges_m = np.linspace(eta_m.min(), eta_m.max(), 401)
-    deviation_m = float(np.std(eta_m))
+    bin_edges_m, deviation_m = np.linspace(eta_m.min(), eta_m.max(), 401), float(np.std(eta_m))
     bin_etas = (bin_edges_m[:-1] + bin_edges_m[1:]) / 2 / deviation_m
 
     def fit_density(sample_m: Samples, start_parameters: list[Parameters]) -> Parameters:

@@ -72,10 +72,9 @@ def finer_signal_batches(
     padding = 2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - sample_count
     padded_signals = np.pad(signals, [(0, 0), padding], mode="edge")
     blocks = sliding_window_view(padded_signals, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
-    batch_blocks = max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
-    signal_taper = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES)
+    taper, batch_blocks = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES), max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
     for first_block in range(0, block_count, batch_blocks):
-        yield _finer(blocks[:, first_block : first_block + batch_blocks] * signal_taper, factor)
+        yield _finer(blocks[:, first_block : first_block + batch_blocks] * taper, factor)
 
 
 def evaluated_on_batches(

@@ -36,8 +36,7 @@ def informative_part_starts(influence: Float[np.ndarray, " samples"]) -> Int[np.
 
     Of parts with shares w of the squared influence, 1 / sum(w^2) are effective. Few are, for instance, in a decay.
     """
-    even_starts = even_part_starts(influence.size)
-    information_sum = np.cumsum(influence**2)
+    even_starts, information_sum = even_part_starts(influence.size), np.cumsum(influence**2)
     information_shares = np.add.reduceat(influence**2, even_starts) / max(float(information_sum[-1]), 1e-300)
     if information_shares.sum() == 0 or 1 / np.sum(information_shares**2) >= MIN_EFFECTIVE_PARTS:
         return even_starts

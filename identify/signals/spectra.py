@@ -203,11 +203,10 @@ def _band_of(
     force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, outside_share: float
 ) -> tuple[float, float]:
     """Band of one force, Hz."""
-    cumulative_power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
-    if not cumulative_power[-1] > 0:
+    power_to = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
+    if not power_to[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
-    power_limits = [outside_share * cumulative_power[-1], (1 - outside_share) * cumulative_power[-1]]
-    low_line, high_line = np.searchsorted(cumulative_power, power_limits)
+    low_line, high_line = np.searchsorted(power_to, [outside_share * power_to[-1], (1 - outside_share) * power_to[-1]])
     if not high_line:
         raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")
     resolution_hz = sample_rate_hz / force_n.size
