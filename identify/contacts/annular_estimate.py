@@ -181,8 +181,7 @@ def _misfit_covariance(
     polar_motion = ring_motion(state.values, record.at_force_samples(eta_m), record.at_force_samples(rate_m_per_s))
     is_closed, is_growing = record.is_fitted & (polar_motion.depth_m > 0), polar_motion.radial_rate_m_per_s > 0
     is_deep = polar_motion.depth_m > np.median(polar_motion.depth_m[is_closed])
-    largest_slopes = np.max(np.abs(force_by_law), axis=(0, 1))
-    covariance = np.zeros((len(RING), len(RING)))
+    largest_slopes, covariance = np.max(np.abs(force_by_law), axis=(0, 1)), np.zeros((len(RING), len(RING)))
 
     def half_scores(is_in_half: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
         weighted_slopes = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * force_by_law / largest_slopes

@@ -82,8 +82,7 @@ class ContactRecord:
 
 def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed."""
-    force_size_n = np.abs(record.force_n)
-    noise_n = min(record.noise_n, float(quiet_deviation(record.force_n)))
+    force_size_n, noise_n = np.abs(record.force_n), min(record.noise_n, float(quiet_deviation(record.force_n)))
     least_force_n = least_closed_force_n(force_size_n, force_share)
     return force_size_n > max(least_force_n, QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n)
 

@@ -78,8 +78,7 @@ def _draw_outputs(figure: Any, result: Identification, _references: References, 
     force_spectrum = np.fft.rfft(equation.shape_at_force * force_n, 2 * measured_q.size)
     line_hz = np.fft.rfftfreq(2 * measured_q.size, 1 / rate_hz)
     frf = np.where(line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0)
-    contactless_q = np.fft.irfft(force_spectrum * frf)[: measured_q.size]
-    time_s = motion.time_s(measured_q.size)
+    contactless_q, time_s = np.fft.irfft(force_spectrum * frf)[: measured_q.size], motion.time_s(measured_q.size)
     excerpt_start, excerpt_s = int(0.4 * measured_q.size), min(3.0, 15 / max(equation.frequency_hz, 5.0))
     excerpt = slice(excerpt_start, excerpt_start + int(excerpt_s * rate_hz))
     time_axes, spectrum_axes = figure.subplots(2, 1)

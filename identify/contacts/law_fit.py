@@ -100,8 +100,7 @@ class LawFit:
 
     def _with_cost(self, state: FitState) -> FitState:
         """State with its cost: weighted squares of residuals and of the priors."""
-        drift_spline = self.record.drift_spline
-        residual_cost = np.sum((self.weights * state.residual_n) ** 2)
+        drift_spline, residual_cost = self.record.drift_spline, np.sum((self.weights * state.residual_n) ** 2)
         curvature_cost = np.sum((drift_spline.curvature @ state.knots - drift_spline.curvature_target) ** 2)
         pull_cost = self.record.samples_per_error * np.sum(state.pulls**2)
         return replace(state, cost=float(residual_cost + curvature_cost + pull_cost))
@@ -291,8 +290,7 @@ def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[n
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
     eta, rate = (record.at_force_samples(signal) for signal in fit.motion)
-    depth_m = fit.depth_m(eta)
-    is_closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
+    depth_m, is_closed = fit.depth_m(eta), state.form.slopes(state.law_parameters, eta, rate)[0] > 0
     is_deep = np.abs(depth_m) > np.median(np.abs(depth_m[is_closed])) if is_closed.any() else is_closed
     is_growing = depth_m * rate > 0
     return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]

@@ -112,8 +112,7 @@ def fit_surface(
     fitted, column_weights = _projection(columns, measured)
     covariance = _sandwich(np.concatenate([columns, solution.jac / reach_m], axis=1), measured - fitted)
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
-    contact_parts = np.zeros((len(eta_m), measured.size))
-    stiffness_n_per_m = np.full(len(eta_m), np.nan)
+    contact_parts, stiffness_n_per_m = np.zeros((len(eta_m), measured.size)), np.full(len(eta_m), np.nan)
     for i, (j, start) in enumerate(starts.items()):
         stop_row = columns.shape[1] + 2 * i
         stop_covariance = covariance[stop_row : stop_row + 2, stop_row : stop_row + 2]

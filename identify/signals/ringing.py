@@ -50,8 +50,7 @@ def modes_of_decay(
     poles, time_s = poles[poles.imag > 0], np.arange(slow_signals.shape[1]) / slow_rate_hz
     unit_decays = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
     decay_basis = np.concatenate([unit_decays.real, unit_decays.imag])
-    amplitudes = np.linalg.lstsq(decay_basis.T, slow_signals.T, rcond=1e-9)[0]
-    modes = []
+    amplitudes, modes = np.linalg.lstsq(decay_basis.T, slow_signals.T, rcond=1e-9)[0], []
     for pole_index, pole in enumerate(poles):
         mode_signals = (
             decay_basis[[pole_index, pole_index + len(poles)]].T @ amplitudes[[pole_index, pole_index + len(poles)]]

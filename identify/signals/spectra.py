@@ -129,8 +129,7 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
 
 def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
     """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
-    exponent = WINDOW_EXPONENTS[window_name]
-    phase_rad = np.pi * np.arange(block_samples) / block_samples
+    exponent, phase_rad = WINDOW_EXPONENTS[window_name], np.pi * np.arange(block_samples) / block_samples
     rate_rad_per_s = np.pi * sample_rate_hz / block_samples
     sine, cosine = np.sin(phase_rad), np.cos(phase_rad)
     return np.stack(

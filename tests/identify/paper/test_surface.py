@@ -62,7 +62,7 @@ def start(stops=STOPS_M, ratio=1.15):
 def test_unequal_stops_and_stiffnesses_are_recovered(factor):
     equation, force, eta = equation_and_force()
     surface = fit_surface(equation, force, eta, factor, start())
-    measured, fitted = surface.measured_modal_force, surface.fitted_modal_force
+    fitted, measured = surface.fitted_modal_force, surface.measured_modal_force
     assert measured.shape == fitted.shape == (SAMPLES // factor,)
     for stops, (lower, upper) in zip(surface.stops, STOPS_M, strict=True):
         assert stops.lower_m == pytest.approx(lower, rel=1e-5)
@@ -77,8 +77,7 @@ def test_the_surface_is_the_contacts_share_on_the_linear_part():
     surface = fit_surface(equation, force, eta, 1, start())
     np.testing.assert_array_equal(surface.measured_modal_force, restoring_force(equation, force))
     linear = 2 * ZETA * NATURAL * equation.velocity + NATURAL**2 * equation.displacement
-    size = np.std(surface.measured_modal_force)
-    parts = surface.fitted_contact_parts
+    size, parts = np.std(surface.measured_modal_force), surface.fitted_contact_parts
     np.testing.assert_allclose(surface.fitted_modal_force - parts.sum(axis=0), linear, atol=1e-4 * size)
     for j, share in enumerate(parts):
         expected = SHAPES[j] * STIFFNESS_N_PER_M[j] * penetration_m(eta[j], *STOPS_M[j])
