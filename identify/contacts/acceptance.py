@@ -148,7 +148,7 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     is_single_body = sum(parameter.kind == NuisanceKind.FREQUENCY for parameter in pull_sizes) == 1
     squared_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(squared_factor, 1 + mass_pull**2)
-    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
+    covariances = {source: variance_factor * covariance for source, covariance in estimate.covariances.items()}
     return replace(estimate, covariances=covariances, widening_factor=float(np.sqrt(variance_factor)))
 
 

@@ -167,14 +167,12 @@ def _center_and_rest_force(
     return np.concatenate([-position_m, wall_force_n]), np.concatenate([-position_by_values, wall_by_values])
 
 
-def _misfit_covariance(
-    fit: AnnularFit, derivatives: Jacobian, part_starts: Int[np.ndarray, " parts"]
-) -> RingCovariance:
+def _misfit_covariance(fit: AnnularFit, jacobian: Jacobian, part_starts: Int[np.ndarray, " parts"]) -> RingCovariance:
     """Covariance of the parameters from the misfit of the law, as `law_fit.misfit_covariance`; the force at rest, which
     the open contact tells, is held."""
     record, state = fit.record, fit.state
     free_indices = [parameter for parameter in fit.free_indices if parameter < REST.start]
-    force_by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free_indices]
+    force_by_law = jacobian.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free_indices]
     residual_n = state.residual_n.reshape(DIRECTIONS, -1)
     squared_weights = fit.weights.reshape(DIRECTIONS, -1) ** 2
     eta_m, rate_m_per_s = fit.motion(state.knots, state.pulls)

@@ -257,12 +257,12 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     Raises ContactRefusedError as the guess does, or if the normal equations are singular.
     """
     without_nuisances = record.without_nuisances
-    values, knots = annular_guess(without_nuisances, sliding_speed_m_per_s)
+    ring_values, knots = annular_guess(without_nuisances, sliding_speed_m_per_s)
     center_indices = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
     free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
     weights = np.tile(record.is_fitted / (ROUGH_RESIDUAL_SHARE * float(np.std(record.force_n))), DIRECTIONS)
-    start_state = AnnularState(values, knots, np.zeros(1), np.zeros(record.force_n.size))
-    rough_fit = AnnularFit(without_nuisances, free_indices, values[LOG_SPEED], start_state, weights).at_least_cost
+    start_state = AnnularState(ring_values, knots, np.zeros(1), np.zeros(record.force_n.size))
+    rough_fit = AnnularFit(without_nuisances, free_indices, ring_values[LOG_SPEED], start_state, weights).at_least_cost
     pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 

@@ -137,9 +137,9 @@ def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -
     return parameter
 
 
-def interleaved(matrix: csr_matrix, direction: int) -> csr_matrix:
+def interleaved(direction_columns: csr_matrix, direction: int) -> csr_matrix:
     """Columns of one direction among those of both, in turn."""
-    return csr_matrix(kron(matrix, np.eye(DIRECTIONS)[[direction]]))
+    return csr_matrix(kron(direction_columns, np.eye(DIRECTIONS)[[direction]]))
 
 
 def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:

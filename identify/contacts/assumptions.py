@@ -61,7 +61,7 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
     for group in result.contact_groups:
         if len(group.contact_indices) > 1:
-            stop_count = sum(rig.contacts[index].law.has_stops for index in group.contact_indices)
+            stop_count = sum(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices)
             rules = ["the slope within the gap is the spring's"] if stop_count < len(group.contact_indices) else []
             if stop_count > 1:
                 rules.append("each stop has the knee that comes nearest to its clearance and stiffness in rig.json")

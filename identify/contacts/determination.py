@@ -112,7 +112,7 @@ def _with_spring_advice(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, 
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
     laws = [parameters_of_law(rig.contacts[index].law) for index in group.contact_indices]
-    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
+    return np.array([law if sign > 0 else law[[1, 0, 2, 3]] for law, sign in zip(laws, group.signs, strict=True)])
 
 
 def _stop_outcomes(

@@ -153,8 +153,8 @@ def _draw_separated_forces(figure: Any, result: Identification, references: Refe
         force_n = separated_n[: eta_m.size]
         axes.plot(1e3 * eta_m, force_n, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law assumed")
         grid_m, law_forces = np.linspace(eta_m.min(), eta_m.max(), 400), []
-        for sign, index in zip(group.signs, group.contact_indices, strict=True):
-            if estimate := result.outcomes.estimates.get(result.rig.contacts[index].name):
+        for sign, contact_index in zip(group.signs, group.contact_indices, strict=True):
+            if estimate := result.outcomes.estimates.get(result.rig.contacts[contact_index].name):
                 law_forces.append(sign * estimate.force_n(sign * grid_m, np.zeros_like(grid_m)))
         if law_forces:
             axes.plot(1e3 * grid_m, np.sum(law_forces, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")

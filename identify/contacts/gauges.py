@@ -125,8 +125,8 @@ def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> 
     if use != "auto" or rig.base_sensors:
         gauge_sensors = []
     excited_from, is_segment = motion.excited_from, recording.start_s > 0
-    lacks_start = not (excited_from or recording.start_s)
-    if gauge_sensors and lacks_start and all(sensor.measures.order == 2 for sensor in motion.sensors):
+    lacks_quiet_start = not (excited_from or recording.start_s)
+    if gauge_sensors and lacks_quiet_start and all(sensor.measures.order == 2 for sensor in motion.sensors):
         gauge_signals = (recording.values_of(gauge) for gauge in gauge_sensors)
         excited_from = excitation_start(recording.forces_n, gauge_signals, rate_hz)
     quiet_count = replace(motion, excited_from=excited_from).quiet_sample_count

@@ -241,7 +241,7 @@ def form_evidence(dead_zone_fit: LawFit, alternative_fit: LawFit, independent_co
     likelihood_gain = independent_count * float(band_line_counts @ np.log(dead_zone_power / form_power)) / line_count
     amplitude = np.repeat(np.sqrt(dead_zone_power / band_line_counts), band_line_counts)
     squares = [np.fft.irfft(spectrum / amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in residual_spectra]
-    part_gains = np.array([part.sum() for part in np.array_split(squares[0] - squares[1], PART_COUNT)])
+    part_gains = np.array([part_saving.sum() for part_saving in np.array_split(squares[0] - squares[1], PART_COUNT)])
     gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PART_COUNT)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 

@@ -121,8 +121,8 @@ class LawForm:
     ) -> "Iterator[ContactContribution]":
         """Contributions of the contacts to the force."""
         exponent = self.exponent(law_parameters)
-        for contact_index, values in enumerate(self.contact_parameters(law_parameters)):
-            lower_m, upper_m, stiffness, damping = values.tolist()
+        for contact_index, law_values in enumerate(self.contact_parameters(law_parameters)):
+            lower_m, upper_m, stiffness, damping = law_values.tolist()
             unit_spring = DeadZone(
                 lower_clearance_m=lower_m,
                 upper_clearance_m=upper_m,

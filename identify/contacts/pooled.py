@@ -136,16 +136,16 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     if not np.all(errors > 0):
         return Estimate(float(values.mean()), float(errors.max()))
     weights = errors**-2 / np.sum(errors**-2)
-    mean, effective_count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
-    scatter_variance = effective_count / (effective_count - 1) * weights @ (values - mean) ** 2
+    weighted_mean, effective_count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
+    scatter_variance = effective_count / (effective_count - 1) * weights @ (values - weighted_mean) ** 2
     shared_variance = max(0.0, mean_variance - scatter_variance * max(0.0, 1 - np.sqrt(2 / effective_count)))
     mean_scatter = scatter_variance / effective_count
     mean_error = float(np.sqrt(max(mean_scatter, min(mean_scatter + shared_variance, mean_variance))))
     own_errors = [estimate.own_error for estimate in estimates if estimate.own_error is not None]
     if len(own_errors) < len(estimates):
-        return Estimate(float(mean), mean_error)
+        return Estimate(float(weighted_mean), mean_error)
     own_error = float(np.sqrt(max(mean_scatter, weights**2 @ np.square(own_errors))))
-    return Estimate(float(mean), mean_error, own_error)
+    return Estimate(float(weighted_mean), mean_error, own_error)
 
 
 def _merged_structs(structs: Sequence[Struct]) -> Struct:

@@ -83,9 +83,9 @@ def recording_from_rest(recording: Recording) -> Recording:
         first_excited_sample = excitation_start(recording.forces_n, sensor_signals, rig.sample_rate_hz)
     signals = dict(recording.signals)
     for name in {"displacement", "strain"} & signals.keys() if first_excited_sample else ():
-        values = signals[name].values
-        rest_values = values[:, :first_excited_sample].mean(axis=1, keepdims=True)
-        signals[name] = replace(signals[name], values=values - rest_values)
+        quantity_values = signals[name].values
+        rest_values = quantity_values[:, :first_excited_sample].mean(axis=1, keepdims=True)
+        signals[name] = replace(signals[name], values=quantity_values - rest_values)
     return replace(recording, signals=signals)
 
 
@@ -136,15 +136,15 @@ def annular_records(
     return records
 
 
-def _record_of(name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
+def _record_of(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
     """Record of a contact of that name in one direction."""
     contacts = separation.rig.contacts
     (record,) = (
         record
         for group, record in zip(separation.contact_groups, separation.records, strict=True)
-        if name in [contacts[index].name for index in group.contact_indices]
+        if contact_name in [contacts[contact_index].name for contact_index in group.contact_indices]
     )
-    return _with_whole_band(record, separation, separation.rig.contact(name), tolerances)
+    return _with_whole_band(record, separation, separation.rig.contact(contact_name), tolerances)
 
 
 def _with_whole_band(
@@ -178,8 +178,8 @@ def _with_whole_band(
 
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
-    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        error_share = float(estimate.errors[index] / estimate.values[index])
+    for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
         if not error_share < UNCERTAIN_SHARE:
             raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
 

@@ -81,7 +81,7 @@ def identify_in_space(
         name: record.eta_m + contacts.plane.estimates[name].drift_m
         for separation in contacts.separations
         for group, record in zip(separation.contact_groups, separation.records, strict=True)
-        for name in [separation.rig.contacts[index].name for index in group.contact_indices]
+        for name in [separation.rig.contacts[contact_index].name for contact_index in group.contact_indices]
         if name in contacts.plane.estimates
     }
     estimates = []

@@ -69,8 +69,8 @@ def _shares_by_quantity(result: SpaceIdentification) -> dict[str, Mapping[str, f
     quantities = {"clearance": CLEARANCE, "stiffness": STIFFNESS, "damping": DAMPING, "friction": FRICTION}
     return {
         f"{quantity} of {name}": {
-            source: float(part[index, index] / estimate.covariance[index, index])
-            for source, part in estimate.covariances.items()
+            source: float(covariance[index, index] / estimate.covariance[index, index])
+            for source, covariance in estimate.covariances.items()
         }
         for name, estimate in result.contacts.annular.items()
         for quantity, index in quantities.items()

@@ -230,7 +230,7 @@ def start_free_motion(
     accelerations_by_input: Complex[np.ndarray, "inputs stations lines"],
     station_errors: StationErrors,
 ) -> FreeMotionEstimate:
-    """Initial states of the modes, from the record cut off sharply at both ends.
+    """Free motion by the initial states of the modes, from the record cut off sharply at both ends.
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """

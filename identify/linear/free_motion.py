@@ -39,11 +39,11 @@ RELATIVE_STEP = 1e-6
 class FreeMotion:
     """Free motion of one mode per unit of its initial displacement or velocity.
 
-    derivatives are the coordinate's displacement, velocity and acceleration; shape is the mode's at the stations.
+    coordinate_derivatives are its displacement, velocity and acceleration; shape is the mode's at the stations.
     is_held is False if the mode's spring acts on the high-passed displacement: the drift then covers its initial state.
     """
 
-    derivatives: Float[np.ndarray, "3 samples"]
+    coordinate_derivatives: Float[np.ndarray, "3 samples"]
     shape: Float[np.ndarray, " stations"]
     is_held: bool
 
@@ -80,11 +80,11 @@ def free_motions(
             omega = 2 * np.pi * max(hz[mode_index], MIN_FREQUENCY_HZ)
             amplitude_m = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
             is_held = mode_index not in response.dynamics.high_passed_modes
-            for order in range(2):
-                derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), order, time_s)
+            for initial_order in range(2):
+                derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), initial_order, time_s)
                 motions.append(FreeMotion(derivatives, shapes[:, mode_index], is_held))
-                initial_value_size = amplitude_m * omega**order
-                prior_mean.append(float(mode_coordinates[order, mode_index, 0]) if is_measured else 0.0)
+                initial_value_size = amplitude_m * omega**initial_order
+                prior_mean.append(float(mode_coordinates[initial_order, mode_index, 0]) if is_measured else 0.0)
                 prior_deviation.append((MEASURED_PRIOR if is_measured else WIDE_PRIOR) * initial_value_size)
                 wide_deviation.append(WIDE_PRIOR * initial_value_size)
     start_prior = np.array(prior_mean), np.array(prior_deviation)
@@ -136,7 +136,7 @@ def unit_free_spectra(
     acceleration_factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
     unit_spectra = np.empty((len(motions), *is_in_metres.shape), dtype=complex)
     for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
-        derivative_spectra = spectra_of(motion.derivatives)
+        derivative_spectra = spectra_of(motion.coordinate_derivatives)
         for row, (shape, order) in enumerate(zip(motion.shape, derivative_orders, strict=True)):
             acceleration = acceleration_factors[order] * derivative_spectra[order]
             unit_spectrum[row] = shape * np.where(is_in_metres[row], derivative_spectra[0], acceleration)

@@ -298,12 +298,12 @@ def _contacts_show_zero(rig: Rig, station_sensors: SensorsByStation, excited_fro
 
 def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
     """Motion of the base, the first of the stations; no displacement where it is left out."""
-    displacement, _, acceleration = motion.derivatives
+    station_displacements, _, station_accelerations = motion.derivatives
     return MeasuredBase(
         sensor=_nearest_sensor(by_order, 2),
         displaced_by=_nearest_sensor(by_order, 0),
-        displacement_m=np.empty(0) if least_order else displacement[0],
-        acceleration_m_per_s2=acceleration[0],
+        displacement_m=np.empty(0) if least_order else station_displacements[0],
+        acceleration_m_per_s2=station_accelerations[0],
         lost_m_per_s2=motion.lost_m_per_s2[0],
     )
 

@@ -47,8 +47,8 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
 def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
     """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
     quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
-    derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    sensor_signals = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
+    motion_derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    sensor_signals = [motion_derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
         return np.array([row[: motion.quiet_sample_count].std() for row in sensor_signals])

@@ -28,7 +28,7 @@ def part_scores(
 def even_part_starts(sample_count: int) -> Int[np.ndarray, " parts"]:
     """First samples of sixteenths of the record."""
     part_samples = np.array_split(np.arange(sample_count), PART_COUNT)
-    return np.array([part[0] if part.size else sample_count for part in part_samples])
+    return np.array([samples[0] if samples.size else sample_count for samples in part_samples])
 
 
 def informative_part_starts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " parts"]:
