@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from identify.linear.modal import ModalEquation, modal_equations, relative_motion
-from identify.paper.nifo import Form, Nifo, nifo
+from identify.linear.modal import ModalEquation, modal_equations, signals_across_contacts
+from identify.paper.nifo import Nifo, NifoForm, nifo
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
-from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
+from identify.signals.spectra import Averaging, Blocks, WindowedTerm, blocks, decimated
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal
@@ -22,7 +22,7 @@ from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.sensors import digitise, needed_duration_s
 
-FORMS: tuple[Form, Form] = ("paper", "weak")
+FORMS: tuple[NifoForm, NifoForm] = ("paper", "weak")
 AVERAGE_COUNT = 40
 EQUATION_BODY, EQUATION_MODE = "barrel", 3
 """The paper's modal equation: the barrel's first bending."""
@@ -51,7 +51,7 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
 class NifoEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """Stiffness of a contact by one form of NIFO at one resolution: spectral mean, its standard error, rms spread."""
 
-    form: Form
+    form: NifoForm
     block_s: float
     noise_density: float
     contact: str
@@ -128,7 +128,7 @@ def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_se
 
     With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.
     """
-    spectra = block_set.spectra_of_sums([[Term(signal)] for signal in signals], block_set.starts)
+    spectra = block_set.spectra_of_sums([[WindowedTerm(signal)] for signal in signals], block_set.starts)
     normal_matrix = np.einsum("ibl,jbl->lij", spectra.conj(), spectra)
     norms = np.sqrt(np.einsum("lii->li", normal_matrix).real)
     inverse_normal = np.linalg.inv(normal_matrix / (norms[:, :, None] * norms[:, None, :]))
@@ -141,7 +141,7 @@ def reduced_piece(rig: Rig, channel_values: Float[np.ndarray, "channels samples"
     signals = {"force": channel_values[:1], "displacement": channel_values[1:]}
     recording = Recording(rig, {name: Signals(channels[name], 0.0, rows) for name, rows in signals.items()}, {})
     motion = kinematics(recording, "displacement")
-    eta_m = relative_motion(rig, motion, motion.displacement_m)
+    eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
     penetrations_m = np.array(
         [
             penetration(eta, contact.law.lower_clearance_m, contact.law.upper_clearance_m, rate_hz)
@@ -205,7 +205,7 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
             queued_rows, queued_count = [rows[:, samples_per_piece:]], queued_count - samples_per_piece
 
 
-def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density: float) -> list[NifoEstimate]:
+def _estimates(rig: Rig, fit: Nifo, form: NifoForm, block_s: float, noise_density: float) -> list[NifoEstimate]:
     return [
         NifoEstimate(
             form=form,
@@ -218,6 +218,6 @@ def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density
             deviation_n_per_m=float(deviation),
         )
         for contact_index, mean, error, deviation in zip(
-            result.contacts, result.mean_n_per_m, result.stiffness_error_n_per_m, result.deviation_n_per_m, strict=True
+            fit.contact_indices, fit.mean_n_per_m, fit.stiffness_error_n_per_m, fit.deviation_n_per_m, strict=True
         )
     ]

@@ -26,7 +26,7 @@ from identify.checks.spectra import Spectra, quiet_sample_count, spectra_of
 from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import contact_groups, group_rig_of
 from identify.signals.kinematics import MotionQuantity, kinematics
-from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
+from identify.signals.measured_base import body_force_count, excitation_names, excitations
 from rig.errors import RigError
 from rig.model.description import Direction, Rig, Sensor, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -238,7 +238,7 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     """Channels of the forces on bodies, and of the sensors of the quantity in use."""
     rig = recording.rig
-    used_names = {*recording.force_names[: count_on_bodies(rig)]}
+    used_names = {*recording.force_names[: body_force_count(rig)]}
     used_names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
     rate_hz, excitation, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
     for group, group_signals in recording.signals.items():

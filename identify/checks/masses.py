@@ -160,9 +160,9 @@ def _open_mask(
 ) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
-    is_open = np.ones(-(-motion.samples // decimation), dtype=bool)
+    is_open = np.ones(-(-motion.sample_count // decimation), dtype=bool)
     for group in contact_groups(rig):
-        stations = contact_stations(group.contact)
+        stations = contact_stations(group.joined_contact)
         if motion.stations[station_index].body not in [station.body for station in stations]:
             continue
         group_laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]

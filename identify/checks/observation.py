@@ -14,7 +14,7 @@ from identify.linear.nuisance import (
     NuisanceKind,
     ObservedSignals,
     elastic_modes,
-    modes_near_band,
+    mode_count_near_band,
 )
 from identify.linear.observed_motion import BodyMotion
 from rig.model.description import Rig, Sensor
@@ -58,7 +58,7 @@ def observed_motion(
 def _body_motion(rig: Rig, response: Response, input_spectra: InputSpectra) -> BodyMotion:
     """Modal accelerations of a body by the forces and the contact forces."""
     modal_force = real_product(input_shapes(rig, response, rig.forces).T, input_spectra)
-    elastic_indices = elastic_modes(response, modes_near_band(response, MODE_BAND_RATIO))
+    elastic_indices = elastic_modes(response, mode_count_near_band(response, MODE_BAND_RATIO))
     return BodyMotion(response, response.accelerance * modal_force, elastic_indices)
 
 
@@ -68,7 +68,7 @@ def _truncation_changes(
     """Changes by the modes that a description leaves out, of each force on a body and each station there: the share
     of its highest modes, beyond the band, in the motion is the standard deviation of what modes beyond them would add.
     """
-    high_mode_start = max(modes_near_band(response, MODE_BAND_RATIO), int(CONVERGED_SHARE * response.mode_count))
+    high_mode_start = max(mode_count_near_band(response, MODE_BAND_RATIO), int(CONVERGED_SHARE * response.mode_count))
     if response.body.is_mass or high_mode_start >= response.mode_count:
         return
     stations = list(dict.fromkeys(sensor.station for sensor in sensors if sensor.station.body == response.body.name))

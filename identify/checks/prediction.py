@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from identify.checks.spectra import SMOOTHED_LINE_COUNT, Spectra
 from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
-from identify.signals.scores import COUNTED_HZ
+from identify.signals.scores import INDEPENDENT_RATE_HZ
 from rig.model.description import Rig, Station
 
 MODEL_ERROR_SHARE = 0.03
@@ -171,7 +171,7 @@ def driven_masks(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray
 class Projector:
     """Residual of the linear model over time, real, in standard deviations that a sound record does not exceed.
 
-    The contact forces, and a doubted force, are projected out; COUNTED_HZ samples a second count as independent.
+    The contact forces, and a doubted force, are projected out; INDEPENDENT_RATE_HZ samples a second are independent.
     """
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
@@ -184,7 +184,7 @@ class Projector:
         self._spectra = check.spectra
         scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
         duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
-        self._count_factor = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(scaled_motion.T))))
+        self._count_factor = np.float32(np.sqrt(min(1.0, INDEPENDENT_RATE_HZ * duration_s / len(scaled_motion.T))))
 
     def __call__(self, spectra: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
         return np.asarray(self._spectra.compared_signals(self._projection.applied_to(spectra)[0]) * self._count_factor)

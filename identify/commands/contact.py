@@ -52,12 +52,12 @@ def contact(
     from identify.commands.contact_files import RESULT_FILE_NAMES, ContactSettings, identify_file, print_report
     from identify.commands.contact_folder import contact_folder
     from identify.commands.many import check_folder_options
-    from identify.signals.spectra import WINDOW_POWERS, Averaging
+    from identify.signals.spectra import WINDOW_EXPONENTS, Averaging
     from rig.model.tolerances import tolerances_named
 
     motion_quantity = checked_use(use)
-    if window not in WINDOW_POWERS:
-        raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_POWERS)}", param_hint="--window")
+    if window not in WINDOW_EXPONENTS:
+        raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_EXPONENTS)}", param_hint="--window")
     check_export(export, out)
     settings = ContactSettings(
         use=motion_quantity,

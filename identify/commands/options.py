@@ -26,11 +26,11 @@ def option_words() -> dict[str, str]:
     """Words for the help of the options: sensors, windows, formats of tables."""
     from identify.pages.tables import WRITERS
     from identify.signals.kinematics import MotionQuantity
-    from identify.signals.spectra import WINDOW_POWERS
+    from identify.signals.spectra import WINDOW_EXPONENTS
 
     return {
         "use": ", ".join(get_args(MotionQuantity)),
-        "windows": ", ".join(WINDOW_POWERS),
+        "windows": ", ".join(WINDOW_EXPONENTS),
         "table_formats": ", ".join(WRITERS),
     }
 

@@ -78,10 +78,10 @@ def checked_contacts(
     """
     findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
     with naming_first_finding(findings):
-        contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
-    if is_unforced(contacts.separation.motion):
+        accepted = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
+    if is_unforced(accepted.separation.motion):
         findings = without_dead_force(findings, recording.force_names)
-    return replace(contacts, findings=findings + contacts.findings)
+    return replace(accepted, findings=findings + accepted.findings)
 
 
 def find_contacts(
@@ -102,26 +102,26 @@ def accept(separation: Separation, outcomes: Outcomes) -> AcceptedContacts:
     Without a recorded force, refusals say that one may be missing, and ContactRefusedError is raised if the contact
     laws do not explain the contact forces: other forces acted.
     """
-    names = [contact.name for contact in separation.rig.contacts]
-    parameters = separation.forces.nuisances.parameters
-    estimates = {
-        name: widened_estimate(outcomes.estimates[name], parameters, separation.mass_pull)
-        for name in names
+    contact_names = [contact.name for contact in separation.rig.contacts]
+    nuisances = separation.forces.nuisances.parameters
+    widened = {
+        name: widened_estimate(outcomes.estimates[name], nuisances, separation.mass_pull)
+        for name in contact_names
         if name in outcomes.estimates
     }
-    refusals = {name: outcomes.refusals[name] for name in names if name in outcomes.refusals}
+    refusals = {name: outcomes.refusals[name] for name in contact_names if name in outcomes.refusals}
     if is_unforced(separation.motion):
-        _check_free_decay(estimates)
+        _check_free_decay(widened)
         refusals = {name: replace(refusal, unforced=True) for name, refusal in refusals.items()}
-    return AcceptedContacts(separation, Outcomes(estimates, refusals), tuple(fit_findings(estimates, parameters)))
+    return AcceptedContacts(separation, Outcomes(widened, refusals), tuple(fit_findings(widened, nuisances)))
 
 
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
-        share = estimate.unexplained_share
-        if share > FREE_DECAY_UNEXPLAINED_LIMIT:
-            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=100 * share)
+        unexplained_share = estimate.unexplained_share
+        if unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
+            raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=100 * unexplained_share)
 
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
@@ -138,17 +138,17 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     the fit. Where a spring holds the bodies, a sensor's high-pass counts too: it represents slow motion that
     accelerometers miss and that the spring feels.
     """
-    kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
-    pulls = {
+    widening_kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
+    pull_sizes = {
         parameter: abs(pull)
         for pull, parameter in zip(estimate.pulls, parameters, strict=True)
-        if parameter.kind in kinds and parameter.mode_number is None
+        if parameter.kind in widening_kinds and parameter.mode_number is None
     }
-    largest_pull = max(pulls.values(), default=0.0)
-    is_single_body = sum(parameter.kind == NuisanceKind.FREQUENCY for parameter in pulls) == 1
-    pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
-    variance_factor = max(pull_factor, 1 + mass_pull**2)
-    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
+    largest_pull = max(pull_sizes.values(), default=0.0)
+    is_single_body = sum(parameter.kind == NuisanceKind.FREQUENCY for parameter in pull_sizes) == 1
+    squared_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
+    variance_factor = max(squared_factor, 1 + mass_pull**2)
+    covariances = {source: variance_factor * covariance for source, covariance in estimate.covariances.items()}
     return replace(estimate, covariances=covariances, widening_factor=float(np.sqrt(variance_factor)))
 
 
@@ -157,8 +157,8 @@ def fit_findings(
 ) -> Iterator[Finding]:
     """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate, whose damping
     (N s/m) is the value of that index."""
-    for index, parameter in enumerate(parameters):
-        largest_pull = max((estimate.pulls[index] for estimate in estimates.values()), key=abs, default=0.0)
+    for parameter_index, parameter in enumerate(parameters):
+        largest_pull = max((estimate.pulls[parameter_index] for estimate in estimates.values()), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(largest_pull) > PULL_LIMIT:
             yield _pull_finding(parameter, largest_pull)
     for name, estimate in estimates.items():
@@ -168,35 +168,35 @@ def fit_findings(
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
-            share = f"{100 * estimate.unexplained_share:.2g} %"
-            yield _fit_finding(name, f"no clearance and stiffness explain {share} of {name}'s force")
+            share_text = f"{100 * estimate.unexplained_share:.2g} %"
+            yield _fit_finding(name, f"no clearance and stiffness explain {share_text} of {name}'s force")
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    owner = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    owner_text = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
         channels=(parameter.owner,) if parameter.kind in SENSOR_KINDS else (),
-        of=owner,
-        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
+        of=owner_text,
+        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner_text} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
 
 def equation_findings(
-    names: Sequence[str], estimates: Mapping[str, JointEstimate], spectra: Sequence[Nifo]
+    contact_names: Sequence[str], estimates: Mapping[str, JointEstimate], nifo_results: Sequence[Nifo]
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
-    for nifo in spectra:
+    for nifo in nifo_results:
         for index, mean_n_per_m, mean_error, deviation in zip(
-            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
+            nifo.contact_indices, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, is_visible = names[index], nifo.equation.visibility[index] >= NEARLY_INVISIBLE_SHARE
+            name, is_visible = contact_names[index], nifo.equation.visibility[index] >= NEARLY_INVISIBLE_SHARE
             if name not in estimates or not is_visible or deviation > STEADY_SHARE * abs(mean_n_per_m):
                 continue
             stiffness_n_per_m, error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS_GRADIENT)
-            errors_n_per_m = CONTRADICTION_ERRORS * float(np.hypot(mean_error, error))
-            if abs(mean_n_per_m - stiffness_n_per_m) > max(CONTRADICTION_SHARE * stiffness_n_per_m, errors_n_per_m):
+            limit_n_per_m = CONTRADICTION_ERRORS * float(np.hypot(mean_error, error))
+            if abs(mean_n_per_m - stiffness_n_per_m) > max(CONTRADICTION_SHARE * stiffness_n_per_m, limit_n_per_m):
                 yield _fit_finding(
                     name,
                     f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
@@ -204,10 +204,10 @@ def equation_findings(
                 )
 
 
-def _fit_finding(contact: str, evidence: str) -> Finding:
+def _fit_finding(contact_name: str, evidence: str) -> Finding:
     return Finding(
         cause="fit",
-        of=contact,
+        of=contact_name,
         evidence=evidence,
         mend="do not rely on it: look at its force over the relative displacement, and ask identify gap what differs",
     )

@@ -16,16 +16,16 @@ from identify.contacts.joint_fit import (
     small_sample_factor,
     unexplained_share,
 )
-from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_excess
+from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_of_halves
 from identify.contacts.linearization import Jacobian
-from identify.signals.scores import informative_parts, part_scores
+from identify.signals.scores import informative_part_starts, part_scores
 
-CENTER_SHARE = 0.05
+CENTER_ERROR_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
 CENTER_AND_REST = slice(CENTER.start, REST.stop)
 NEWTON_STEPS = 20
 """Steps of Newton's method for the force at rest. Effort."""
-REST_ERRORS = 5.0
+LEAST_REST_ERRORS = 5.0
 """Least force at rest over its standard error, for which the contact certainly rests in its ring."""
 
 RingCovariance = Float[np.ndarray, "9 9"]
@@ -84,52 +84,52 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     fit = annular_fit(record, sliding_speed_m_per_s)
     state, drift_spline = fit.state, fit.record.drift_spline
     _check_slow_motion(fit)
-    derivatives, equations = fit.linearized()
-    pull_count, free_to_law = state.pulls.size, fit.to_law
-    eta, rate = fit.motion(state.knots, state.pulls)
-    ring_by_knots = np.zeros((drift_spline.knots, len(RING)))
+    jacobian, normal_equations = fit.linearized()
+    pull_count, free_to_law = state.pulls.size, fit.free_to_law
+    eta_m, rate_m_per_s = fit.motion(state.knots, state.pulls)
+    ring_by_knots = np.zeros((drift_spline.knot_count, len(RING)))
     ring_by_free = np.zeros((pull_count + free_to_law.shape[1], len(RING)))
     ring_by_free[pull_count:] = free_to_law.T
     ring_by_free[pull_count - 1, LOG_SPEED] = 1.0
-    values, is_center_by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
-    values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
+    ring_values, is_center_by_rest = state.values.copy(), not record.zero_known and record.quiet_sample_count > 0
+    ring_values[LOG_SPEED] = fit.start_log_speed + state.pulls[-1]
     if is_center_by_rest:
         springs_n_per_m = np.array([plane.spring_n_per_m for plane in record.planes])
-        values[CENTER_AND_REST], by_values = _center_and_rest_force(values, springs_n_per_m)
-        ring_by_free[pull_count:, CENTER_AND_REST] = (by_values @ free_to_law).T
-    knots, pulls_and_free = equations.solved(ring_by_knots, ring_by_free)
-    pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], free_to_law @ pulls_and_free[pull_count:]])
-    influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
+        ring_values[CENTER_AND_REST], rest_by_ring = _center_and_rest_force(ring_values, springs_n_per_m)
+        ring_by_free[pull_count:, CENTER_AND_REST] = (rest_by_ring @ free_to_law).T
+    knot_columns, pull_free_columns = normal_equations.solved(ring_by_knots, ring_by_free)
+    pull_law_columns = np.concatenate([pull_free_columns[:pull_count], free_to_law @ pull_free_columns[pull_count:]])
+    influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
     influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
-    part_starts = informative_parts(np.hypot(*influences[:, :, STIFFNESS]))
-    planes = zip(influences, residuals_n, strict=True)
-    scores = np.sum([part_scores(*plane, part_starts) for plane in planes], axis=0)
-    rows_by_source = {
+    part_starts = informative_part_starts(np.hypot(*influences[:, :, STIFFNESS]))
+    influences_and_residuals = zip(influences, residuals_n, strict=True)
+    scores = np.sum([part_scores(*plane, part_starts) for plane in influences_and_residuals], axis=0)
+    error_rows_by_source = {
         "scatter": small_sample_factor(free_to_law.shape[1]) * scores,
-        "tolerances": record.samples_per_error * pulls_and_free[:pull_count],
-        "drift": drift_spline.curvature @ knots,
+        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
+        "drift": drift_spline.curvature @ knot_columns,
     }
-    covariances = {source: rows.T @ rows for source, rows in rows_by_source.items()}
-    covariances["law"] = _misfit_covariance(fit, derivatives, part_starts)
+    covariances = {source: rows.T @ rows for source, rows in error_rows_by_source.items()}
+    covariances["law"] = _misfit_covariance(fit, jacobian, part_starts)
     covariance = np.asarray(sum(covariances.values()))
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
     rest_error_n = float(np.sqrt(np.diag(covariance)[REST].max()))
-    is_closed_at_rest = is_center_by_rest and float(np.hypot(*values[REST])) > REST_ERRORS * rest_error_n
-    is_center_certain = center_error_m < CENTER_SHARE * values[CLEARANCE]
-    planes_n = [
-        (residual_n[record.used], plane.force_n[record.used], plane.noise_n)
+    is_closed_at_rest = is_center_by_rest and float(np.hypot(*ring_values[REST])) > LEAST_REST_ERRORS * rest_error_n
+    is_center_certain = center_error_m < CENTER_ERROR_SHARE * ring_values[CLEARANCE]
+    residual_force_noise_n = [
+        (residual_n[record.is_fitted], plane.force_n[record.is_fitted], plane.noise_n)
         for residual_n, plane in zip(residuals_n, record.planes, strict=True)
     ]
     return AnnularEstimate(
-        values=values,
+        values=ring_values,
         covariances=covariances,
         sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
         center_known=bool((is_closed_at_rest or record.zero_known) and is_center_certain),
         pulls=state.pulls[:-1],
-        eta_m=eta - state.values[CENTER][:, None],
-        rate_m_per_s=rate,
+        eta_m=eta_m - state.values[CENTER][:, None],
+        rate_m_per_s=rate_m_per_s,
         force_n=record.force_n + state.values[REST][:, None],
-        unexplained_share=unexplained_share(planes_n),
+        unexplained_share=unexplained_share(residual_force_noise_n),
         half_differences=half_differences(scores[:, [CLEARANCE, STIFFNESS]]),
     )
 
@@ -144,60 +144,57 @@ def _center_and_rest_force(
     to the ground take their part of the fitted constant force: f_0 + K (d + |f_0| / k) r = f. Solved by Newton's method
     from f_0 = f. Where the springs alone hold the body within its clearance, f_0 is zero.
     """
-    clearance_m, stiffness_n_per_m, springs = values[CLEARANCE], values[STIFFNESS], np.diag(springs_n_per_m)
+    clearance_m, stiffness_n_per_m, spring_matrix = values[CLEARANCE], values[STIFFNESS], np.diag(springs_n_per_m)
     if springs_n_per_m.all() and np.hypot(*(values[REST] / springs_n_per_m)) < clearance_m:
         by_values = np.zeros((2 * DIRECTIONS, len(RING)))
         by_values[:DIRECTIONS, REST] = -np.diag(1 / springs_n_per_m)
         return by_values @ values, by_values
-    wall_n, unit = np.where(values[REST].any(), values[REST], 1e-12), np.eye(DIRECTIONS)
+    wall_force_n, identity = np.where(values[REST].any(), values[REST], 1e-12), np.eye(DIRECTIONS)
     for _ in range(NEWTON_STEPS):
-        force_n = float(np.hypot(*wall_n))
-        along = np.outer(wall_n, wall_n) / force_n**2
-        m_per_n = clearance_m / force_n + 1 / stiffness_n_per_m
-        position_m = m_per_n * wall_n
-        position_by_wall = along / stiffness_n_per_m + m_per_n * (unit - along)
-        wall_by_fitted = np.linalg.inv(unit + springs @ position_by_wall)
-        wall_n = wall_n - wall_by_fitted @ (wall_n + springs @ position_m - values[REST])
+        force_size_n = float(np.hypot(*wall_force_n))
+        radial_projection = np.outer(wall_force_n, wall_force_n) / force_size_n**2
+        m_per_n = clearance_m / force_size_n + 1 / stiffness_n_per_m
+        position_m = m_per_n * wall_force_n
+        position_by_wall = radial_projection / stiffness_n_per_m + m_per_n * (identity - radial_projection)
+        wall_by_fitted = np.linalg.inv(identity + spring_matrix @ position_by_wall)
+        wall_force_n = wall_force_n - wall_by_fitted @ (wall_force_n + spring_matrix @ position_m - values[REST])
     position_by_values = np.zeros((DIRECTIONS, len(RING)))
-    position_by_values[:, CLEARANCE] = wall_n / force_n
-    position_by_values[:, STIFFNESS] = -wall_n / stiffness_n_per_m**2
-    wall_by_values = -wall_by_fitted @ springs @ position_by_values
+    position_by_values[:, CLEARANCE] = wall_force_n / force_size_n
+    position_by_values[:, STIFFNESS] = -wall_force_n / stiffness_n_per_m**2
+    wall_by_values = -wall_by_fitted @ spring_matrix @ position_by_values
     wall_by_values[:, REST] = wall_by_fitted
     position_by_values += position_by_wall @ wall_by_values
-    return np.concatenate([-position_m, wall_n]), np.concatenate([-position_by_values, wall_by_values])
+    return np.concatenate([-position_m, wall_force_n]), np.concatenate([-position_by_values, wall_by_values])
 
 
-def _misfit_covariance(
-    fit: AnnularFit, derivatives: Jacobian, part_starts: Int[np.ndarray, " parts"]
-) -> RingCovariance:
+def _misfit_covariance(fit: AnnularFit, jacobian: Jacobian, part_starts: Int[np.ndarray, " parts"]) -> RingCovariance:
     """Covariance of the parameters from the misfit of the law, as `law_fit.misfit_covariance`; the force at rest, which
     the open contact tells, is held."""
     record, state = fit.record, fit.state
-    free = [parameter for parameter in fit.free if parameter < REST.start]
-    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free]
-    residual = state.residual_n.reshape(DIRECTIONS, -1)
+    free_indices = [parameter for parameter in fit.free_indices if parameter < REST.start]
+    force_by_law = jacobian.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free_indices]
+    residual_n = state.residual_n.reshape(DIRECTIONS, -1)
     squared_weights = fit.weights.reshape(DIRECTIONS, -1) ** 2
-    eta, rate = fit.motion(state.knots, state.pulls)
-    motion = ring_motion(state.values, record.at_forces(eta), record.at_forces(rate))
-    is_closed, is_growing = record.used & (motion.depth_m > 0), motion.radial_rate_m_per_s > 0
-    is_deep = motion.depth_m > np.median(motion.depth_m[is_closed])
-    law_scale = np.max(np.abs(by_law), axis=(0, 1))
-    covariance = np.zeros((len(RING), len(RING)))
+    eta_m, rate_m_per_s = fit.motion(state.knots, state.pulls)
+    polar_motion = ring_motion(state.values, record.at_force_samples(eta_m), record.at_force_samples(rate_m_per_s))
+    is_closed, is_growing = record.is_fitted & (polar_motion.depth_m > 0), polar_motion.radial_rate_m_per_s > 0
+    is_deep = polar_motion.depth_m > np.median(polar_motion.depth_m[is_closed])
+    largest_slopes, covariance = np.max(np.abs(force_by_law), axis=(0, 1)), np.zeros((len(RING), len(RING)))
 
     def half_scores(is_in_half: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
-        weighted = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * by_law / law_scale
-        normal_matrix = np.einsum("pij,pik->jk", weighted, by_law / law_scale)
-        influence = weighted @ np.linalg.pinv(normal_matrix, hermitian=True)
-        return np.sum([part_scores(*rows, part_starts) for rows in zip(influence, residual, strict=True)], axis=0)
+        weighted_slopes = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * force_by_law / largest_slopes
+        normal_matrix = np.einsum("pij,pik->jk", weighted_slopes, force_by_law / largest_slopes)
+        influence = weighted_slopes @ np.linalg.pinv(normal_matrix, hermitian=True)
+        return np.sum([part_scores(*rows, part_starts) for rows in zip(influence, residual_n, strict=True)], axis=0)
 
-    for mask in (is_deep, is_growing):
-        first, second = is_closed & mask, is_closed & ~mask
-        if min(first.sum(), second.sum()) < LEAST_HALF_SAMPLES:
+    for is_first in (is_deep, is_growing):
+        in_first, in_second = is_closed & is_first, is_closed & ~is_first
+        if min(in_first.sum(), in_second.sum()) < LEAST_HALF_SAMPLES:
             continue
-        difference, excess = misfit_excess(half_scores(first) - half_scores(second))
+        law_difference, excess_share = misfit_of_halves(half_scores(in_first) - half_scores(in_second))
         law_error = np.zeros(len(RING))
-        law_error[free] = difference / law_scale / 2
-        covariance += excess * np.outer(law_error, law_error)
+        law_error[free_indices] = law_difference / largest_slopes / 2
+        covariance += excess_share * np.outer(law_error, law_error)
     return covariance
 
 
@@ -205,9 +202,9 @@ def _check_slow_motion(fit: AnnularFit) -> None:
     """Raises ContactRefusedError as `estimate_annular` says."""
     record = fit.record
     check_drift(record.drift_spline, fit.state.knots)
-    drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
-    if drifts:
-        force = record.force_n + fit.state.values[-DIRECTIONS:, None]
-        is_closed, noise_density = closed_samples(record, force), max(drift.noise_density for drift in drifts)
-        depth_m = float(np.median(np.hypot(*force[:, is_closed]))) / fit.state.values[STIFFNESS]
+    free_drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
+    if free_drifts:
+        force_n = record.force_n + fit.state.values[-DIRECTIONS:, None]
+        is_closed, noise_density = closed_samples(record, force_n), max(drift.noise_density for drift in free_drifts)
+        depth_m = float(np.median(np.hypot(*force_n[:, is_closed]))) / fit.state.values[STIFFNESS]
         check_bridged(is_closed, record.decimation / record.sample_rate_hz, noise_density, depth_m)

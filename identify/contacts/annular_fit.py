@@ -46,13 +46,13 @@ from identify.signals.spectra import decimated
 
 ANNULAR_BANDWIDTH = DIRECTIONS * (KNOT_BANDWIDTH + 1) - 1
 """Knots of both directions in turn that share a sample."""
-ROUGH_SHARE = 0.02
+ROUGH_RESIDUAL_SHARE = 0.02
 """Standard deviation of the residual over that of the force, before any is known."""
-FRICTION_SIZE = 0.1
-SETTLED_SHARE = 0.01
+FRICTION_SCALE = 0.1
+SETTLED_COST_FALL = 0.01
 """Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
 error."""
-OPEN_SAMPLES = 3
+OPEN_MARGIN_SAMPLES = 3
 """Samples before and after an open one that are open too."""
 
 
@@ -72,36 +72,36 @@ class AnnularState:
 
 @dataclass(frozen=True)
 class AnnularFit:
-    """Fit of a record: its state and weights. free are the indices of the fitted parameters beside the pulls."""
+    """Fit of a record: its state and weights. free_indices are those of the fitted parameters beside the pulls."""
 
     record: AnnularRecord
-    free: tuple[int, ...]
-    log_speed: float
+    free_indices: tuple[int, ...]
+    start_log_speed: float
     state: AnnularState
     weights: Float[np.ndarray, " twice"]
 
-    def values_at(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
+    def with_pulled_speed(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
         """Values with the sliding speed of the last pull."""
         changed_values = values.copy()
-        changed_values[LOG_SPEED] = self.log_speed + pulls[-1]
+        changed_values[LOG_SPEED] = self.start_log_speed + pulls[-1]
         return changed_values
 
     def state_at(
         self, values: RingValues, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> AnnularState:
         """State at some parameters, with its cost for the weights."""
-        record, values = self.record, self.values_at(values, pulls)
+        record, values = self.record, self.with_pulled_speed(values, pulls)
         motion = np.concatenate(self.motion(knots, pulls))
-        law_n = evaluated_law(partial(ring_force_n, values), motion, record.sample_rate_hz, record.decimation)
-        law_n = law_n[:, : record.force_n.shape[1]]
-        residual = []
+        law_force_n = evaluated_law(partial(ring_force_n, values), motion, record.sample_rate_hz, record.decimation)
+        law_force_n = law_force_n[:, : record.force_n.shape[1]]
+        plane_residuals = []
         for k, plane in enumerate(record.planes):
-            plane_pulls = pulls[record.columns[k]]
-            unfitted_n = plane.force_n + values[REST][k] - plane_pulls @ plane.nuisance_n - law_n[k]
+            plane_pulls = pulls[record.pull_indices[k]]
+            unexplained_n = plane.force_n + values[REST][k] - plane_pulls @ plane.nuisance_n - law_force_n[k]
             ground_force_n = ground_n_per_m(plane) @ knots[k::DIRECTIONS]
-            residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground_force_n)
-        state = AnnularState(values, knots, pulls, np.concatenate(residual))
-        prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.target
+            plane_residuals.append(unexplained_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground_force_n)
+        state = AnnularState(values, knots, pulls, np.concatenate(plane_residuals))
+        prior_residual = record.drift_spline.curvature @ knots - record.drift_spline.curvature_target
         cost = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior_residual**2)
         return replace(state, cost=float(cost + record.samples_per_error * np.sum(pulls**2)))
 
@@ -109,30 +109,30 @@ class AnnularFit:
         self, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> tuple[Float[np.ndarray, "2 samples"], Float[np.ndarray, "2 samples"]]:
         """Relative displacements with slow motion and nuisance signals, m, and their rates, m/s."""
-        columns = self.record.columns
-        motions = [
-            corrected_motion(plane, knots[k::DIRECTIONS], pulls[columns[k]])
+        pull_indices = self.record.pull_indices
+        plane_motions = [
+            corrected_motion(plane, knots[k::DIRECTIONS], pulls[pull_indices[k]])
             for k, plane in enumerate(self.record.planes)
         ]
-        eta, rate = zip(*motions, strict=True)
+        eta, rate = zip(*plane_motions, strict=True)
         return np.stack(eta), np.stack(rate)
 
     @property
-    def to_law(self) -> Float[np.ndarray, "9 free"]:
+    def free_to_law(self) -> Float[np.ndarray, "9 free"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to all."""
-        magnitudes, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
-        clearance, stiffness = magnitudes[[CLEARANCE, STIFFNESS]].tolist()
-        law_sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SIZE, 1.0]
-        return np.diag([*law_sizes, clearance, clearance, force_n, force_n])[:, list(self.free)]
+        value_sizes, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
+        clearance, stiffness = value_sizes[[CLEARANCE, STIFFNESS]].tolist()
+        law_sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SCALE, 1.0]
+        return np.diag([*law_sizes, clearance, clearance, force_n, force_n])[:, list(self.free_indices)]
 
     @property
-    def slopes(self) -> RingDerivatives:
+    def law_slopes(self) -> RingDerivatives:
         """Derivatives of the law along the motion."""
         return ring_derivatives(self.state.values, *self.motion(self.state.knots, self.state.pulls))
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""
-        record, slopes = self.record, self.slopes
+        record, slopes = self.record, self.law_slopes
         by_eta, by_rate = _low_passed(record, slopes.by_eta), _low_passed(record, slopes.by_rate)
         by_law = np.zeros((DIRECTIONS, record.force_n.shape[1], len(RING)))
         by_law[:, :, : len(slopes.by_law)] = np.moveaxis(_low_passed(record, slopes.by_law), 0, -1)
@@ -141,54 +141,54 @@ class AnnularFit:
         for k, plane in enumerate(record.planes):
             force_gain = self._force_gain(k)
             by_law[k] /= force_gain
-            blocks = []
+            knot_blocks = []
             for i, moved_plane in enumerate(record.planes):
-                curve = moved_plane.drift_spline
-                values, rates = plane.at_force_samples(curve.value), plane.at_force_samples(curve.rate)
-                block = diags(by_eta[k, i]) @ values + diags(by_rate[k, i]) @ rates
-                block = self._motion_gain(i) / force_gain * block
-                blocks.append(interleaved(block + ground_n_per_m(plane) if k == i else block, i))
-            by_knots.append(blocks[0] + blocks[1])
+                spline = moved_plane.drift_spline
+                knot_values, knot_rates = plane.at_force_samples(spline.value), plane.at_force_samples(spline.rate)
+                knot_block = diags(by_eta[k, i]) @ knot_values + diags(by_rate[k, i]) @ knot_rates
+                knot_block = self._motion_gain(i) / force_gain * knot_block
+                knot_blocks.append(interleaved(knot_block + ground_n_per_m(plane) if k == i else knot_block, i))
+            by_knots.append(knot_blocks[0] + knot_blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
 
     def _force_gain(self, direction: int) -> float:
         plane = self.record.planes[direction]
-        return float(1 - self.state.pulls[self.record.columns[direction]] @ plane.force_noise_multiple)
+        return float(1 - self.state.pulls[self.record.pull_indices[direction]] @ plane.force_noise_multiple)
 
     def _motion_gain(self, direction: int) -> float:
-        plane = self.record.planes[direction]
-        return float(1 - self.state.pulls[self.record.columns[direction]][plane.shifts_eta] @ plane.eta_noise_multiple)
+        plane, pulls = self.record.planes[direction], self.state.pulls[self.record.pull_indices[direction]]
+        return float(1 - pulls[plane.shifts_eta] @ plane.eta_noise_multiple)
 
     def _by_pulls(
         self, slopes: RingDerivatives, by_eta: Float[np.ndarray, "2 2 fewer"]
     ) -> Float[np.ndarray, "twice nuisances"]:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
         record, state = self.record, self.state
-        rows = np.zeros((state.pulls.size, DIRECTIONS, record.force_n.shape[1]), np.float32)
+        by_pulls = np.zeros((state.pulls.size, DIRECTIONS, record.force_n.shape[1]), np.float32)
         for k, plane in enumerate(record.planes):
-            columns, knots = record.columns[k], state.knots[k::DIRECTIONS]
+            indices, knots = record.pull_indices[k], state.knots[k::DIRECTIONS]
             force_residual_n = state.residual_n.reshape(DIRECTIONS, -1)[k] + ground_n_per_m(plane) @ knots
-            for index, signal, multiple in zip(columns, plane.nuisance_n, plane.force_noise_multiple, strict=True):
-                rows[index, k] += signal - multiple * force_residual_n
-            drift_m = record.at_forces((plane.drift_spline.value @ knots)[None])[0]
+            for index, signal_n, multiple in zip(indices, plane.nuisance_n, plane.force_noise_multiple, strict=True):
+                by_pulls[index, k] += signal_n - multiple * force_residual_n
+            drift_m = record.at_force_samples((plane.drift_spline.value @ knots)[None])[0]
             for index, signal_m, multiple in zip(
-                columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
+                indices[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
             ):
-                change_n = slopes.by_eta[:, k] * signal_m + slopes.by_rate[:, k] * plane.velocity_of(signal_m)
-                rows[index] -= _low_passed(record, change_n) + multiple * by_eta[:, k] * drift_m
+                force_change_n = slopes.by_eta[:, k] * signal_m + slopes.by_rate[:, k] * plane.velocity_of(signal_m)
+                by_pulls[index] -= _low_passed(record, force_change_n) + multiple * by_eta[:, k] * drift_m
         for k in range(DIRECTIONS):
-            rows[:, k] /= np.float32(self._force_gain(k))
-        return rows.reshape(state.pulls.size, -1).T
+            by_pulls[:, k] /= np.float32(self._force_gain(k))
+        return by_pulls.reshape(state.pulls.size, -1).T
 
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
         """Jacobian and normal equations at the state."""
-        derivatives = self.jacobian()
-        equations = normal_equations(self.record, self.state, derivatives, self.to_law, self.weights, ANNULAR_BANDWIDTH)
-        return derivatives, equations
+        jacobian, to_law = self.jacobian(), self.free_to_law
+        equations = normal_equations(self.record, self.state, jacobian, to_law, self.weights, ANNULAR_BANDWIDTH)
+        return jacobian, equations
 
     @property
-    def minimum(self) -> "AnnularFit":
+    def at_least_cost(self) -> "AnnularFit":
         """Fit at the state of least cost for these weights, by Gauss-Newton."""
 
         def step_from(current: AnnularState) -> Step[AnnularState]:
@@ -196,47 +196,47 @@ class AnnularFit:
             _, equations = fit.linearized()
             knot_step, free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
             cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.free_gradient * free_step)
-            free_to_law, pull_count = fit.to_law, current.pulls.size
+            free_to_law, pull_count = fit.free_to_law, current.pulls.size
 
-            def state_after(share: float) -> AnnularState | None:
-                values = current.values + share * free_to_law @ free_step[pull_count:, 0]
-                if not (values[CLEARANCE] > 0 and values[STIFFNESS] > 0):
+            def state_after(step_share: float) -> AnnularState | None:
+                ring_values = current.values + step_share * free_to_law @ free_step[pull_count:, 0]
+                if not (ring_values[CLEARANCE] > 0 and ring_values[STIFFNESS] > 0):
                     return None
-                pulls = current.pulls + share * free_step[:pull_count, 0]
-                return self.state_at(values, current.knots + share * knot_step[:, 0], pulls)
+                pulls = current.pulls + step_share * free_step[:pull_count, 0]
+                return self.state_at(ring_values, current.knots + step_share * knot_step[:, 0], pulls)
 
             return Step(state_after, float(cost_decrease))
 
         def negligible_decrease(current: AnnularState) -> float:
-            return max(SETTLED_SHARE * self.record.samples_per_error, COST_TOLERANCE * current.cost)
+            return max(SETTLED_COST_FALL * self.record.samples_per_error, COST_TOLERANCE * current.cost)
 
         start_state = self.state_at(self.state.values, self.state.knots, self.state.pulls)
         state, _ = gauss_newton(start_state, step_from, negligible_decrease, MOST_STEPS)
         return replace(self, state=state)
 
     @property
-    def open_samples(self) -> Bool[np.ndarray, " fewer"]:
+    def is_open(self) -> Bool[np.ndarray, " fewer"]:
         """Mask of the samples around which the fitted contact is open."""
         state = self.state
-        eta = self.motion(state.knots, state.pulls)[0] - state.values[CENTER][:, None]
-        is_closed = np.hypot(*self.record.at_forces(eta)) > state.values[CLEARANCE]
-        return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_SAMPLES + 1) == 0) & self.record.used
+        eta_m = self.motion(state.knots, state.pulls)[0] - state.values[CENTER][:, None]
+        is_closed = np.hypot(*self.record.at_force_samples(eta_m)) > state.values[CLEARANCE]
+        return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_MARGIN_SAMPLES + 1) == 0) & self.record.is_fitted
 
     @property
-    def weighted(self) -> "AnnularFit":
+    def reweighted(self) -> "AnnularFit":
         """Fit with weights from its residual: 1 / standard deviation by the force while open, the share of it that no
         law explains, and the displacement's noise times the stiffness."""
         state, record = self.state, self.record
-        residual, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.open_samples
-        magnitude_n, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
+        residual_n, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.is_open
+        force_size_n, force_by_eta = np.hypot(*record.force_n), _low_passed(record, self.law_slopes.by_eta)
         weights = []
         for k, plane in enumerate(record.planes):
-            unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
-            open_n = np.std(residual[k, is_open] if np.any(residual[k, is_open]) else residual[k])
-            unmodelled_n = plane.unmodelled_share * np.hypot(magnitude_n, np.std(record.force_n))
-            stiffness_n_per_m = np.hypot(*by_eta[k])
-            deviation_n = np.sqrt(open_n**2 + (stiffness_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2)
-            weights.append(record.used / deviation_n)
+            unfollowed_m = np.hypot(plane.eta_noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_noise_m)
+            open_deviation_n = np.std(residual_n[k, is_open] if np.any(residual_n[k, is_open]) else residual_n[k])
+            unmodelled_n = plane.unmodelled_share * np.hypot(force_size_n, np.std(record.force_n))
+            stiffness_n_per_m = np.hypot(*force_by_eta[k])
+            deviation_n = np.sqrt(open_deviation_n**2 + (stiffness_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2)
+            weights.append(record.is_fitted / deviation_n)
         return replace(self, weights=np.concatenate(weights))
 
     @property
@@ -246,7 +246,9 @@ class AnnularFit:
         def weights_agree(before: "AnnularFit", after: "AnnularFit") -> bool:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
-        return refit_until_settled(self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS)
+        return refit_until_settled(
+            self.reweighted, lambda fit: fit.at_least_cost.reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
+        )
 
 
 def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularFit:
@@ -255,12 +257,12 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     Raises ContactRefusedError as the guess does, or if the normal equations are singular.
     """
     without_nuisances = record.without_nuisances
-    values, knots = annular_guess(without_nuisances, sliding_speed_m_per_s)
-    center = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
-    free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center, *range(len(RING))[REST])
-    weights = np.tile(record.used / (ROUGH_SHARE * float(np.std(record.force_n))), DIRECTIONS)
-    start_state = AnnularState(values, knots, np.zeros(1), np.zeros(record.force_n.size))
-    rough_fit = AnnularFit(without_nuisances, free, values[LOG_SPEED], start_state, weights).minimum
+    ring_values, knots = annular_guess(without_nuisances, sliding_speed_m_per_s)
+    center_indices = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
+    free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
+    weights = np.tile(record.is_fitted / (ROUGH_RESIDUAL_SHARE * float(np.std(record.force_n))), DIRECTIONS)
+    start_state = AnnularState(ring_values, knots, np.zeros(1), np.zeros(record.force_n.size))
+    rough_fit = AnnularFit(without_nuisances, free_indices, ring_values[LOG_SPEED], start_state, weights).at_least_cost
     pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 

@@ -37,8 +37,8 @@ Signal = Float[np.ndarray, "*samples"]
 class RingMotion:
     """Polar quantities of a motion within a ring: unit vectors, rates along both, depth, and the forces there.
 
-    pushes: True where the normal force is above zero. unit is e + mu tanh(v_t / v_0) t, damper the force of a damping
-    of one.
+    pushes: True where the normal force is above zero. damper_m_per_s is the force of a damping of one, sliding_tanh is
+    tanh(v_t / v_0), unit_force is e + mu tanh(v_t / v_0) t.
     """
 
     radial: Float[np.ndarray, "2 *samples"]
@@ -48,10 +48,10 @@ class RingMotion:
     tangential_rate_m_per_s: Signal
     radial_rate_m_per_s: Signal
     pushes: Bool[np.ndarray, "*samples"]
-    damper: Signal
+    damper_m_per_s: Signal
     normal_n: Signal
-    sliding: Signal
-    unit: Float[np.ndarray, "2 *samples"]
+    sliding_tanh: Signal
+    unit_force: Float[np.ndarray, "2 *samples"]
 
 
 def ring_motion(
@@ -70,9 +70,9 @@ def ring_motion(
     normal_n = normal_n * pushes
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
     radial, tangent = np.stack([radial_y, radial_z]), np.stack([-radial_z, radial_y])
-    unit = radial + values[FRICTION] * sliding * tangent
+    unit_force = radial + values[FRICTION] * sliding * tangent
     return RingMotion(
-        radial, tangent, radius_m, depth_m, tangential_rate, radial_rate, pushes, damper, normal_n, sliding, unit
+        radial, tangent, radius_m, depth_m, tangential_rate, radial_rate, pushes, damper, normal_n, sliding, unit_force
     )
 
 
@@ -81,7 +81,7 @@ def ring_force_n(
 ) -> Float[np.ndarray, "2 *samples"]:
     """Components of the contact force, N."""
     motion = ring_motion(values, np.stack([eta_y_m, eta_z_m]), np.stack([rate_y_m_per_s, rate_z_m_per_s]))
-    return np.asarray(motion.normal_n * motion.unit)
+    return np.asarray(motion.normal_n * motion.unit_force)
 
 
 @dataclass(frozen=True)
@@ -99,23 +99,23 @@ def ring_derivatives(
 ) -> RingDerivatives:
     """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
     motion = ring_motion(values, eta_m, rate_m_per_s)
-    radial, tangent, unit, pushes, normal_n = motion.radial, motion.tangent, motion.unit, motion.pushes, motion.normal_n
+    radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
-    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * pushes
+    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * motion.pushes
     # of the tangential force by v_t
-    friction_slope = friction * normal_n * (1 - motion.sliding**2) * np.exp(-log_speed)
+    friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
-    normal_by_eta = stiffness * pushes * radial + turning_slope * tangent
+    normal_by_eta = stiffness * motion.pushes * radial + turning_slope * tangent
     tangential_n = normal_n - friction_slope * motion.radial_rate_m_per_s
-    turning_n = tangential_n * tangent - friction * normal_n * motion.sliding * radial
-    by_eta = unit[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
-    by_rate = unit[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
+    turning_n = tangential_n * tangent - friction * normal_n * motion.sliding_tanh * radial
+    by_eta = unit_force[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
+    by_rate = unit_force[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
     by_law = np.stack(
         [
-            -stiffness * pushes * unit,
-            motion.depth_m * pushes * unit,
-            motion.damper * pushes * unit,
-            normal_n * motion.sliding * tangent,
+            -stiffness * motion.pushes * unit_force,
+            motion.depth_m * motion.pushes * unit_force,
+            motion.damper_m_per_s * motion.pushes * unit_force,
+            normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
             -by_eta[:, 0],
             -by_eta[:, 1],

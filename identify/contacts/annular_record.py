@@ -16,7 +16,7 @@ from identify.contacts.contact_record import (
     NOISE_DEVIATIONS,
     QUIET_DEVIATIONS,
     ContactRecord,
-    closed_force_n,
+    least_closed_force_n,
 )
 from identify.contacts.initial_guess import initial_pulls, robust_regression
 from identify.contacts.refusals import RefusalCode, refused
@@ -24,9 +24,9 @@ from identify.linear.nuisance import RECORD_NAME, SINGLE_FORCE_NAME, Nuisance
 from identify.signals.drift import Spline
 from identify.signals.scores import quiet_deviation
 
-MODE_SHARE = 0.5
+HALF_SAMPLE_SHARE = 0.5
 """Share of the samples within the shortest interval, halved until the mode of an open contact's force is left."""
-MODE_SAMPLES = 100
+LEAST_MODE_SAMPLES = 100
 DIRECTIONS = 2
 """Transverse directions y and z."""
 
@@ -35,15 +35,15 @@ DIRECTIONS = 2
 class AnnularRecord:
     """Contact records of y and z, with the nuisance parameters of both.
 
-    columns are the indices of each direction's nuisance parameters among `parameters`: those of bodies that both
-    directions share are one. quiet_samples are those before the excitation, of a record that begins at rest: the fit
-    leaves them out, as a contact that hardly touches at rest lets slow motion go anywhere.
+    pull_indices are those of each direction's nuisance parameters among `parameters`: those of bodies that both
+    directions share are one. The fit leaves out the quiet samples before the excitation, of a record that begins at
+    rest, as a contact that hardly touches at rest lets slow motion go anywhere.
     """
 
     planes: tuple[ContactRecord, ContactRecord]
     parameters: tuple[Nuisance, ...]
-    columns: tuple[Int[np.ndarray, " nuisances"], Int[np.ndarray, " nuisances"]]
-    quiet_samples: int
+    pull_indices: tuple[Int[np.ndarray, " nuisances"], Int[np.ndarray, " nuisances"]]
+    quiet_sample_count: int
 
     @property
     def force_n(self) -> Float[np.ndarray, "2 fewer"]:
@@ -65,10 +65,10 @@ class AnnularRecord:
     @cached_property
     def drift_spline(self) -> Spline:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
-        curves = [plane.drift_spline for plane in self.planes]
-        empty_columns = csr_matrix((0, sum(curve.knots for curve in curves)))
-        curvature = vstack([interleaved(curve.curvature, k) for k, curve in enumerate(curves)]).tocsr()
-        return Spline(empty_columns, empty_columns, curvature, np.concatenate([curve.target for curve in curves]))
+        splines = [plane.drift_spline for plane in self.planes]
+        empty_columns = csr_matrix((0, sum(spline.knot_count for spline in splines)))
+        curvature = vstack([interleaved(spline.curvature, k) for k, spline in enumerate(splines)]).tocsr()
+        return Spline(empty_columns, empty_columns, curvature, np.concatenate([c.curvature_target for c in splines]))
 
     @property
     def zero_known(self) -> bool:
@@ -76,9 +76,9 @@ class AnnularRecord:
         return self.planes[0].drift is None
 
     @property
-    def used(self) -> Bool[np.ndarray, " fewer"]:
+    def is_fitted(self) -> Bool[np.ndarray, " fewer"]:
         """Mask of the samples that are fitted."""
-        return np.arange(self.force_n.shape[1]) * self.decimation >= self.quiet_samples
+        return np.arange(self.force_n.shape[1]) * self.decimation >= self.quiet_sample_count
 
     @property
     def without_nuisances(self) -> "AnnularRecord":
@@ -86,7 +86,7 @@ class AnnularRecord:
         planes = [
             replace(
                 plane,
-                force_n=plane.force_n - self.initial_pulls[plane_columns] @ plane.nuisance_n,
+                force_n=plane.force_n - self.initial_pulls[plane_indices] @ plane.nuisance_n,
                 nuisance_n=plane.nuisance_n[:0],
                 force_noise_multiple=plane.force_noise_multiple[:0],
                 shifts_eta=plane.shifts_eta[:0],
@@ -94,38 +94,38 @@ class AnnularRecord:
                 nuisance_m=plane.nuisance_m[:0],
                 is_initial_state=plane.is_initial_state[:0],
             )
-            for plane, plane_columns in zip(self.planes, self.columns, strict=True)
+            for plane, plane_indices in zip(self.planes, self.pull_indices, strict=True)
         ]
-        no_columns = np.zeros(0, dtype=int)
-        return replace(self, planes=(planes[0], planes[1]), parameters=(), columns=(no_columns, no_columns))
+        no_indices = np.zeros(0, dtype=int)
+        return replace(self, planes=(planes[0], planes[1]), parameters=(), pull_indices=(no_indices, no_indices))
 
     @cached_property
     def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
         """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
         pulls = np.zeros(len(self.parameters))
-        for plane, plane_columns in zip(self.planes, self.columns, strict=True):
-            pulls[plane_columns] += initial_pulls(plane)
+        for plane, plane_indices in zip(self.planes, self.pull_indices, strict=True):
+            pulls[plane_indices] += initial_pulls(plane)
         return pulls
 
-    def at_forces(self, rows: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows fewer"]:
+    def at_force_samples(self, signals: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows fewer"]:
         """Samples of signals at which there are forces."""
-        return rows[:, :: self.decimation][:, : self.force_n.shape[1]]
+        return signals[:, :: self.decimation][:, : self.force_n.shape[1]]
 
 
 def annular_record(
     planes: tuple[ContactRecord, ContactRecord],
     parameters: tuple[Sequence[Nuisance], Sequence[Nuisance]],
     force_names: tuple[Sequence[str], Sequence[str]],
-    quiet_samples: int,
+    quiet_sample_count: int,
 ) -> AnnularRecord:
     """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
     initial states are those of their direction."""
     indices: dict[Nuisance, int] = {}
-    columns = []
-    for direction, names, plane_parameters in zip("yz", force_names, parameters, strict=True):
-        renamed = [_in_space(parameter, direction, names) for parameter in plane_parameters]
-        columns.append(np.array([indices.setdefault(parameter, len(indices)) for parameter in renamed], dtype=int))
-    return AnnularRecord(planes, tuple(indices), (columns[0], columns[1]), quiet_samples)
+    plane_indices = []
+    for direction, plane_force_names, plane_parameters in zip("yz", force_names, parameters, strict=True):
+        parameters_in_space = [_in_space(parameter, direction, plane_force_names) for parameter in plane_parameters]
+        plane_indices.append(np.array([indices.setdefault(p, len(indices)) for p in parameters_in_space], dtype=int))
+    return AnnularRecord(planes, tuple(indices), (plane_indices[0], plane_indices[1]), quiet_sample_count)
 
 
 def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
@@ -137,42 +137,42 @@ def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -
     return parameter
 
 
-def interleaved(matrix: csr_matrix, direction: int) -> csr_matrix:
+def interleaved(direction_columns: csr_matrix, direction: int) -> csr_matrix:
     """Columns of one direction among those of both, in turn."""
-    return csr_matrix(kron(matrix, np.eye(DIRECTIONS)[[direction]]))
+    return csr_matrix(kron(direction_columns, np.eye(DIRECTIONS)[[direction]]))
 
 
 def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
     """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
     Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
-    force = record.force_n[:, record.used]
-    mode_n = np.array([_mode(row) for row in force])
-    near_deviation = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
+    force_n = record.force_n[:, record.is_fitted]
+    likeliest_n = np.array([_half_sample_mode(row) for row in force_n])
+    near_limit_n = np.maximum(5 * CLOSED_FORCE_SHARE * force_n.std(axis=1), 1e-9)
     for _ in range(3):
-        is_near = np.abs(force - mode_n[:, None]) < near_deviation[:, None]
-        if is_near.all(axis=0).sum() < MODE_SAMPLES:
+        is_near = np.abs(force_n - likeliest_n[:, None]) < near_limit_n[:, None]
+        if is_near.all(axis=0).sum() < LEAST_MODE_SAMPLES:
             break
-        mode_n = np.array([_mode(force[k, is_near[1 - k]]) for k in range(DIRECTIONS)])
-    return mode_n
+        likeliest_n = np.array([_half_sample_mode(force_n[k, is_near[1 - k]]) for k in range(DIRECTIONS)])
+    return likeliest_n
 
 
-def _mode(force_values: Float[np.ndarray, " samples"]) -> float:
+def _half_sample_mode(force_values: Float[np.ndarray, " samples"]) -> float:
     """Half-sample mode: the shortest interval with half the samples, again and again."""
-    values = np.sort(force_values)
-    while values.size > MODE_SAMPLES:
-        half = int(np.ceil(MODE_SHARE * values.size))
-        start = int(np.argmin(values[half - 1 :] - values[: values.size - half + 1]))
-        values = values[start : start + half]
-    return float(np.median(values))
+    ordered = np.sort(force_values)
+    while ordered.size > LEAST_MODE_SAMPLES:
+        half_count = int(np.ceil(HALF_SAMPLE_SHARE * ordered.size))
+        start_index = int(np.argmin(ordered[half_count - 1 :] - ordered[: ordered.size - half_count + 1]))
+        ordered = ordered[start_index : start_index + half_count]
+    return float(np.median(ordered))
 
 
 def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed, by its whole force."""
-    magnitude_n = np.hypot(*force_n)
+    force_size_n = np.hypot(*force_n)
     noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
     quiet_n = max(plane.quiet_deviation_n for plane in record.planes)
-    least_n = max(closed_force_n(magnitude_n), QUIET_DEVIATIONS * quiet_n, NOISE_DEVIATIONS * noise_n)
-    return record.used & (magnitude_n > least_n)
+    least_closed_n = max(least_closed_force_n(force_size_n), QUIET_DEVIATIONS * quiet_n, NOISE_DEVIATIONS * noise_n)
+    return record.is_fitted & (force_size_n > least_closed_n)
 
 
 def annular_guess(
@@ -184,36 +184,36 @@ def annular_guess(
 
     Raises ContactRefusedError if the contact is hardly ever closed or stands still, or no force grows with the motion.
     """
-    rest_n = -open_force_n(record)
-    force = record.force_n + rest_n[:, None]
+    rest_force_n = -open_force_n(record)
+    force_n = record.force_n + rest_force_n[:, None]
     if not all(np.ptp(plane.eta_m) for plane in record.planes):
         raise refused(RefusalCode.STANDS_STILL)
-    is_closed = closed_samples(record, force)
+    is_closed = closed_samples(record, force_n)
     if np.mean(is_closed) < LEAST_CLOSED_SHARE:
         raise refused(RefusalCode.HARDLY_CLOSES)
-    eta = record.at_forces(np.stack([plane.eta_m for plane in record.planes]))[:, is_closed]
-    rate = record.at_forces(np.stack([plane.velocity_m_per_s for plane in record.planes]))[:, is_closed]
-    force = force[:, is_closed]
-    normal = force / np.hypot(*force)
-    tangent = np.stack([-normal[1], normal[0]])
-    sliding = np.tanh(np.sum(rate * tangent, axis=0) / sliding_speed_m_per_s) * tangent
+    closed_eta_m = record.at_force_samples(np.stack([plane.eta_m for plane in record.planes]))[:, is_closed]
+    closed_rate = record.at_force_samples(np.stack([plane.velocity_m_per_s for plane in record.planes]))[:, is_closed]
+    force_n = force_n[:, is_closed]
+    normal_unit = force_n / np.hypot(*force_n)
+    tangent_unit = np.stack([-normal_unit[1], normal_unit[0]])
+    sliding_vector = np.tanh(np.sum(closed_rate * tangent_unit, axis=0) / sliding_speed_m_per_s) * tangent_unit
     center_columns = np.repeat(np.eye(DIRECTIONS), is_closed.sum(), axis=0)
     if not record.zero_known:
         center_columns = center_columns[:, :0]
-    law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center_columns])
+    law_columns = np.column_stack([normal_unit.ravel(), -sliding_vector.ravel(), force_n.ravel(), center_columns])
     drift_columns = vstack(
         [
             interleaved(plane.at_force_samples(plane.drift_spline.value)[is_closed], k)
             for k, plane in enumerate(record.planes)
         ]
     )
-    knots, coefficients = robust_regression(eta.ravel(), -drift_columns, law_columns, record.drift_spline)
-    clearance, friction_clearance, compliance, *center_m = coefficients.tolist()
-    if not (compliance > 0 and clearance > 0):
+    knots, coefficients = robust_regression(closed_eta_m.ravel(), -drift_columns, law_columns, record.drift_spline)
+    clearance_m, friction_clearance, compliance_m_per_n, *center_m = coefficients.tolist()
+    if not (compliance_m_per_n > 0 and clearance_m > 0):
         raise refused(RefusalCode.NO_STIFFNESS)
-    values = np.zeros(len(RING))
-    values[[CLEARANCE, STIFFNESS]] = clearance, 1 / compliance
-    values[[FRICTION, LOG_SPEED]] = max(friction_clearance / clearance, 0.0), np.log(sliding_speed_m_per_s)
-    values[5 : 5 + len(center_m)] = center_m
-    values[REST] = rest_n
-    return values, knots
+    ring_values = np.zeros(len(RING))
+    ring_values[[CLEARANCE, STIFFNESS]] = clearance_m, 1 / compliance_m_per_n
+    ring_values[[FRICTION, LOG_SPEED]] = max(friction_clearance / clearance_m, 0.0), np.log(sliding_speed_m_per_s)
+    ring_values[5 : 5 + len(center_m)] = center_m
+    ring_values[REST] = rest_force_n
+    return ring_values, knots

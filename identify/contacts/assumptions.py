@@ -9,14 +9,14 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from rig.model.description import Station
 from rig.model.modes import condensed
 from rig.model.tolerances import EXACT, Tolerances
 
 SHORTEST_QUIET_S = 0.3
 """Time before the force that is needed to measure the noise."""
-DOMINANT_SHARE = 0.5
+DOMINANT_VARIANCE_SHARE = 0.5
 """Share of an estimate's variance from which its source is named."""
 _VARIANCE_REMEDIES = {
     "tolerances": "the tolerances of rig.json (gains, positions, frequencies, damping): calibrate the sensors, measure "
@@ -38,14 +38,14 @@ def assumptions(result: Identification) -> Iterator[str]:
         "pull were tried too; they are taken only if the record demands them. Both stops of a contact are equally "
         "stiff, and nothing wears during the record."
     )
-    bodies = (
-        f"{body.name}, {_frequencies(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
+    body_texts = (
+        f"{body.name}, {_frequencies_text(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
         for body in condensed(rig).bodies
     )
-    yield f"The bodies are those of rig.json, linear: {'; '.join(bodies)}."
+    yield f"The bodies are those of rig.json, linear: {'; '.join(body_texts)}."
     yield tolerances_sentence(tolerances)
-    places = "; ".join(places_of(body.name, motion.stations) for body in rig.bodies)
-    yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
+    stations_text = "; ".join(places_text(body.name, motion.stations) for body in rig.bodies)
+    yield f"Stations used: {stations_text}. Channels: {', '.join(report.channels_used)}."
     if unused_channels := [sensor.name for sensor in rig.sensors if sensor.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
     low_hz, high_hz = report.trusted_hz
@@ -61,12 +61,12 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
     for group in result.contact_groups:
         if len(group.contact_indices) > 1:
-            stop_count = sum(rig.contacts[index].law.has_stops for index in group.contact_indices)
+            stop_count = sum(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices)
             rules = ["the slope within the gap is the spring's"] if stop_count < len(group.contact_indices) else []
             if stop_count > 1:
                 rules.append("each stop has the knee that comes nearest to its clearance and stiffness in rig.json")
             yield (
-                f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{group.joined_contact.name} act between the same places: the record tells the sum of their forces; "
                 f"{' and '.join(rules)}."
             )
     if is_unforced(motion):
@@ -75,8 +75,8 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        words = "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
-        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{words}."
+        note = "" if body_force_count(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
+        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{note}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -99,13 +99,13 @@ def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
         yield f"{name}: {refusal.advice}."
-    by_source: dict[str, list[str]] = {}
+    quantities_by_source: dict[str, list[str]] = {}
     for name, estimate in result.outcomes.estimates.items():
         for quantity, shares in variance_shares(estimate).items():
             for source, share in shares.items():
-                if share >= DOMINANT_SHARE:
-                    by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
-    for source, quantities in by_source.items():
+                if share >= DOMINANT_VARIANCE_SHARE:
+                    quantities_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in quantities_by_source.items():
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
@@ -136,12 +136,12 @@ def _sides_known(result: Identification) -> bool:
     return all(estimate.sides_known for estimate in result.outcomes.estimates.values())
 
 
-def places_of(body: str, stations: tuple[Station, ...]) -> str:
+def places_text(body: str, stations: tuple[Station, ...]) -> str:
     """Positions of a body's stations in words."""
     return f"{body} at " + ", ".join(f"{station.position_m:g}" for station in stations if station.body == body) + " m"
 
 
-def _frequencies(frequencies_hz: np.ndarray) -> str:
+def _frequencies_text(frequencies_hz: np.ndarray) -> str:
     return ", ".join(f"{frequency_hz:.4g}" for frequency_hz in frequencies_hz if frequency_hz > 0) + " Hz"
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import Drift, Spline
-from identify.signals.scores import COUNTED_HZ, quiet_deviation
+from identify.signals.drift import DriftPrior, Spline
+from identify.signals.scores import INDEPENDENT_RATE_HZ, quiet_deviation
 
 CLOSED_FORCE_SHARE = 0.1
 """A contact is clearly closed where its force exceeds this share of the force's 99.5 % quantile, ..."""
@@ -28,8 +28,8 @@ class ContactRecord:
 
     The force is low-passed and sampled at every `decimation`-th sample. quiet_deviation_n is its standard deviation
     before the excitation, noise_n that of the sensors' noise in it, unmodelled_share the share of it that no law
-    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; noise_m is the noise of
-    the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
+    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; eta_noise_m is the noise
+    of the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
     parameter adds its row of nuisance_n to the force; those with `shifts_eta` also add their row of nuisance_m to the
     displacement. force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise in these rows.
     `is_initial_state` marks the modes' initial states of a record that does not begin at rest.
@@ -43,7 +43,7 @@ class ContactRecord:
     quiet_deviation_n: float
     noise_n: float
     unmodelled_share: float
-    drift: Drift | None
+    drift: DriftPrior | None
     drift_spline: Spline
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
     force_noise_multiple: Float[np.ndarray, " nuisances"]
@@ -51,7 +51,7 @@ class ContactRecord:
     eta_noise_multiple: Float[np.ndarray, " shifts_eta"]
     nuisance_m: Float[np.ndarray, "moving samples"]
     is_initial_state: Bool[np.ndarray, " nuisances"]
-    noise_m: float = 0.0
+    eta_noise_m: float = 0.0
 
     def at_force_samples(self, signal: Rows) -> Rows:
         """Signal, or rows of a matrix, at the samples of the force."""
@@ -64,7 +64,7 @@ class ContactRecord:
     @property
     def samples_per_error(self) -> float:
         """Weight of a tolerance over that of a sample: the samples per independent error of the model."""
-        return max(1.0, self.sample_rate_hz / self.decimation / COUNTED_HZ)
+        return max(1.0, self.sample_rate_hz / self.decimation / INDEPENDENT_RATE_HZ)
 
     @property
     def spring_n_per_m(self) -> float:
@@ -82,15 +82,14 @@ class ContactRecord:
 
 def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed."""
-    magnitude_n = np.abs(record.force_n)
-    noise_n = min(record.noise_n, float(quiet_deviation(record.force_n)))
-    large_n = closed_force_n(magnitude_n, force_share)
-    return magnitude_n > max(large_n, QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n)
+    force_size_n, noise_n = np.abs(record.force_n), min(record.noise_n, float(quiet_deviation(record.force_n)))
+    least_force_n = least_closed_force_n(force_size_n, force_share)
+    return force_size_n > max(least_force_n, QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n)
 
 
-def closed_force_n(magnitude_n: Float[np.ndarray, " fewer"], force_share: float = CLOSED_FORCE_SHARE) -> float:
+def least_closed_force_n(force_size_n: Float[np.ndarray, " fewer"], force_share: float = CLOSED_FORCE_SHARE) -> float:
     """Share of the large forces, N, that the force of a contact exceeds where it is clearly closed."""
-    return force_share * float(np.quantile(magnitude_n, 0.995))
+    return force_share * float(np.quantile(force_size_n, 0.995))
 
 
 def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
@@ -100,14 +99,14 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     the zero of the relative displacement is unknown.
     """
     is_closed = clearly_closed(record)
-    is_lower, is_upper = (
+    is_lower_touched, is_upper_touched = (
         bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
         for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
-    if not (is_lower or is_upper):
+    if not (is_lower_touched or is_upper_touched):
         raise refused(RefusalCode.HARDLY_CLOSES)
-    if not ((is_lower and is_upper) or record.sides_known):
+    if not ((is_lower_touched and is_upper_touched) or record.sides_known):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    return is_lower, is_upper
+    return is_lower_touched, is_upper_touched

@@ -41,12 +41,12 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     again without the forces of that coupling. The forms of a law are tried against the dead zone.
     """
     rig, records, groups = separation.rig, separation.records, separation.contact_groups
-    slow_n_per_m = separation.forces.slow_n_per_m
-    coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
+    slow_stiffness_n_per_m = separation.forces.slow_n_per_m
+    coupling_n_per_m = slow_stiffness_n_per_m - np.diag(np.diag(slow_stiffness_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        places = zip(groups, records, strict=True)
-        slow_eta_m = np.array([_slow_displacement_m(rig, group, record, outcomes) for group, record in places])
+        group_records = zip(groups, records, strict=True)
+        slow_eta_m = np.array([_slow_displacement_m(rig, group, record, outcomes) for group, record in group_records])
         coupled = zip(records, coupling_n_per_m @ slow_eta_m, strict=True)
         return determine_all([replace(record, force_n=record.force_n - force_n) for record, force_n in coupled], forms)
 
@@ -58,7 +58,7 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
 
     if not np.any(coupling_n_per_m):
         return determine_all(records, forms)
-    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
+    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, max_rounds=COUPLING_ROUNDS)
     return refit(settled_outcomes, forms) if forms else settled_outcomes
 
 
@@ -88,23 +88,23 @@ def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms:
             outcomes = _outcomes_beside_spring(names, nominal_laws, record, np.array(are_springs))
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
-    signs = dict(zip(names, group.signs, strict=True))
+    sign_by_name = dict(zip(names, group.signs, strict=True))
     estimates = {
-        name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
+        name: estimate if sign_by_name[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
-    return Outcomes(estimates, _without_gaps(rig, outcomes.refusals))
+    return Outcomes(estimates, _with_spring_advice(rig, outcomes.refusals))
 
 
-def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
+def _with_spring_advice(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
     """Refusals, with the advice to describe a spring where stops without clearances show no law with a gap."""
     gapless_names = {
         contact.name
         for contact in rig.contacts
         if contact.law.has_stops and not (contact.law.lower_clearance_m or contact.law.upper_clearance_m)
     }
-    no_gap = refused(RefusalCode.NO_GAP).refusal
+    no_gap_refusal = refused(RefusalCode.NO_GAP).refusal
     return {
-        name: no_gap if name in gapless_names and refusal.code in SPRING_ADVICE_CODES else refusal
+        name: no_gap_refusal if name in gapless_names and refusal.code in SPRING_ADVICE_CODES else refusal
         for name, refusal in refusals.items()
     }
 
@@ -112,7 +112,7 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
     laws = [parameters_of_law(rig.contacts[index].law) for index in group.contact_indices]
-    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
+    return np.array([law if sign > 0 else law[[1, 0, 2, 3]] for law, sign in zip(laws, group.signs, strict=True)])
 
 
 def _stop_outcomes(
@@ -152,8 +152,8 @@ def _outcomes_beside_spring(
     outcomes = NO_OUTCOMES
     try:
         spring_law, eta_m = spring_guess(without_nuisances(record, initial_pulls(record)))
-        laws = np.where(are_springs[:, None], spring_law, nominal_laws)
-        outcomes = _stops_beside_spring(names, laws, record, eta_m, are_springs)
+        laws_with_spring = np.where(are_springs[:, None], spring_law, nominal_laws)
+        outcomes = _stops_beside_spring(names, laws_with_spring, record, eta_m, are_springs)
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     if outcomes.estimates.keys() & set(compress(names, ~are_springs)):
@@ -203,14 +203,15 @@ def _spring_without_stops(
         outcomes = _spring_outcome(name, nominal_laws[are_springs], record)
     except ContactRefusedError:
         return None
-    spring = outcomes.estimates[name]
-    if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
+    spring_estimate = outcomes.estimates[name]
+    if spring_estimate.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
-    eta_m = record.eta_m + spring.drift_m
-    eta_reach_m, hardly_closes = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
-    stops = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
+    eta_m = record.eta_m + spring_estimate.drift_m
+    eta_reach_m, hardly_closed = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
+    names_and_laws = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
     refusals = {
-        stop: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes for stop, law in stops
+        stop_name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closed
+        for stop_name, law in names_and_laws
     }
     return outcomes | Outcomes({}, refusals)
 
@@ -257,15 +258,15 @@ def _outcomes_in_reach(
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
         is_reached = np.any((nominal_laws[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
         reached_names = list(compress(names, is_reached))
-        farther = zip(compress(names, ~is_reached), nominal_laws[~is_reached], strict=True)
-        unreached = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in farther})
+        names_and_laws = zip(compress(names, ~is_reached), nominal_laws[~is_reached], strict=True)
+        unreached_outcomes = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in names_and_laws})
         try:
             estimates = _certain_estimates(nominal_laws[is_reached], may_touch[is_reached], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
-            outcomes = unreached | Outcomes.refused(reached_names, first_refusal)
+            outcomes = unreached_outcomes | Outcomes.refused(reached_names, first_refusal)
         else:
-            return unreached | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
+            return unreached_outcomes | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
     return outcomes
 
 
@@ -298,20 +299,20 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal_laws: Nomi
     """
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
-        estimated = [estimate.clearance_m, estimate.stiffness_n_per_m]
-        nominal = [estimate.clearance_gradient @ law, STIFFNESS_GRADIENT @ law]
-        log_values = np.log(np.maximum([estimated, nominal], LEAST_COMPARED_VALUE))
+        estimated_values = [estimate.clearance_m, estimate.stiffness_n_per_m]
+        nominal_values = [estimate.clearance_gradient @ law, STIFFNESS_GRADIENT @ law]
+        log_values = np.log(np.maximum([estimated_values, nominal_values], LEAST_COMPARED_VALUE))
         deviations = (log_values[0] - log_values[1]) / np.log1p(NOMINAL_SPREAD)
         return float(deviations @ deviations)
 
-    touched = [estimate.touched for estimate in estimates]
+    touched_sides = [estimate.touched for estimate in estimates]
     assignments = [
         (sum(map(square_distance, assignment, nominal_laws)), assignment)
         for assignment in permutations(estimates)
-        if [estimate.touched for estimate in assignment] == touched
+        if [estimate.touched for estimate in assignment] == touched_sides
     ]
-    (least_distance, nearest_estimates), *farther = sorted(assignments, key=itemgetter(0))
-    if farther and farther[0][0] - least_distance < EXCHANGE_DISTANCE**2:
+    (least_distance, nearest_estimates), *other_assignments = sorted(assignments, key=itemgetter(0))
+    if other_assignments and other_assignments[0][0] - least_distance < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
     return nearest_estimates
 

@@ -47,51 +47,51 @@ def curves(result: Identification) -> dict[str, Table]:
     """Curves by family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring
     force of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay).
     """
-    names = [contact.name for contact in result.rig.contacts]
+    contact_names = [contact.name for contact in result.rig.contacts]
     tables = {"motion": _motion_table(result)}
     if result.methods.main_surfaces:
-        tables["surface"] = _surface_table(result, names)
-    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.main_spectra else {})
+        tables["surface"] = _surface_table(result, contact_names)
+    return tables | ({"nifo": _nifo_table(result, contact_names)} if result.methods.main_nifo_results else {})
 
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    decimation, force = result.decimation, result.separated_n
-    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
-    row_count = min(eta.shape[1], force.shape[1])
+    decimation, separated_n = result.decimation, result.separated_n
+    group_eta_m = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::decimation]
+    row_count = min(group_eta_m.shape[1], separated_n.shape[1])
     table: Table = {"time_s": result.motion.time_s(row_count, decimation)}
-    for group, eta_m, force_n in zip(result.contact_groups, eta, force, strict=True):
-        table[f"{group.contact.name} relative displacement m"] = eta_m[:row_count]
-        table[f"{group.contact.name} contact force N"] = force_n[:row_count]
+    for group, eta_m, force_n in zip(result.contact_groups, group_eta_m, separated_n, strict=True):
+        table[f"{group.joined_contact.name} relative displacement m"] = eta_m[:row_count]
+        table[f"{group.joined_contact.name} contact force N"] = force_n[:row_count]
     return table
 
 
 def _surface_table(result: Identification, names: list[str]) -> Table:
     """Relative displacements, modal velocity and restoring force of the main modal equation over time."""
     surface = result.surface
-    eta = result.eta_m[:, :: surface.decimation]
-    velocity = surface.equation.velocity[:: surface.decimation]
-    row_count = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    etas = result.eta_m[:, :: surface.decimation]
+    modal_velocity = surface.equation.velocity[:: surface.decimation]
+    row_count = min(etas.shape[1], surface.measured_modal_force.size, modal_velocity.size)
     table: Table = {"time_s": result.motion.time_s(row_count, surface.decimation)}
-    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, eta, strict=True)}
-    table["modal velocity sqrt(kg) m/s"] = velocity[:row_count]
-    table["restoring force N/sqrt(kg)"] = surface.measured_force[:row_count]
-    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:row_count]
+    table |= {f"{name} relative displacement m": eta_row[:row_count] for name, eta_row in zip(names, etas, strict=True)}
+    table["modal velocity sqrt(kg) m/s"] = modal_velocity[:row_count]
+    table["restoring force N/sqrt(kg)"] = surface.measured_modal_force[:row_count]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_modal_force[:row_count]
     return table
 
 
-def _nifo_table(result: Identification, names: list[str]) -> Table:
+def _nifo_table(result: Identification, contact_names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
-    weak, paper = result.weak_nifo, result.paper_nifo
-    table: Table = {"frequency_Hz": weak.frequency_hz}
-    for form, nifo in (("weak form", weak), ("paper's form", paper)):
-        if nifo.frequency_hz.size != weak.frequency_hz.size:
+    weak_nifo, paper_nifo = result.weak_nifo, result.paper_nifo
+    table: Table = {"frequency_Hz": weak_nifo.frequency_hz}
+    for form, nifo in (("weak form", weak_nifo), ("paper's form", paper_nifo)):
+        if nifo.frequency_hz.size != weak_nifo.frequency_hz.size:
             continue
-        table |= _parts(f"{form} FRF s^2", nifo.frf)
-        for contact_index, stiffness in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True):
-            table |= _parts(f"{form} {names[contact_index]} stiffness N/m", stiffness)
+        table |= _complex_columns(f"{form} FRF s^2", nifo.frf)
+        for contact_index, stiffness in zip(nifo.contact_indices, nifo.stiffness_n_per_m, strict=True):
+            table |= _complex_columns(f"{form} {contact_names[contact_index]} stiffness N/m", stiffness)
     return table
 
 
-def _parts(name: str, column: Complex[np.ndarray, " lines"]) -> Table:
-    return {f"{name} real": column.real, f"{name} imaginary": column.imag}
+def _complex_columns(name: str, spectrum: Complex[np.ndarray, " lines"]) -> Table:
+    return {f"{name} real": spectrum.real, f"{name} imaginary": spectrum.imag}

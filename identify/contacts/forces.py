@@ -25,7 +25,7 @@ from identify.contacts.slow_motion import (
     LOWEST_CORNER_HZ,
     SlowMotion,
     is_held,
-    quietest_corner,
+    quietest_corner_and_noise,
     slow_model,
     slow_motion,
 )
@@ -34,10 +34,10 @@ from identify.contacts.station_spectra import (
     StationErrors,
     force_weights,
     has_hidden_modes,
-    initial_states,
+    start_free_motion,
     start_transient_s,
 )
-from identify.linear.free_motion import InitialStates
+from identify.linear.free_motion import FreeMotionEstimate
 from identify.linear.modal import force_on_mass
 from identify.linear.model import Response, ResponseCache, accelerances, responses_of
 from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
@@ -102,139 +102,139 @@ class _WeightedRows:
     """Stations and gauges weighed against each other: weights of the contact forces, what no exciting force explains,
     and the observations behind, of the signals and of their noise alone.
 
-    corner_hz is that below which held modes move by the forces, noise_m the noise of the relative displacements then.
+    corner_hz is that below which held modes move by the forces, eta_noise_m the noise of relative displacements then.
     """
 
     responses: tuple[Response, ...]
     input_accelerances: Complex[np.ndarray, "inputs rows lines"]
     noise_power: Float[np.ndarray, "rows lines"]
     observed: ObservedSignals
-    noise_alone: ObservedSignals
+    observed_noise: ObservedSignals
     force_weights: ForceWeights
     unexplained_signals: Complex[np.ndarray, "rows lines"]
-    initial_states: InitialStates | None
+    start_motion: FreeMotionEstimate | None
     parameters: tuple[Nuisance, ...]
     corner_hz: float
-    noise_m: Float[np.ndarray, " contacts"]
+    eta_noise_m: Float[np.ndarray, " contacts"]
 
 
 def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRows:
     """Weights of the contact forces, again with the hidden and the slow modes where the first forces move some.
 
-    Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that floats.
+    Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that is_floating.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
     force_count, station_count = len(rig.inputs), len(motion.stations)
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
     is_floating = {response.body.name: not is_held(response) for response in responses}
     if slow_by_gauges and any(is_floating.values()):
-        raise RigError("a body floats, whose slow motion no strain gauge shows")
-    rows = station_rows(record, lines, np.array([not is_floating[station.body] for station in motion.stations]))
-    by_input = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
-    force_spectra = lines.spectra(motion.forces_n)
-    input_accelerations = by_input[:force_count] * force_spectra[:, None]
-    observed, gauge_errors, noise_power = observation_of(record, lines, responses, rows, input_accelerations)
+        raise RigError("a body is_floating, whose slow motion no strain gauge shows")
+    stations = station_rows(record, lines, np.array([not is_floating[station.body] for station in motion.stations]))
+    accelerance = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
+    excitations = lines.spectra(motion.forces_n)
+    input_accelerations = accelerance[:force_count] * excitations[:, None]
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, stations, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
-    least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
-    noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
+    least_noise_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
+    observed_noise = noise_observation(rig, motion, observed, random_noise(noise_power, least_noise_power, lines))
     lacks_slow_motion = bool(gauges.sensors)
     if motion.zero_known:
         lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
-    observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
-    noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
-    states, noise_m = None, np.zeros(len(rig.contacts))
+    observed = with_modes_at_rest(record, observed, excitations, corner_hz, gauge_errors)
+    observed_noise = with_modes_at_rest(record, observed_noise, 0 * excitations, corner_hz, gauge_errors)
+    start_motion, eta_noise_m = None, np.zeros(len(rig.contacts))
     has_driven_modes = corner_hz > 0 or any(has_hidden_modes(response, motion) for response in responses)
     for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
         # without the zeros of gauges, which are at 0 Hz
         weighed_changes = tuple(change for change in changes if change.parameter.kind is not NuisanceKind.ZERO)
-        errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
-        weights = force_weights(by_input[force_count:] * sensor_response, errors)
-        unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
-        if not record.from_rest:
-            states = initial_states(responses, motion, rows, lines, sensor_response * by_input, errors)
-            unexplained = unexplained - states.signals
+        errors = StationErrors(noise_power, least_noise_power, weighed_changes, lines.correlated_line_count)
+        contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors)
+        unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
+        if not record.begins_at_rest:
+            start_motion = start_free_motion(responses, motion, stations, lines, sensor_response * accelerance, errors)
+            unexplained_signals = unexplained_signals - start_motion.signals
         if slow_by_gauges:
-            padded_power = noise_power * (lines.padded_samples / motion.samples)
-            acceleration_power = padded_power[:station_count] / np.abs(rows.response) ** 2
-            corner_hz, noise_m = quietest_corner(
-                record.signs, by_input[force_count:], weights, padded_power, acceleration_power, lines
+            padded_power = noise_power * (lines.padded_samples / motion.sample_count)
+            acceleration_power = padded_power[:station_count] / np.abs(stations.response) ** 2
+            corner_hz, eta_noise_m = quietest_corner_and_noise(
+                record.eta_signs, accelerance[force_count:], contact_weights, padded_power, acceleration_power, lines
             )
         if is_first_pass:
-            input_spectra = np.concatenate([force_spectra, contact_spectra(weights, unexplained)])
+            input_spectra = np.concatenate([excitations, contact_spectra(contact_weights, unexplained_signals)])
             observed = with_driven_modes(record, observed, input_spectra, corner_hz, gauge_errors)
-            input_spectra = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.signals)])
-            noise_alone = with_driven_modes(record, noise_alone, input_spectra, corner_hz, gauge_errors)
+            input_spectra = np.concatenate([0 * excitations, contact_spectra(contact_weights, observed_noise.signals)])
+            observed_noise = with_driven_modes(record, observed_noise, input_spectra, corner_hz, gauge_errors)
     return _WeightedRows(
         responses=responses,
-        input_accelerances=by_input,
+        input_accelerances=accelerance,
         noise_power=noise_power,
         observed=observed,
-        noise_alone=noise_alone,
-        force_weights=weights,
-        unexplained_signals=unexplained,
-        initial_states=states,
+        observed_noise=observed_noise,
+        force_weights=contact_weights,
+        unexplained_signals=unexplained_signals,
+        start_motion=start_motion,
         parameters=tuple(change.parameter for change in changes),
         corner_hz=corner_hz,
-        noise_m=noise_m,
+        eta_noise_m=eta_noise_m,
     )
 
 
 def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
     """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
     `_weighted_rows`."""
-    rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
-    rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
-    weights, states = rows.force_weights, rows.initial_states
-    force_spectra = contact_spectra(weights, rows.unexplained_signals)
+    rig, motion, decimation, lines, signs = record.rig, record.motion, record.decimation, record.lines, record.eta_signs
+    weighed, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
+    weights, start_motion = weighed.force_weights, weighed.start_motion
+    contact_force_spectra = contact_spectra(weights, weighed.unexplained_signals)
     end_transient_s = END_TRANSIENT_S if any(body.length_m for body in rig.bodies) else TAPER_S
-    slow_response, slow = None, None
+    slow_gains, gauged_motion = None, None
     if slow_by_gauges:
-        slow_response = slow_model(rig, motion, lines, rows.corner_hz, rows.input_accelerances, rows.observed)
-        end_transient_s = max(end_transient_s, TAPER_S + 2 / rows.corner_hz)
-        input_spectra = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
-        correction = slow_response.correction(input_spectra, rows.observed.displacements[: len(motion.stations)])
-        slow = slow_motion(correction, lines, motion.samples, rows.noise_m)
-    kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // decimation
+        slow_gains = slow_model(rig, motion, lines, weighed.corner_hz, weighed.input_accelerances, weighed.observed)
+        end_transient_s = max(end_transient_s, TAPER_S + 2 / weighed.corner_hz)
+        input_spectra = np.concatenate([lines.spectra(motion.forces_n), contact_force_spectra])
+        correction = slow_gains.correction(input_spectra, weighed.observed.displacements[: len(motion.stations)])
+        gauged_motion = slow_motion(correction, lines, motion.sample_count, weighed.eta_noise_m)
+    kept_count = (motion.sample_count - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
-        rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, slow_response
+        weighed.parameters, weighed.observed, weighed.observed_noise, weights, signs, lines, kept_count, slow_gains
     )
-    force_n = lines.signals(force_spectra, kept_samples)
-    slow_n_per_m = slow_stiffness(rig, rows.responses)
+    force_n = lines.signals(contact_force_spectra, kept_count)
+    slow_n_per_m = slow_stiffness(rig, weighed.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(rig, motion, decimation)[:, :kept_samples]
-    elif states:
-        start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_samples - 1)
-        state_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.unit_spectra), kept_samples)
-        state_n = np.tensordot(states.error_root.T, state_n, 1)
-        state_rms_n = np.sqrt(np.mean(state_n[..., start_sample:] ** 2, axis=(1, 2)))
-        nuisances = nuisances.with_initial_states(state_n[state_rms_n > LEAST_INITIAL_SHARE * force_n.std()])
+        force_n = _force_on_mass(rig, motion, decimation)[:, :kept_count]
+    elif start_motion:
+        settled_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_count - 1)
+        state_forces_n = lines.signals(np.einsum("jsf,isf->ijf", weights, start_motion.unit_spectra), kept_count)
+        state_forces_n = np.tensordot(start_motion.error_root.T, state_forces_n, 1)
+        state_rms_n = np.sqrt(np.mean(state_forces_n[..., settled_sample:] ** 2, axis=(1, 2)))
+        nuisances = nuisances.with_initial_states(state_forces_n[state_rms_n > LEAST_INITIAL_SHARE * force_n.std()])
     return ContactForces(
         force_n=force_n,
         decimation=decimation,
-        noise_n=_noise_n(weights, rows.noise_power, motion, lines),
+        noise_n=_force_noise_n(weights, weighed.noise_power, motion, lines),
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
-        slow_n_s_per_m=slow_damping(rig, rows.responses, slow_n_per_m),
-        slow_motion=slow,
+        slow_n_s_per_m=slow_damping(rig, weighed.responses, slow_n_per_m),
+        slow_motion=gauged_motion,
     )
 
 
-def _noise_n(
+def _force_noise_n(
     weights: ForceWeights, noise_power: Float[np.ndarray, "rows lines"], motion: Kinematics, lines: SpectralLines
 ) -> Float[np.ndarray, " contacts"]:
     """Standard deviation of the sensors' noise in the contact forces, N."""
-    padded_power = noise_power * lines.padded_samples / motion.samples  # over the silence behind, too
-    force_noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
-    return np.asarray(lines.signals(force_noise_spectra, motion.samples // lines.decimation).std(axis=1))
+    padded_noise_power = noise_power * lines.padded_samples / motion.sample_count  # over the silence behind, too
+    force_noise_spectra = contact_spectra(weights, random_noise(padded_noise_power, 0.0, lines))
+    return np.asarray(lines.signals(force_noise_spectra, motion.sample_count // lines.decimation).std(axis=1))
 
 
 def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
-    mode = modes_of(rig, rig.bodies[0])
-    inverse_mass = float(mode.shapes(np.zeros(1), 1)[0, 0] ** 2)
-    omega, damping_ratio = 2 * np.pi * float(mode.frequencies_hz(1)[0]), float(mode.damping_ratios(1)[0])
+    modes = modes_of(rig, rig.bodies[0])
+    inverse_mass = float(modes.shapes(np.zeros(1), 1)[0, 0] ** 2)
+    omega, damping_ratio = 2 * np.pi * float(modes.frequencies_hz(1)[0]), float(modes.damping_ratios(1)[0])
     resisting_m_per_s2 = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
     resisting_n = (resisting_m_per_s2 + omega**2 * motion.displacement_m[:1]) / inverse_mass
     return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, decimation)

@@ -22,7 +22,7 @@ from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics, MotionQuantity
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
@@ -56,12 +56,12 @@ class Identification:
     @property
     def weak_nifo(self) -> Nifo:
         """NIFO's weak form of the main equation; raises RigError if there is none."""
-        return self._main_spectra[0]
+        return self._main_nifo[0]
 
     @property
     def paper_nifo(self) -> Nifo:
         """NIFO in the paper's form; raises RigError if there is none."""
-        return self._main_spectra[1]
+        return self._main_nifo[1]
 
     @property
     def surface(self) -> Surface:
@@ -76,11 +76,11 @@ class Identification:
         return stops_of(self.rig, self.outcomes)
 
     @property
-    def _main_spectra(self) -> tuple[Nifo, ...]:
-        if not self.methods.main_spectra:
+    def _main_nifo(self) -> tuple[Nifo, ...]:
+        if not self.methods.main_nifo_results:
             notes = "; ".join(self.methods.notes)
             raise RigError(notes or "NIFO needs a force, and the exciting force is zero throughout")
-        return self.methods.main_spectra
+        return self.methods.main_nifo_results
 
 
 def identify_contact(
@@ -106,26 +106,26 @@ def identify_contact(
     """
     averaging = averaging or Averaging()
     check_request(recording, averaging, equation)
-    rig, checked = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
-    separation, outcomes = checked.separation, checked.outcomes
-    condensed_rig, motion, groups = separation.rig, separation.motion, separation.contact_groups
+    rig, accepted = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
+    separation, outcomes = accepted.separation, accepted.outcomes
+    condensed_rig, motion, contact_groups = separation.rig, separation.motion, separation.contact_groups
     separated_n, decimation = separation.forces.force_n, separation.forces.decimation
-    findings, signals, stops = checked.findings, signals_by_law(separation, outcomes), stops_of(rig, outcomes)
-    del checked, separation  # whose nuisance signals take much memory
+    findings, signals, stops = accepted.findings, signals_by_law(separation, outcomes), stops_of(rig, outcomes)
+    del accepted, separation  # whose nuisance signals take much memory
     progress(0.5)
-    single = {group.contact_indices[0] for group in groups if len(group.contact_indices) == 1}
+    single_contacts = {group.contact_indices[0] for group in contact_groups if len(group.contact_indices) == 1}
     methods = paper_methods(
-        condensed_rig, motion, signals, stops, single_contacts=single, averaging=averaging, equation=equation
+        condensed_rig, motion, signals, stops, single_contacts=single_contacts, averaging=averaging, equation=equation
     )
     progress(0.95)
-    names = [contact.name for contact in rig.contacts]
-    findings += tuple(equation_findings(names, outcomes.estimates, methods.spectra))
+    contact_names = [contact.name for contact in rig.contacts]
+    findings += tuple(equation_findings(contact_names, outcomes.estimates, methods.nifo_results))
     return Identification(
         report=contact_report(rig, outcomes, methods, findings),
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        contact_groups=groups,
+        contact_groups=contact_groups,
         separated_n=separated_n,
         decimation=decimation,
         outcomes=outcomes,
@@ -139,19 +139,19 @@ def contact_report(
 ) -> results.ContactReport:
     """Report of the outcomes and of the results of the paper's methods."""
     motion = methods.motion
-    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
-    surfaces = tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces)
+    etas_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
+    surface_results = tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces)
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(contact_estimate(name, estimate, etas_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
-        modes=_modes(rig, methods.spectra, outcomes.refusals),
-        nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.spectra),
-        surface=results.Surfaces(surfaces, _clearances(rig, methods.histogram)),
+        modes=_mode_results(rig, methods.nifo_results, outcomes.refusals),
+        nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.nifo_results),
+        surface=results.Surfaces(surface_results, _clearances(rig, methods.histogram)),
         transformation=tuple(map(_transformation_result, methods.transformations)),
         trusted_hz=motion.trusted_hz,
-        channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
+        channels_used=(*rig.force_names[: body_force_count(rig)], *motion.channels),
         findings=findings,
         noise_from=noise_source(motion, rig),
         notes=methods.notes,
@@ -166,9 +166,9 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     lower_touched, upper_touched = estimate.touched
     (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
 
-    def share_beyond(errors_outwards: float) -> float:
-        is_below = lower_touched & (eta_m < -lower_m - errors_outwards * lower_error_m)
-        return float(np.mean(is_below | (upper_touched & (eta_m > upper_m + errors_outwards * upper_error_m))))
+    def share_beyond(stop_shift_errors: float) -> float:
+        is_below = lower_touched & (eta_m < -lower_m - stop_shift_errors * lower_error_m)
+        return float(np.mean(is_below | (upper_touched & (eta_m > upper_m + stop_shift_errors * upper_error_m))))
 
     return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
@@ -196,33 +196,33 @@ def contact_estimate(
     )
 
 
-def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
+def _mode_results(rig: Rig, nifo_results: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
     """Elastic modes within the band of NIFO."""
-    modes = []
-    for nifo in spectra:
+    mode_results = []
+    for nifo in nifo_results:
         equation = nifo.equation
         if 0 < equation.frequency_hz < nifo.frequency_hz[-1]:
-            undetermined = tuple(
+            undetermined_names = tuple(
                 contact.name
                 for contact in rig.contacts
                 if contact.name in refusals and equation.body in {s.body for s in contact_stations(contact)}
             )
-            modes.append(results.Mode(equation.body, equation.index, *fit_mode(nifo), undetermined))
-    return tuple(modes)
+            mode_results.append(results.Mode(equation.body, equation.mode_number, *fit_mode(nifo), undetermined_names))
+    return tuple(mode_results)
 
 
 def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
-    equation, names = nifo.equation, [contact.name for contact in rig.contacts]
+    equation, contact_names = nifo.equation, [contact.name for contact in rig.contacts]
     stiffnesses = tuple(
-        results.Stiffness(names[index], results.Estimate(float(mean_n_per_m), float(error)), float(deviation))
+        results.Stiffness(contact_names[index], results.Estimate(float(mean_n_per_m), float(error)), float(deviation))
         for index, mean_n_per_m, error, deviation in zip(
-            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
+            nifo.contact_indices, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    visibilities = zip(names, equation.visibility, strict=True)
-    invisible = tuple(name for name, visibility in visibilities if visibility < NEARLY_INVISIBLE_SHARE)
+    names_and_visibilities = zip(contact_names, equation.visibility, strict=True)
+    hidden_names = tuple(name for name, visibility in names_and_visibilities if visibility < NEARLY_INVISIBLE_SHARE)
     band_hz = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(equation.name, band_hz, nifo.resolution_hz, nifo.averages, stiffnesses, invisible)
+    return results.NifoResult(equation.name, band_hz, nifo.resolution_hz, nifo.average_count, stiffnesses, hidden_names)
 
 
 def _clearances(rig: Rig, stop_by_contact: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:

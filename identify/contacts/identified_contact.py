@@ -62,13 +62,13 @@ class IdentifiedContact:
     @property
     def cells(self) -> dict[str, str]:
         """Cells of the contact in a table, by their headings."""
-        friction = {} if self.friction is None else {"friction": self.friction.scaled()}
+        friction_cell = {} if self.friction is None else {"friction": self.friction.scaled()}
         return {
             "contact": self.name,
             "clearance, mm": "" if self.law == "spring" else self.clearance.scaled(1e3),
             "stiffness, N/m": self.stiffness.scaled(),
             "damping, N s/m": self.damping.scaled(),
-        } | friction
+        } | friction_cell
 
     def __str__(self) -> str:
         friction = "" if self.friction is None else f", friction {self.friction}"

@@ -29,7 +29,7 @@ REGRESSION_STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 
 the drift's curvature, stage by stage: at first so stiff that no drift can follow the closures."""
 OUTLIER_SCALE = 3.0
 """Scale of the weights of the next stage, in those errors: samples that ring are outliers (Geman and McClure)."""
-UNTOUCHED_RATIO = 1.1
+UNTOUCHED_CLEARANCE_RATIO = 1.1
 """Clearance of a stop that is never touched over the largest relative displacement."""
 KNEE_FORCE_COUNT = 12
 """Forces that are tried for each knee, spaced evenly in their logarithm."""
@@ -55,12 +55,12 @@ def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> La
     """
     touched_sides = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched_sides)
-        if np.isfinite(clearance) and compliance > 0:
-            far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-            lower_m, upper_m = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched_sides)
-            drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
-            return np.array([lower_m, upper_m, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
+        *knots, clearance_m, compliance_m_per_n = closed_regression(record, with_drift, sides=touched_sides)
+        if np.isfinite(clearance_m) and compliance_m_per_n > 0:
+            untouched_m = UNTOUCHED_CLEARANCE_RATIO * float(np.max(np.abs(record.eta_m)))
+            lower_m, upper_m = (max(clearance_m, 0.0) if is_touched else untouched_m for is_touched in touched_sides)
+            drift_ratio = 1 + record.spring_n_per_m * compliance_m_per_n * with_drift
+            return np.array([lower_m, upper_m, 1 / compliance_m_per_n, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
@@ -75,11 +75,11 @@ def closed_regression(
     knee."""
     drift_spline, force_n, sign = record.drift_spline, record.force_n, np.sign(record.force_n)
     is_closed = clearly_closed(record, force_share) & np.where(force_n < 0, *sides)
-    drift_m = record.at_force_samples(drift_spline.value)[is_closed]
-    eta = record.at_force_samples(record.eta_m)[is_closed]
+    closed_splines = record.at_force_samples(drift_spline.value)[is_closed]
+    closed_eta_m = record.at_force_samples(record.eta_m)[is_closed]
     law_columns = np.stack([sign, force_n, *(-sign * excess_n for excess_n in knee_excess_n)], axis=1)[is_closed]
-    drift_columns = -drift_m if with_drift else csr_matrix(drift_m.shape)
-    return np.concatenate(robust_regression(eta, drift_columns, law_columns, drift_spline))
+    drift_columns = -closed_splines if with_drift else csr_matrix(closed_splines.shape)
+    return np.concatenate(robust_regression(closed_eta_m, drift_columns, law_columns, drift_spline))
 
 
 def robust_regression(
@@ -90,17 +90,18 @@ def robust_regression(
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
     columns = hstack([drift_columns, law_columns]).tocsr()
-    curvature_rows = hstack([drift_spline.curvature, csr_matrix((drift_spline.target.size, law_columns.shape[1]))])
+    no_law_columns = csr_matrix((drift_spline.curvature_target.size, law_columns.shape[1]))
+    curvature_rows = hstack([drift_spline.curvature, no_law_columns])
     weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
     for residual_share, curvature_weight in REGRESSION_STAGES:
-        scale_m = residual_share * float(np.std(eta_m))
-        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        normal_matrix = rows.T @ rows
-        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * drift_spline.target])
+        error_m = residual_share * float(np.std(eta_m))
+        weighted_rows = vstack([diags(weights / error_m) @ columns, curvature_weight * curvature_rows]).tocsc()
+        normal_matrix = weighted_rows.T @ weighted_rows
+        right_side = np.concatenate([weights * eta_m / error_m, curvature_weight * drift_spline.curvature_target])
         knot_ridge = np.full(knot_count, 1e-12 * normal_matrix.diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        coefficients = spsolve((normal_matrix + ridge).tocsc(), rows.T @ right_side)
-        weights = 1 / (1 + ((eta_m - columns @ coefficients) / (OUTLIER_SCALE * scale_m)) ** 2)
+        coefficients = spsolve((normal_matrix + ridge).tocsc(), weighted_rows.T @ right_side)
+        weights = 1 / (1 + ((eta_m - columns @ coefficients) / (OUTLIER_SCALE * error_m)) ** 2)
     return coefficients[:knot_count], coefficients[knot_count:]
 
 
@@ -109,8 +110,8 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
     Raises ContactRefusedError as `regressed_guess` does.
     """
-    eta = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
-    return np.array([-eta.min(), eta.max()])
+    eta_m = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
+    return np.array([-eta_m.min(), eta_m.max()])
 
 
 def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[LawGuess]:
@@ -124,8 +125,8 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
     """
     is_side_touched, form = np.any(touched, axis=0), linear_form(touched)
     if not is_side_touched.any():
-        unit_spring, no_drift = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots)
-        return [_refined_guess(record, unit_spring, no_drift, form)[1]]
+        unit_spring, zero_knots = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knot_count)
+        return [_refined_guess(record, unit_spring, zero_knots, form)[1]]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring_law,) = nominal_laws[~are_stops]
@@ -134,8 +135,8 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
     law_parameters, knots = regressed_guess(record, (bool(is_side_touched[0]), bool(is_side_touched[1])))
     candidates = [(law_parameters, knots)]
     if len(nominal_laws) > 1:
-        far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-        nominal_laws = np.column_stack([np.where(touched, nominal_laws[:, :2], far_stop_m), nominal_laws[:, 2:]])
+        untouched_m = UNTOUCHED_CLEARANCE_RATIO * float(np.max(np.abs(record.eta_m)))
+        nominal_laws = np.column_stack([np.where(touched, nominal_laws[:, :2], untouched_m), nominal_laws[:, 2:]])
         candidates = [(nominal_laws.ravel(), knots), *_knee_guesses(record, nominal_laws, touched)]
     candidates += [(law_parameters, np.zeros_like(knots)) for law_parameters, knots in candidates if knots.size]
     if len(nominal_laws) == 1:
@@ -157,8 +158,8 @@ def _guesses_with_spring(
 
 def _best_guesses(record: ContactRecord, candidates: Sequence[LawGuess], form: LawForm) -> list[LawGuess]:
     """Refined guesses of least misfit."""
-    ranked = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=itemgetter(0))
-    return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
+    misfits_and_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=itemgetter(0))
+    return [guess for misfit, guess in misfits_and_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
 def without_spring(record: ContactRecord, spring_law: LawParameters) -> ContactRecord:
@@ -182,8 +183,8 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
     form = LawForm(spring_indices=(1,))
-    force_n, eta_m = (float(np.quantile(np.abs(signal), 0.995)) for signal in (record.force_n, record.eta_m))
-    stiffnesses_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
+    large_force_n, large_eta_m = (float(np.quantile(np.abs(x), 0.995)) for x in (record.force_n, record.eta_m))
+    stiffnesses_n_per_m = large_force_n / max(large_eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
     spring_laws = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in stiffnesses_n_per_m]
     least_misfit, best_guess = np.inf, None
     for attempt in range(len(spring_laws) + 1):
@@ -212,38 +213,37 @@ def _refined_guess(
     drift_spline, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
     eta = record.at_force_samples(record.eta_m + drift_spline.value @ knots)
     velocity = record.at_force_samples(record.velocity_m_per_s + drift_spline.rate @ knots)
-    columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
-    force_n = record.force_n - ground_n_per_m(record) @ knots
-    coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
+    unit_force_columns = np.stack(unit_forces(form, laws.ravel(), eta, velocity), axis=1)
+    law_force_n = record.force_n - ground_n_per_m(record) @ knots
+    coefficients, _, column_rank, _ = np.linalg.lstsq(unit_force_columns, law_force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
-    is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
-    misfit = float(np.sum((force_n - columns @ coefficients) ** 2)) if is_determined else np.inf
+    is_determined = column_rank == unit_force_columns.shape[1] and np.all(laws[:, 2] > 0)
+    misfit = float(np.sum((law_force_n - unit_force_columns @ coefficients) ** 2)) if is_determined else np.inf
     return misfit, (laws.ravel(), knots)
 
 
 def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> Iterator[LawGuess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
-    magnitude_n, knot_count = np.abs(record.force_n), record.drift_spline.knots
-    counts, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
-    contact_counts = np.where(record.force_n < 0, *counts)
-    least_closed_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
-    knee_forces_n = np.geomspace(least_closed_n, largest_n, KNEE_FORCE_COUNT + 2)[1:-1]
-    for knees_n in combinations(knee_forces_n, int(counts.max()) - 1):
-        excess_n = [np.maximum(magnitude_n - knee_n, 0.0) * (contact_counts > k) for k, knee_n in enumerate(knees_n, 1)]
+    force_size_n, knot_count = np.abs(record.force_n), record.drift_spline.knot_count
+    touched_counts, largest_force_n = touched.sum(axis=0), float(np.quantile(force_size_n, 0.9995))
+    stop_counts = np.where(record.force_n < 0, *touched_counts)
+    least_closed_n = force_size_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
+    knee_forces_n = np.geomspace(least_closed_n, largest_force_n, KNEE_FORCE_COUNT + 2)[1:-1]
+    for knees_n in combinations(knee_forces_n, int(touched_counts.max()) - 1):
+        excess_n = [np.maximum(force_size_n - knee_n, 0.0) * (stop_counts > k) for k, knee_n in enumerate(knees_n, 1)]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
             coefficients = closed_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
-            knots, (clearance, compliance, *steps) = coefficients[:knot_count], coefficients[knot_count:].tolist()
-            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *steps]))
+            knots, (clearance, compliance, *decreases) = coefficients[:knot_count], coefficients[knot_count:].tolist()
+            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *decreases]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
             clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
-            stiffnesses_n_per_m = np.diff([0.0, *summed_n_per_m])
-            laws = nominal_laws.copy()
+            stiffnesses_n_per_m, laws = np.diff([0.0, *summed_n_per_m]), nominal_laws.copy()
             for side in range(2):
-                contacts = np.flatnonzero(touched[:, side])
-                contacts = contacts[np.argsort(nominal_laws[contacts, side], kind="stable")]
-                laws[contacts, side] = clearances_m[: contacts.size]
-                laws[contacts, 2] = stiffnesses_n_per_m[: contacts.size]
+                contact_indices = np.flatnonzero(touched[:, side])
+                contact_indices = contact_indices[np.argsort(nominal_laws[contact_indices, side], kind="stable")]
+                laws[contact_indices, side] = clearances_m[: contact_indices.size]
+                laws[contact_indices, 2] = stiffnesses_n_per_m[: contact_indices.size]
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
             yield laws.ravel(), knots / drift_ratio
 
@@ -258,19 +258,19 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     is estimated by least absolute deviations, with a prior of one on each theta, by iteratively reweighted least
     squares.
     """
-    pulls, is_state = np.zeros(len(record.nuisance_n)), record.is_initial_state
-    if not np.any(is_state):
+    pulls, is_initial = np.zeros(len(record.nuisance_n)), record.is_initial_state
+    if not np.any(is_initial):
         return pulls
-    state_rows = record.nuisance_n[is_state].astype(float)
+    state_forces_n = record.nuisance_n[is_initial].astype(float)
 
-    def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
-        deviation_n = np.abs(record.force_n - theta @ state_rows)
+    def reweighted_states(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
+        deviation_n = np.abs(record.force_n - theta @ state_forces_n)
         median_n = max(float(np.median(deviation_n)), 1e-300)
-        weighted_rows = state_rows / np.maximum(deviation_n, LEAST_DEVIATION_SHARE * median_n)
-        prior_matrix = np.eye(len(state_rows)) / median_n
-        return np.linalg.solve(weighted_rows @ state_rows.T + prior_matrix, weighted_rows @ record.force_n)
+        weighted_rows = state_forces_n / np.maximum(deviation_n, LEAST_DEVIATION_SHARE * median_n)
+        prior_matrix = np.eye(len(state_forces_n)) / median_n
+        return np.linalg.solve(weighted_rows @ state_forces_n.T + prior_matrix, weighted_rows @ record.force_n)
 
-    pulls[is_state] = refit_until_settled(pulls[is_state], reweighted, rounds=REWEIGHTING_ROUNDS)
+    pulls[is_initial] = refit_until_settled(pulls[is_initial], reweighted_states, max_rounds=REWEIGHTING_ROUNDS)
     return pulls
 
 

@@ -11,7 +11,7 @@ from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import chosen_form, first_fit, free_parameters, misfit_covariance
+from identify.contacts.law_fit import first_fit, fit_of_chosen_form, free_parameters, misfit_covariance
 from identify.contacts.law_form import (
     DEAD_ZONE,
     LAW,
@@ -29,7 +29,7 @@ from identify.contacts.linearization import FitState, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
-from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
+from identify.signals.scores import PART_COUNT, informative_part_starts, part_scores, quiet_deviation
 
 DRIFT_PULL_LIMIT = 25.0
 """Largest mean square of the drift's curvature less the measured one, in standard deviations."""
@@ -85,7 +85,7 @@ class JointEstimate:
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         return self.form.force_n(self.law_parameters, eta_m, rate_m_per_s)
 
-    def spring_m(self, eta_m: Signal) -> Signal:
+    def unit_spring_m(self, eta_m: Signal) -> Signal:
         """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
         unit_parameters = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
         return self.form.force_n(unit_parameters, eta_m, np.zeros_like(eta_m))
@@ -128,12 +128,12 @@ class JointEstimate:
     @property
     def reversed(self) -> "JointEstimate":
         """Estimate with the relative displacement counted in the other direction."""
-        swap = np.eye(len(LAW))[[1, 0, 2, 3]]
+        swap_matrix = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower_touched, upper_touched = self.touched
         return replace(
             self,
-            values=swap @ self.values,
-            covariances={source: swap @ part @ swap for source, part in self.covariances.items()},
+            values=swap_matrix @ self.values,
+            covariances={source: swap_matrix @ part @ swap_matrix for source, part in self.covariances.items()},
             touched=(upper_touched, lower_touched),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
@@ -182,42 +182,42 @@ def fit_joint(
     _check_bridged(record, fit.state)
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
-    fit = chosen_form(fit, forms)
-    state, to_laws, (derivatives, equations) = fit.state, fit.scaled_to_laws, fit.linearized
-    pull_count, free_count = state.pulls.size, to_laws.shape[1]
-    knots, pulls_and_free = equations.solved(
-        np.zeros((drift_spline.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
+    fit = fit_of_chosen_form(fit, forms)
+    state, scaled_to_laws, (jacobian, normal_equations) = fit.state, fit.scaled_to_laws, fit.linearized
+    pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
+    knot_columns, pull_free_columns = normal_equations.solved(
+        np.zeros((drift_spline.knot_count, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    pulls_and_laws = np.concatenate([pulls_and_free[:pull_count], to_laws @ pulls_and_free[pull_count:]])
+    pull_law_columns = np.concatenate([pull_free_columns[:pull_count], scaled_to_laws @ pull_free_columns[pull_count:]])
     # by residuals
-    influence = derivatives.columns(knots, pulls_and_laws) * fit.weights[:, None] ** 2
-    part_starts = informative_parts(influence @ to_laws[LAW.names.index("stiffness_n_per_m")])
+    influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
+    part_starts = informative_part_starts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     scores = part_scores(influence, state.residual_n, part_starts)
-    rows_by_source = {
+    error_rows = {
         "scatter": small_sample_factor(free_count) * scores,
-        "tolerances": record.samples_per_error * pulls_and_free[:pull_count],
-        "drift": drift_spline.curvature @ knots,
+        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
+        "drift": drift_spline.curvature @ knot_columns,
     }
-    covariances = {source: to_laws @ (rows.T @ rows) @ to_laws.T for source, rows in rows_by_source.items()}
-    covariances["law"] = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
+    covariances = {source: scaled_to_laws @ (rows.T @ rows) @ scaled_to_laws.T for source, rows in error_rows.items()}
+    covariances["law"] = misfit_covariance(fit, jacobian, part_starts) if forms else 0 * covariances["scatter"]
     covariance = np.asarray(sum(covariances.values()))
     drift_m, drift_m_per_s = drift_signals(record, state.knots, state.pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
     def estimate_at(first_parameter: int, lower_touched: bool, upper_touched: bool) -> JointEstimate:
-        law = slice(first_parameter, first_parameter + len(LAW))
+        law_slice = slice(first_parameter, first_parameter + len(LAW))
         gradients = np.stack([_clearance_gradient((lower_touched, upper_touched)), STIFFNESS_GRADIENT], axis=1)
         return JointEstimate(
-            values=state.law_parameters[law],
-            covariances={source: part[law, law] for source, part in covariances.items()},
+            values=state.law_parameters[law_slice],
+            covariances={source: part[law_slice, law_slice] for source, part in covariances.items()},
             sides_known=sides_known,
             touched=(lower_touched, upper_touched),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
-            half_differences=half_differences(scores @ to_laws[law].T @ gradients),
+            half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
@@ -229,8 +229,8 @@ def fit_joint(
 def small_sample_factor(free_count: int) -> float:
     """Factor of the scatter of few parts, less the free parameters: Student's t, so that 1.96 standard errors cover
     95 %."""
-    degrees_of_freedom = PARTS - free_count
-    return float(np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
+    degrees_of_freedom = PART_COUNT - free_count
+    return float(np.sqrt(PART_COUNT / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
 
 
 def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, float]]) -> float:
@@ -239,28 +239,29 @@ def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, flo
     The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
     deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
-    residual_square, force_square = 0.0, 0.0
+    residual_power, force_power = 0.0, 0.0
     for residual_n, force_n, sensor_noise_n in residual_force_noise_n:
         noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
-        noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual_n.size))
-        residual_square += max(float(np.var(residual_n)) - noise_square, 0.0)
-        force_square += max(float(np.var(force_n)) - noise_square, 0.0)
-    return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
+        noise_power = noise_n**2 * (1 + 3 * np.sqrt(2 * PART_COUNT / residual_n.size))
+        residual_power += max(float(np.var(residual_n)) - noise_power, 0.0)
+        force_power += max(float(np.var(force_n)) - noise_power, 0.0)
+    return float(np.sqrt(residual_power / force_power)) if force_power > 0 else 0.0
 
 
 def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     scatter = np.maximum(np.sqrt(np.sum(influence_by_part**2, axis=0)), 1e-300)
     middle = len(influence_by_part) // 2
-    difference = influence_by_part[:middle].sum(axis=0) - influence_by_part[middle:].sum(axis=0)
-    clearance_difference, stiffness_difference = difference / scatter
+    half_difference = influence_by_part[:middle].sum(axis=0) - influence_by_part[middle:].sum(axis=0)
+    clearance_difference, stiffness_difference = half_difference / scatter
     return float(clearance_difference), float(stiffness_difference)
 
 
 def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> None:
     """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
     square is usually 1 to 2 squared standard deviations."""
-    if drift_spline.knots and np.mean((drift_spline.curvature @ knots - drift_spline.target) ** 2) > DRIFT_PULL_LIMIT:
+    prior_residual = drift_spline.curvature @ knots - drift_spline.curvature_target
+    if drift_spline.knot_count and np.mean(prior_residual**2) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 
@@ -273,12 +274,12 @@ def _check_bridged(record: ContactRecord, state: FitState) -> None:
     check_bridged(is_closed, record.decimation / record.sample_rate_hz, record.drift.noise_density, depth_m)
 
 
-def check_bridged(is_closed: Bool[np.ndarray, " fewer"], sample_s: float, noise_density: float, depth_m: float) -> None:
+def check_bridged(is_closed: Bool[np.ndarray, " fewer"], step_s: float, noise_density: float, depth_m: float) -> None:
     """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
     penetrations."""
-    open_times_s = np.sort(np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * sample_s)
-    open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
-    wander_m = noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
+    closure_intervals_s = np.sort(np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * step_s)
+    closure_intervals_s = closure_intervals_s[: round((1 - PAUSE_SHARE) * closure_intervals_s.size)]
+    wander_m = noise_density * np.sqrt(np.mean(closure_intervals_s**3) / 6) if closure_intervals_s.size else np.inf
     if wander_m > WANDER_LIMIT * depth_m:
         raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
 
@@ -293,11 +294,11 @@ def _check_separable(
     interval."""
     laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
-        contacts = np.flatnonzero(touched[:, side])
-        if any(np.mean(sign * eta_m > laws[contact, side]) < LEAST_CLOSED_SHARE for contact in contacts):
+        contact_indices = np.flatnonzero(touched[:, side])
+        if any(np.mean(sign * eta_m > laws[contact, side]) < LEAST_CLOSED_SHARE for contact in contact_indices):
             raise refused(RefusalCode.NOT_SEPARABLE)
-        for first, second in combinations(contacts, 2):
+        for first_contact, second_contact in combinations(contact_indices, 2):
             gradient = np.zeros_like(law_parameters)
-            gradient[[len(LAW) * first + side, len(LAW) * second + side]] = 1, -1
+            gradient[[len(LAW) * first_contact + side, len(LAW) * second_contact + side]] = 1, -1
             if abs(gradient @ law_parameters) < COVERED * np.sqrt(gradient @ covariance @ gradient):
                 raise refused(RefusalCode.NOT_SEPARABLE)

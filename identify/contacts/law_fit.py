@@ -34,10 +34,10 @@ from identify.contacts.linearization import (
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.refit import refit_until_settled
-from identify.signals.scores import PARTS, part_scores
+from identify.signals.scores import PART_COUNT, part_scores
 
 MOST_STEPS, WEIGHT_ROUNDS, COST_TOLERANCE = 30, 3, 1e-7
-EXPONENT_STEP = 0.1
+EXPONENT_SCALE = 0.1
 
 Weights = Float[np.ndarray, " fewer"]
 
@@ -63,11 +63,11 @@ class LawFit:
         form = self.state.form
         lower_m, upper_m, stiffness_n_per_m, _ = form.contact_parameters(self.state.law_parameters).T
         clearance_m = np.maximum(np.minimum(lower_m, upper_m), 1e-9)
-        scales = np.stack([clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1).ravel()
-        scaled = self.free_to_laws * np.max(self.free_to_laws * scales[:, None], axis=0)
+        law_scales = np.stack([clearance_m, clearance_m, stiffness_n_per_m, 1e-3 * stiffness_n_per_m], axis=1).ravel()
+        scaled_matrix = self.free_to_laws * np.max(self.free_to_laws * law_scales[:, None], axis=0)
         if not form.exponent_count:
-            return scaled
-        return np.asarray(block_diag(scaled, EXPONENT_STEP * np.eye(form.exponent_count)))
+            return scaled_matrix
+        return np.asarray(block_diag(scaled_matrix, EXPONENT_SCALE * np.eye(form.exponent_count)))
 
     @property
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
@@ -76,7 +76,7 @@ class LawFit:
         return derivatives, normal_equations(self.record, self.state, derivatives, self.scaled_to_laws, self.weights)
 
     @property
-    def least_cost(self) -> "LawFit":
+    def at_least_cost(self) -> "LawFit":
         """Fit at the state of least cost for its weights, by Gauss-Newton."""
         state, *_ = gauss_newton(
             self._with_cost(self.state), self._step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
@@ -85,12 +85,12 @@ class LawFit:
 
     def _step_from(self, state: FitState) -> Step[FitState]:
         fit = replace(self, state=state)
-        to_laws, (_, equations), pull_count = fit.scaled_to_laws, fit.linearized, state.pulls.size
+        free_to_laws, (_, equations), pull_count = fit.scaled_to_laws, fit.linearized, state.pulls.size
         knot_step, free_step = equations.solved(equations.knot_gradient, equations.free_gradient)
         cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.free_gradient * free_step)
 
         def state_after(share: float) -> FitState | None:
-            law_parameters = state.law_parameters + share * to_laws @ free_step[pull_count:, 0]
+            law_parameters = state.law_parameters + share * free_to_laws @ free_step[pull_count:, 0]
             if not state.form.is_within_bounds(law_parameters):
                 return None
             knots, pulls = state.knots + share * knot_step[:, 0], state.pulls + share * free_step[:pull_count, 0]
@@ -100,11 +100,10 @@ class LawFit:
 
     def _with_cost(self, state: FitState) -> FitState:
         """State with its cost: weighted squares of residuals and of the priors."""
-        drift_spline = self.record.drift_spline
-        residual_square = np.sum((self.weights * state.residual_n) ** 2)
-        curvature_square = np.sum((drift_spline.curvature @ state.knots - drift_spline.target) ** 2)
-        pull_square = self.record.samples_per_error * np.sum(state.pulls**2)
-        return replace(state, cost=float(residual_square + curvature_square + pull_square))
+        drift_spline, residual_cost = self.record.drift_spline, np.sum((self.weights * state.residual_n) ** 2)
+        curvature_cost = np.sum((drift_spline.curvature @ state.knots - drift_spline.curvature_target) ** 2)
+        pull_cost = self.record.samples_per_error * np.sum(state.pulls**2)
+        return replace(state, cost=float(residual_cost + curvature_cost + pull_cost))
 
     @property
     def reweighted(self) -> "LawFit":
@@ -119,15 +118,15 @@ class LawFit:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
         return refit_until_settled(
-            self.reweighted, lambda fit: fit.least_cost.reweighted, weights_agree, rounds=WEIGHT_ROUNDS
+            self.reweighted, lambda fit: fit.at_least_cost.reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
         )
 
     def with_form(self, form: LawForm) -> "LawFit":
         """Fit of another form with the same weights, from this state and an exponent of one."""
-        contact_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
-        law_parameters = np.concatenate([contact_values, np.ones(form.exponent_count)])
+        law_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
+        law_parameters = np.concatenate([law_values, np.ones(form.exponent_count)])
         start_state = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=start_state).least_cost
+        return replace(self, state=start_state).at_least_cost
 
     @property
     def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
@@ -162,30 +161,30 @@ def first_fit(
     Raises ContactRefusedError if no guess leads to a minimum.
     """
     initial_noise_n = 0.02 * float(np.std(record.force_n))
-    fits, refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
+    fits, latest_refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
     for law_parameters, knots in guesses:
         start_state = state_at(record, form, law_parameters, knots, pulls)
         weights = residual_weights(record, start_state, initial_noise_n)
         try:
-            fits.append(LawFit(record, free_to_laws, start_state, weights).least_cost)
+            fits.append(LawFit(record, free_to_laws, start_state, weights).at_least_cost)
         except ContactRefusedError as error:
-            refusal = error
+            latest_refusal = error
     if not fits:
-        raise refusal
+        raise latest_refusal
     return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
 def _open_deviation_n(state: FitState) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
-    stops_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
-    open_residual_n = state.residual_n[stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
+    stop_tangent_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
+    open_residual_n = state.residual_n[stop_tangent_n_per_m < 1e-3 * state.stiffness_n_per_m]
     return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
 
 
 def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
-    unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_m)
+    unfollowed_m = np.hypot(record.eta_noise_m, 0.0 if record.drift is None else record.drift.unfollowed_noise_m)
     unmodelled_n = record.unmodelled_share * np.hypot(record.force_n, np.std(record.force_n))
     return np.asarray(1 / np.sqrt(open_deviation_n**2 + (state.tangent_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2))
 
@@ -196,54 +195,54 @@ CONSISTENCY_LIMIT = 3.0
 MISFIT_CONFIDENCE = 0.99
 BAND_COUNT, LOWEST_BAND_LINES = 24, 8
 """Number of bands, and lines in the lowest one: bands widen with frequency."""
-LEAST_HALF_SAMPLES = 10 * PARTS
+LEAST_HALF_SAMPLES = 10 * PART_COUNT
 """Samples that either half of a split needs."""
 
 
-def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
+def fit_of_chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     """Fit of the preferred form, settled; the fit of the dead zone if no form is preferred."""
     if not form_names:
         return fit
-    form = LawForm(reference_depth_m=_rounded_depth_m(fit))
-    if not form.reference_depth_m:
+    base_form = LawForm(reference_depth_m=_rounded_rms_depth_m(fit))
+    if not base_form.reference_depth_m:
         return fit
-    preferred_fit, least_squares = None, np.inf
+    preferred_fit, least_square_sum = None, np.inf
     for name in form_names:
         try:
-            alternative = fit.with_form(replace(form, name=name))
+            alternative_fit = fit.with_form(replace(base_form, name=name))
         except ContactRefusedError:
             continue
-        if is_preferred_form(fit, alternative) and alternative.squared_residuals.sum() < least_squares:
-            preferred_fit, least_squares = alternative, float(alternative.squared_residuals.sum())
+        if is_preferred_form(fit, alternative_fit) and alternative_fit.squared_residuals.sum() < least_square_sum:
+            preferred_fit, least_square_sum = alternative_fit, float(alternative_fit.squared_residuals.sum())
     try:
         return preferred_fit.settled if preferred_fit else fit
     except ContactRefusedError:
         return fit
 
 
-def is_preferred_form(dead_zone_fit: LawFit, alternative: LawFit) -> bool:
+def is_preferred_form(dead_zone_fit: LawFit, alternative_fit: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
-    independent_samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
-    gain, consistency = form_evidence(dead_zone_fit, alternative, independent_samples)
-    least_gain = alternative.state.form.exponent_count * np.log(independent_samples) + 2 * np.log(LEAST_ODDS)
-    return bool(gain > least_gain and consistency > CONSISTENCY_LIMIT)
+    independent_count = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
+    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative_fit, independent_count)
+    least_gain = alternative_fit.state.form.exponent_count * np.log(independent_count) + 2 * np.log(LEAST_ODDS)
+    return bool(likelihood_gain > least_gain and consistency > CONSISTENCY_LIMIT)
 
 
-def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, independent_samples: float) -> tuple[float, float]:
+def form_evidence(dead_zone_fit: LawFit, alternative_fit: LawFit, independent_count: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
-    spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative)]
-    line_count = spectra[0].size
-    edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
-    starts = np.unique(np.r_[0, edges[1:-1]])
-    counts = np.diff(np.r_[starts, line_count])
-    before, after = (np.add.reduceat(np.abs(spectrum) ** 2, starts) for spectrum in spectra)
-    if not np.all((before > 0) & (after > 0)):
+    residual_spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative_fit)]
+    line_count = residual_spectra[0].size
+    band_edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
+    band_starts = np.unique(np.r_[0, band_edges[1:-1]])
+    band_line_counts = np.diff(np.r_[band_starts, line_count])
+    dead_zone_power, form_power = (np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in residual_spectra)
+    if not np.all((dead_zone_power > 0) & (form_power > 0)):
         return 0.0, 0.0
-    likelihood_gain = independent_samples * float(counts @ np.log(before / after)) / line_count
-    amplitude = np.repeat(np.sqrt(before / counts), counts)
-    flattened = [np.fft.irfft(spectrum / amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra]
-    part_gains = np.array([part.sum() for part in np.array_split(flattened[0] - flattened[1], PARTS)])
-    gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
+    likelihood_gain = independent_count * float(band_line_counts @ np.log(dead_zone_power / form_power)) / line_count
+    amplitude = np.repeat(np.sqrt(dead_zone_power / band_line_counts), band_line_counts)
+    squares = [np.fft.irfft(spectrum / amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in residual_spectra]
+    part_gains = np.array([part_saving.sum() for part_saving in np.array_split(squares[0] - squares[1], PART_COUNT)])
+    gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PART_COUNT)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 
 
@@ -259,39 +258,39 @@ def misfit_covariance(
 
         D D' / 4 max(0, 1 - T0^2 / T^2).
     """
-    law_count = fit.state.law_parameters.size
-    covariance = np.zeros((law_count, law_count))
+    parameter_count = fit.state.law_parameters.size
+    covariance = np.zeros((parameter_count, parameter_count))
     force_by_free = derivatives.by_law @ fit.scaled_to_laws
     for halves in _closed_splits(fit):
-        first, second = (_half_scores(fit, force_by_free, is_in_half, part_starts) for is_in_half in halves)
-        if first is None or second is None:
+        first_scores, second_scores = (_half_scores(fit, force_by_free, half, part_starts) for half in halves)
+        if first_scores is None or second_scores is None:
             continue
-        difference, excess = misfit_excess(first - second)
-        law_error = fit.scaled_to_laws @ difference / 2
-        covariance += excess * np.outer(law_error, law_error)
+        free_difference, excess_share = misfit_of_halves(first_scores - second_scores)
+        law_error = fit.scaled_to_laws @ free_difference / 2
+        covariance += excess_share * np.outer(law_error, law_error)
     return covariance
 
 
-def misfit_excess(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+def misfit_of_halves(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     part_count, parameter_count = score_differences.shape
-    difference = score_differences.sum(axis=0)
-    scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
-    scatter = (score_differences - score_differences.mean(axis=0)) / scale
-    covariance = part_count / (part_count - 1) * scatter.T @ scatter
-    t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
+    free_difference = score_differences.sum(axis=0)
+    score_norms = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
+    scaled_scatter = (score_differences - score_differences.mean(axis=0)) / score_norms
+    scaled_covariance = part_count / (part_count - 1) * scaled_scatter.T @ scaled_scatter
+    scaled_difference = free_difference / score_norms
+    t_square = float(scaled_difference @ np.linalg.pinv(scaled_covariance, hermitian=True) @ scaled_difference)
     degrees_of_freedom = part_count - parameter_count
     f_quantile = float(f.ppf(MISFIT_CONFIDENCE, parameter_count, degrees_of_freedom))
     t_square_limit = parameter_count * (part_count - 1) / degrees_of_freedom * f_quantile
-    return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
+    return free_difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
 def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
     eta, rate = (record.at_force_samples(signal) for signal in fit.motion)
-    depth_m = fit.depth_m(eta)
-    is_closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
+    depth_m, is_closed = fit.depth_m(eta), state.form.slopes(state.law_parameters, eta, rate)[0] > 0
     is_deep = np.abs(depth_m) > np.median(np.abs(depth_m[is_closed])) if is_closed.any() else is_closed
     is_growing = depth_m * rate > 0
     return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]
@@ -306,21 +305,21 @@ def _half_scores(
     """Change of the free parameters by these samples alone, part by part of the record; None if undetermined."""
     if is_in_half.sum() < LEAST_HALF_SAMPLES:
         return None
-    weights = np.where(is_in_half, fit.weights, 0.0)[:, None] ** 2
-    normal_matrix = force_by_free.T @ (weights * force_by_free)
+    squared_weights = np.where(is_in_half, fit.weights, 0.0)[:, None] ** 2
+    normal_matrix = force_by_free.T @ (squared_weights * force_by_free)
     if not np.linalg.cond(normal_matrix) < 1e10:
         return None
-    influence = weights * force_by_free @ np.linalg.inv(normal_matrix)
+    influence = squared_weights * force_by_free @ np.linalg.inv(normal_matrix)
     return part_scores(influence, fit.state.residual_n, part_starts)
 
 
-def _rounded_depth_m(fit: LawFit) -> float:
+def _rounded_rms_depth_m(fit: LawFit) -> float:
     """Root mean square of the depth while the contact is closed, m, rounded to 1, 2 or 5 times a power of ten, so that
     all records of a machine have the same."""
     depths_m = fit.depth_m(fit.motion[0])
     if not depths_m.any():
         return 0.0
-    typical_m = float(np.sqrt(np.mean(depths_m[depths_m != 0] ** 2)))
-    power_of_ten = float(10 ** np.floor(np.log10(typical_m)))
-    rounded_m = [mantissa * power_of_ten for mantissa in (1.0, 2.0, 5.0, 10.0)]
-    return min(rounded_m, key=lambda depth_m: abs(np.log(depth_m / typical_m)))
+    rms_depth_m = float(np.sqrt(np.mean(depths_m[depths_m != 0] ** 2)))
+    power_of_ten = float(10 ** np.floor(np.log10(rms_depth_m)))
+    rounded_depths_m = [mantissa * power_of_ten for mantissa in (1.0, 2.0, 5.0, 10.0)]
+    return min(rounded_depths_m, key=lambda depth_m: abs(np.log(depth_m / rms_depth_m)))

@@ -84,8 +84,8 @@ class LawForm:
     def is_within_bounds(self, law_parameters: LawParameters) -> bool:
         """True if every parameter lies in its range and each stiffness is positive."""
         values_by_contact, (least_exponent, most_exponent) = self.contact_parameters(law_parameters), EXPONENT_RANGE
-        within_bounds = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
-        return bool(within_bounds and least_exponent <= self.exponent(law_parameters) <= most_exponent)
+        is_law_within = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
+        return bool(is_law_within and least_exponent <= self.exponent(law_parameters) <= most_exponent)
 
     def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
@@ -110,19 +110,19 @@ class LawForm:
             by_lower_clearance = part.slope_n_per_m * (part.depth_m < 0)
             by_upper_clearance = by_lower_clearance - part.slope_n_per_m
             by_parameters += [by_lower_clearance, by_upper_clearance]
-            by_parameters += [part.spring_m * part.is_closed, part.damper_m_per_s * part.is_closed]
+            by_parameters += [part.unit_spring_m * part.is_closed, part.unit_damper_m_per_s * part.is_closed]
             if self.exponent_count:
                 depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += part.stiffness_n_per_m * part.spring_m * np.log(depth_ratio)
+                by_exponent += part.stiffness_n_per_m * part.unit_spring_m * np.log(depth_ratio)
         return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
 
     def contributions(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
-    ) -> "Iterator[Contribution]":
+    ) -> "Iterator[ContactContribution]":
         """Contributions of the contacts to the force."""
         exponent = self.exponent(law_parameters)
-        for contact_index, values in enumerate(self.contact_parameters(law_parameters)):
-            lower_m, upper_m, stiffness, damping = values.tolist()
+        for contact_index, law_values in enumerate(self.contact_parameters(law_parameters)):
+            lower_m, upper_m, stiffness, damping = law_values.tolist()
             unit_spring = DeadZone(
                 lower_clearance_m=lower_m,
                 upper_clearance_m=upper_m,
@@ -139,16 +139,16 @@ class LawForm:
             if self.name == "cannot pull":
                 is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
             slope_n_per_m = stiffness * unit_spring.by_eta_n_per_m(eta_m) * is_closed
-            yield Contribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
+            yield ContactContribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
 
 
 @dataclass(frozen=True)
-class Contribution:
+class ContactContribution:
     """Force of one contact: depth, forces of unit stiffness and of unit damping, derivative by the displacement."""
 
     depth_m: Signal
-    spring_m: Signal
-    damper_m_per_s: Signal
+    unit_spring_m: Signal
+    unit_damper_m_per_s: Signal
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     slope_n_per_m: Signal
@@ -156,7 +156,7 @@ class Contribution:
 
     @property
     def force_n(self) -> Signal:
-        force = self.stiffness_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper_m_per_s
+        force = self.stiffness_n_per_m * self.unit_spring_m + self.damping_n_s_per_m * self.unit_damper_m_per_s
         return np.asarray(force * self.is_closed)
 
 
@@ -172,4 +172,4 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [force for part in contributions for force in (part.spring_m, part.damper_m_per_s)]
+    return [force for part in contributions for force in (part.unit_spring_m, part.unit_damper_m_per_s)]

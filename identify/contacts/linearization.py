@@ -69,16 +69,16 @@ class FitState:
     @property
     def stiffness_n_per_m(self) -> float:
         """Stiffness of the stop that closes first, N/m; of a spring without stops, its own."""
-        values = self.form.contact_parameters(self.law_parameters)
-        stops = np.delete(values, self.form.spring_indices, axis=0)
-        lower_m, upper_m, stiffness, _ = (stops if len(stops) else values).T
+        law_values = self.form.contact_parameters(self.law_parameters)
+        stop_values = np.delete(law_values, self.form.spring_indices, axis=0)
+        lower_m, upper_m, stiffness, _ = (stop_values if len(stop_values) else law_values).T
         return float(stiffness[np.argmin(np.minimum(lower_m, upper_m))])
 
     @property
     def spring_n_per_m(self) -> float:
         """Stiffness of the springs beside stops, N/m; zero of a spring without stops."""
-        springs = self.form.contact_parameters(self.law_parameters)[list(self.form.spring_indices)]
-        return float(springs[:, 2].sum()) if self.form.name != "spring" else 0.0
+        spring_values = self.form.contact_parameters(self.law_parameters)[list(self.form.spring_indices)]
+        return float(spring_values[:, 2].sum()) if self.form.name != "spring" else 0.0
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Jacobian:
     by_pulls: Float[np.ndarray, "fewer nuisances"]
     by_law: Float[np.ndarray, "fewer laws"]
 
-    def columns(
+    def times_columns(
         self, knots: Float[np.ndarray, "knots columns"], pulls_and_laws: Float[np.ndarray, "free columns"]
     ) -> Float[np.ndarray, "fewer columns"]:
         """Jacobian times columns of knots and of free parameters: the nuisance parameters, then the law's."""
@@ -133,9 +133,9 @@ def drift_signals(
     record: ContactRecord, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Drift signals h b - theta' nuisance_m, m, and their rate, m/s, with h = 1 - theta' eta_noise_multiple."""
-    eta_pulls, curve = pulls[record.shifts_eta], record.drift_spline
+    eta_pulls, spline = pulls[record.shifts_eta], record.drift_spline
     gain, nuisance_m = 1 - eta_pulls @ record.eta_noise_multiple, _weighted_sum(eta_pulls, record.nuisance_m)
-    return gain * (curve.value @ knots) - nuisance_m, gain * (curve.rate @ knots) - record.velocity_of(nuisance_m)
+    return gain * (spline.value @ knots) - nuisance_m, gain * (spline.rate @ knots) - record.velocity_of(nuisance_m)
 
 
 def _weighted_sum(
@@ -153,22 +153,22 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     eta, velocity = corrected_motion(record, state.knots, state.pulls)
     by_displacement, by_velocity = state.form.slopes(state.law_parameters, eta, velocity)
     by_law = state.form.derivatives(state.law_parameters, eta, velocity)
-    by_drift = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
-    ground_matrix, drift_force_n = ground_n_per_m(record), by_drift @ state.knots
+    law_by_knots = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
+    ground_matrix, drift_force_n = ground_n_per_m(record), law_by_knots @ state.knots
     force_residual_n = state.residual_n + ground_matrix @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
     for k, noise_multiple in enumerate(record.force_noise_multiple):
         by_pulls[k] -= noise_multiple * force_residual_n
-    for index, nuisance_m, noise_multiple in zip(
+    for pull_index, nuisance_m, noise_multiple in zip(
         np.flatnonzero(record.shifts_eta), record.nuisance_m, record.eta_noise_multiple, strict=True
     ):
         force_change_n = by_displacement * nuisance_m + by_velocity * record.velocity_of(nuisance_m)
-        by_pulls[index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
+        by_pulls[pull_index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
     force_gain = 1 - state.pulls @ record.force_noise_multiple
     by_pulls /= np.float32(force_gain)
     motion_gain = 1 - state.pulls[record.shifts_eta] @ record.eta_noise_multiple
     return Jacobian(
-        by_knots=motion_gain / force_gain * by_drift + ground_matrix,
+        by_knots=motion_gain / force_gain * law_by_knots + ground_matrix,
         by_pulls=by_pulls.T,
         by_law=np.stack([_low_passed(record, column) for column in by_law], axis=1) / force_gain,
     )
@@ -176,10 +176,10 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
 
 def ground_n_per_m(record: ContactRecord) -> csr_matrix:
     """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
-    curve = record.drift_spline
+    spline = record.drift_spline
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
-        return csr_matrix((record.force_n.size, curve.knots))
-    knot_values, knot_rates = record.at_force_samples(curve.value), record.at_force_samples(curve.rate)
+        return csr_matrix((record.force_n.size, spline.knot_count))
+    knot_values, knot_rates = record.at_force_samples(spline.value), record.at_force_samples(spline.rate)
     return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates
 
 
@@ -192,11 +192,11 @@ def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) ->
 class BorderedEquations:
     """Normal equations [A B; B' C] [knots; free] = right-hand side, solved by elimination of the knots.
 
-    `cholesky` is the factor of the banded A, `border` is B, `eliminated_border` A^-1 B, `schur_inverse`
+    `knot_cholesky` is the factor of the banded A, `border` is B, `eliminated_border` A^-1 B, `schur_inverse`
     (C - B' A^-1 B)^-1, and the gradients are the right-hand side of a Gauss-Newton step.
     """
 
-    cholesky: Float[np.ndarray, "band knots"]
+    knot_cholesky: Float[np.ndarray, "band knots"]
     border: Float[np.ndarray, "knots free"]
     eliminated_border: Float[np.ndarray, "knots free"]
     schur_inverse: Float[np.ndarray, "free free"]
@@ -209,7 +209,7 @@ class BorderedEquations:
         """Solution for a right-hand side: knots, and free parameters."""
         knots_alone = knot_right_side
         if knot_right_side.size:
-            knots_alone = cho_solve_banded((self.cholesky, False), knot_right_side)
+            knots_alone = cho_solve_banded((self.knot_cholesky, False), knot_right_side)
         free_solution = self.schur_inverse @ (free_right_side - self.border.T @ knots_alone)
         return knots_alone - self.eliminated_border @ free_solution, free_solution
 
@@ -229,26 +229,26 @@ def normal_equations(
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
     free_block = np.diag(np.r_[np.full(pull_count, record.samples_per_error), np.zeros(free_count)])
     free_gradient = np.r_[-record.samples_per_error * state.pulls, np.zeros(free_count)]
-    curve, weighted_residual = record.drift_spline, weights * state.residual_n
-    border = np.zeros((curve.knots, pull_count + free_count))
+    spline, weighted_residual = record.drift_spline, weights * state.residual_n
+    border = np.zeros((spline.knot_count, pull_count + free_count))
     by_knots = csr_matrix(diags(weights) @ derivatives.by_knots)
     for chunk in sample_chunks(weighted_residual.size):
-        rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ scaled_to_laws], axis=1)
-        rows *= weights[chunk, None]
-        free_block += rows.T @ rows
-        free_gradient += rows.T @ weighted_residual[chunk]
-        if curve.knots:
-            border += by_knots[chunk].T @ rows
-    prior_residual = curve.target - curve.curvature @ state.knots
-    knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ prior_residual
+        free_rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ scaled_to_laws], axis=1)
+        free_rows *= weights[chunk, None]
+        free_block += free_rows.T @ free_rows
+        free_gradient += free_rows.T @ weighted_residual[chunk]
+        if spline.knot_count:
+            border += by_knots[chunk].T @ free_rows
+    prior_residual = spline.curvature_target - spline.curvature @ state.knots
+    knot_gradient = by_knots.T @ weighted_residual + spline.curvature.T @ prior_residual
     try:
-        cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)
-        eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knots else border
+        knot_cholesky = _banded_cholesky(by_knots.T @ by_knots + spline.curvature.T @ spline.curvature, bandwidth)
+        eliminated_border = cho_solve_banded((knot_cholesky, False), border) if spline.knot_count else border
         schur_inverse = np.linalg.inv(free_block - border.T @ eliminated_border)
     except LinAlgError as error:
         raise refused(RefusalCode.NO_LAW) from error
     gradients = knot_gradient[:, None], free_gradient[:, None]
-    return BorderedEquations(cholesky, border, eliminated_border, schur_inverse, *gradients)
+    return BorderedEquations(knot_cholesky, border, eliminated_border, schur_inverse, *gradients)
 
 
 def _banded_cholesky(symmetric_matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:

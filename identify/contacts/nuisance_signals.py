@@ -10,7 +10,7 @@ from identify.contacts.slow_motion import SlowModel
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import real_product
 from identify.linear.nuisance import RECORD_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
-from identify.signals.drift import KNOT_S
+from identify.signals.drift import KNOT_STEP_S
 
 ForceWeights = Complex[np.ndarray, "contacts rows lines"]
 
@@ -32,10 +32,10 @@ class NuisanceSignals:
 
     def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
         """Signals with the contact forces by initial states, which change no displacement."""
-        states = (Nuisance(NuisanceKind.INITIAL_STATE, RECORD_NAME, k + 1) for k in range(len(force_n)))
+        state_parameters = (Nuisance(NuisanceKind.INITIAL_STATE, RECORD_NAME, k + 1) for k in range(len(force_n)))
         zero_multiples = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (*self.parameters, *states),
+            (*self.parameters, *state_parameters),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
             np.concatenate([self.force_noise_multiple, zero_multiples]),
@@ -50,7 +50,7 @@ class NuisanceSignals:
 def nuisance_signals(
     parameters: tuple[Nuisance, ...],
     observed: ObservedSignals,
-    noise_alone: ObservedSignals,
+    observed_noise: ObservedSignals,
     contact_weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
@@ -59,44 +59,44 @@ def nuisance_signals(
 ) -> NuisanceSignals:
     """Nuisance signals of the parameters of `changes_of(observed)` over some samples.
 
-    `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
-    what a parameter adds to the contact forces moves the stations slowly.
+    `observed_noise` is the observation of the sensors' noise; the stations are the first rows of both. With a slow
+    model, what a parameter adds to the contact forces moves the stations slowly.
     """
     row_count, station_count = contact_weights.shape[1], signs.shape[1]
     signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
-    shape = (len(parameters), len(signs), sample_count)
-    force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
-    force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_forces = contact_spectra(contact_weights, noise_alone.signals)
-    noise_etas = real_product(signs, noise_alone.displacements)
-    pairs = zip(changes_of(observed), changes_of(noise_alone), strict=True)
-    for index, (change, noise_change) in enumerate(pairs):
+    signal_shape = (len(parameters), len(signs), sample_count)
+    force_n, eta_m = np.empty(signal_shape, np.float32), np.zeros(signal_shape, np.float32)
+    force_noise_multiple, eta_noise_multiple = np.zeros(signal_shape[:2]), np.zeros(signal_shape[:2])
+    noise_force_spectra = contact_spectra(contact_weights, observed_noise.signals)
+    noise_eta_spectra = real_product(signs, observed_noise.displacements)
+    change_pairs = zip(changes_of(observed), changes_of(observed_noise), strict=True)
+    for parameter_index, (change, noise_change) in enumerate(change_pairs):
         sensor_weights, sensor_signs = contact_weights[:, change.sensors], signs[:, change.sensors]
         force_spectra = contact_spectra(sensor_weights, change.signals)
-        force_n[index] = lines.signals(force_spectra, sample_count)
-        noise_force = contact_spectra(sensor_weights, noise_change.signals)
-        force_multiple[index] = _noise_multiple(noise_forces, noise_force)
+        force_n[parameter_index] = lines.signals(force_spectra, sample_count)
+        noise_force_change = contact_spectra(sensor_weights, noise_change.signals)
+        force_noise_multiple[parameter_index] = _noise_multiple(noise_force_spectra, noise_force_change)
         moves_contact = np.any(sensor_signs)
         if slow_model is not None:
             displacements = np.zeros((row_count, change.signals.shape[1]), dtype=complex)
             displacements[change.sensors] = 0.0 if change.displacements is None else change.displacements
             slow_change = slow_model.displacement_change(change.parameter, force_spectra, displacements[:station_count])
-            eta_m[index] = lines.signals(real_product(signs[:, :station_count], slow_change), sample_count)
+            eta_m[parameter_index] = lines.signals(real_product(signs[:, :station_count], slow_change), sample_count)
         elif moves_contact and change.displacements is not None:
-            eta_m[index] = lines.signals(real_product(sensor_signs, change.displacements), sample_count)
+            eta_m[parameter_index] = lines.signals(real_product(sensor_signs, change.displacements), sample_count)
         if moves_contact and not (change.displacements is None or noise_change.displacements is None):
-            noise_eta = real_product(sensor_signs, noise_change.displacements)
-            eta_multiple[index] = _noise_multiple(noise_etas, noise_eta)
-    return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)
+            noise_eta_change = real_product(sensor_signs, noise_change.displacements)
+            eta_noise_multiple[parameter_index] = _noise_multiple(noise_eta_spectra, noise_eta_change)
+    return NuisanceSignals(parameters, force_n, eta_m, force_noise_multiple, eta_noise_multiple)
 
 
 def random_noise(
-    power: Float[np.ndarray, "stations lines"], least_power: float, lines: SpectralLines
+    noise_power: Float[np.ndarray, "stations lines"], least_power: float, lines: SpectralLines
 ) -> Complex[np.ndarray, "stations lines"]:
     """Spectra of noise with this power and random phases; zero where the drift's knots can follow it."""
-    phase_rad = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
-    is_drift_line = lines.omega < 2 * np.pi * 0.5 / KNOT_S
-    return np.asarray(np.sqrt(np.maximum(power, least_power)) * np.exp(1j * phase_rad) * ~is_drift_line)
+    phase_rad = np.random.default_rng(0).uniform(0, 2 * np.pi, noise_power.shape)
+    is_drift_line = lines.omega < 2 * np.pi * 0.5 / KNOT_STEP_S
+    return np.asarray(np.sqrt(np.maximum(noise_power, least_power)) * np.exp(1j * phase_rad) * ~is_drift_line)
 
 
 def contact_spectra(
@@ -107,9 +107,9 @@ def contact_spectra(
 
 
 def _noise_multiple(
-    noise_force: Complex[np.ndarray, "contacts lines"], nuisance_force: Complex[np.ndarray, "contacts lines"]
+    noise_spectra: Complex[np.ndarray, "contacts lines"], nuisance_spectra: Complex[np.ndarray, "contacts lines"]
 ) -> Float[np.ndarray, " contacts"]:
     """Multiple of the noise that is nearest to the nuisance, by least squares."""
-    power = np.sum(np.abs(noise_force) ** 2, axis=1)
-    product = np.sum((noise_force.conj() * nuisance_force).real, axis=1)
-    return np.divide(product, power, out=np.zeros_like(power), where=power > 0)
+    noise_power = np.sum(np.abs(noise_spectra) ** 2, axis=1)
+    cross_power = np.sum((noise_spectra.conj() * nuisance_spectra).real, axis=1)
+    return np.divide(cross_power, noise_power, out=np.zeros_like(noise_power), where=noise_power > 0)

@@ -25,7 +25,7 @@ from identify.linear.nuisance import ObservedSignals
 from identify.linear.observed_motion import ObservedBase, ObservedTransverse
 from identify.linear.slow_stiffness import has_high_passed_springs
 from identify.signals.kinematics import Kinematics
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import body_force_count
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -46,17 +46,17 @@ class SeparationInput:
     displacement_noise: Float[np.ndarray, " stations"]
     tolerances: Tolerances
     gauges: Gauges
-    from_rest: bool
+    begins_at_rest: bool
 
     @property
     def lines(self) -> SpectralLines:
         """Lines of the record padded with the time in which the beams' ringing decays."""
         rate_hz = self.motion.sample_rate_hz
-        padded_samples = -(-(self.motion.samples + round(RINGING_S * rate_hz)) // self.decimation)
+        padded_samples = -(-(self.motion.sample_count + round(RINGING_S * rate_hz)) // self.decimation)
         return SpectralLines(self.decimation * next_fast_len(padded_samples, real=True), self.decimation, rate_hz)
 
     @property
-    def signs(self) -> Float[np.ndarray, "contacts stations"]:
+    def eta_signs(self) -> Float[np.ndarray, "contacts stations"]:
         """Signs of the stations' displacements in the relative ones."""
         stations = self.motion.stations
         return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in self.rig.contacts])
@@ -68,19 +68,18 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     motion, omega = record.motion, lines.omega
     sensor_pairs = list(zip(motion.sensors, motion.displaced_by, strict=True))
     orders = np.array([[sensor.measures.order, displaced.measures.order] for sensor, displaced in sensor_pairs])
-    differentiations = np.maximum(0, 2 - orders)
-    nyquist_omega = np.pi * lines.rate_hz
-    colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
-    variance_by_acceleration = record.noise_m_per_s2[:, None] ** 2 * colour
+    differentiations, nyquist_omega = np.maximum(0, 2 - orders), np.pi * lines.rate_hz
+    noise_colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
+    variance_by_acceleration = record.noise_m_per_s2[:, None] ** 2 * noise_colour
     variance_by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])
     base_order = motion.base.displaced_by.measures.order if motion.base else None
-    has_both = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
-    is_quieter = has_both[:, None] & ~lines.is_slow & (variance_by_displacement < variance_by_acceleration)
+    has_both_sensors = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
+    is_quieter = has_both_sensors[:, None] & ~lines.is_slow & (variance_by_displacement < variance_by_acceleration)
     shows_zero = motion.zero_known & is_held & (orders[:, 1] == 0)
     is_in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
     scale_per_s2 = np.where(is_quieter.any(axis=1), np.max(omega * is_quieter, axis=1) ** 2, 1.0)
-    by_displacement = is_in_metres & has_both[:, None]
-    acceleration_variance = np.where(by_displacement, variance_by_displacement, variance_by_acceleration)
+    from_displacement = is_in_metres & has_both_sensors[:, None]
+    acceleration_variance = np.where(from_displacement, variance_by_displacement, variance_by_acceleration)
     return StationRows(is_in_metres, scale_per_s2, omega, acceleration_variance)
 
 
@@ -88,7 +87,7 @@ def observation_of(
     record: SeparationInput,
     lines: SpectralLines,
     responses: tuple[Response, ...],
-    rows: StationRows,
+    stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
 ) -> tuple[ObservedSignals, GaugeErrors, Float[np.ndarray, "rows lines"]]:
     """Observation by the spectra of the stations' rows and of strain; the errors of gauges beside the tolerances; the
@@ -96,36 +95,36 @@ def observation_of(
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
-    rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.samples
+    rig, motion, gauges, sample_count = record.rig, record.motion, record.gauges, record.motion.sample_count
     displacements, accelerations = _station_spectra(record, motion, lines)
-    signals, response = rows.signals(displacements, accelerations), rows.response
+    signals, station_response = stations.signals(displacements, accelerations), stations.response
     shows_slow_motion = [not (has_high_passed_springs(responses) or sensor.high_pass_hz) for sensor in gauges.sensors]
-    is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
-    gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
+    is_gauge_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
+    gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_gauge_usable)
     observed_base = None
     if base := motion.base:
         acceleration, displacement = lines.spectra(base.acceleration_m_per_s2), lines.spectra(base.displacement_m)
-        by_base = input_accelerations[-1]
-        observed_base = ObservedBase(base.sensor, base.displaced_by, acceleration, displacement, by_base)
+        base_accelerations = input_accelerations[-1]
+        observed_base = ObservedBase(base.sensor, base.displaced_by, acceleration, displacement, base_accelerations)
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
         tolerances=record.tolerances,
         omega=lines.omega,
-        sensor_response=np.concatenate([response, gauge_rows.response]),
-        signals=np.concatenate([signals, gauge_rows.measured]),
-        force_accelerations=input_accelerations[: count_on_bodies(rig)],
-        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
-        bodies=tuple(observed_body_motion(rig, body, motion, signals / response) for body in responses),
+        sensor_response=np.concatenate([station_response, gauge_rows.response]),
+        signals=np.concatenate([signals, gauge_rows.spectra]),
+        force_accelerations=input_accelerations[: body_force_count(rig)],
+        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.spectra)]),
+        bodies=tuple(observed_body_motion(rig, body, motion, signals / station_response) for body in responses),
         base=observed_base,
-        transverse=_observed_transverse(record, lines, rows),
-        by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
+        transverse=_observed_transverse(record, lines, stations),
+        is_from_displacement=np.concatenate([stations.is_in_metres, np.zeros(gauge_rows.spectra.shape, dtype=bool)]),
     )
     gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
     gauge_errors = GaugeErrors(len(signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
-    return observed, gauge_errors, np.concatenate([sample_count * rows.noise_variance, gauge_rows.noise_power])
+    return observed, gauge_errors, np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
 
 
 def _station_spectra(
@@ -133,7 +132,7 @@ def _station_spectra(
 ) -> tuple[Complex[np.ndarray, "stations lines"], Complex[np.ndarray, "stations lines"]]:
     """Spectra of displacements and accelerations."""
     accelerations = (
-        lines.spectra(motion.acceleration_m_per_s2) if record.from_rest else sensed_accelerations(motion, lines)
+        lines.spectra(motion.acceleration_m_per_s2) if record.begins_at_rest else sensed_accelerations(motion, lines)
     )
     return lines.spectra(motion.displacement_m), accelerations
 
@@ -145,10 +144,11 @@ def _observed_transverse(
     transverse = record.motion.transverse
     if transverse is None:
         return None
-    stations = [k for k, station in enumerate(record.motion.stations) if transverse.row(station) is not None]
-    rows = np.array([transverse.row(record.motion.stations[k]) for k in stations], dtype=int)
-    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, transverse, lines))
-    return ObservedTransverse(stations, station_rows.of(stations).signals(displacements, accelerations), displacements)
+    indices = [k for k, station in enumerate(record.motion.stations) if transverse.row(station) is not None]
+    transverse_rows = np.array([transverse.row(record.motion.stations[k]) for k in indices], dtype=int)
+    displacements, accelerations = (spectra[transverse_rows] for spectra in _station_spectra(record, transverse, lines))
+    signals = station_rows.rows_of(indices).signals(displacements, accelerations)
+    return ObservedTransverse(indices, signals, displacements)
 
 
 def noise_observation(
@@ -182,24 +182,24 @@ def with_driven_modes(
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
-    forces, contact_forces = input_spectra[:force_count], input_spectra[force_count:]
+    exciting_spectra, contact_force_spectra = input_spectra[:force_count], input_spectra[force_count:]
     bodies = tuple(
-        driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
+        driven_body_motion(rig, body.response, motion, accelerations, exciting_spectra, contact_force_spectra)
         for body in observed.bodies
     )
-    driven = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
-    return with_slow_modes(rig, driven, input_spectra, corner_hz) if corner_hz else driven
+    driven_signals = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
+    return with_slow_modes(rig, driven_signals, input_spectra, corner_hz) if corner_hz else driven_signals
 
 
 def with_modes_at_rest(
     record: SeparationInput,
     observed: ObservedSignals,
-    force_spectra: Complex[np.ndarray, "forces lines"],
+    exciting_spectra: Complex[np.ndarray, "forces lines"],
     corner_hz: float,
     gauge_errors: GaugeErrors,
 ) -> ObservedSignals:
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
-    input_spectra = np.concatenate([force_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting = replace(observed, further_changes=gauge_errors.changes(input_spectra))
-    return with_slow_modes(record.rig, resting, 0 * input_spectra, corner_hz) if corner_hz else resting
+    input_spectra = np.concatenate([exciting_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
+    resting_signals = replace(observed, further_changes=gauge_errors.changes(input_spectra))
+    return with_slow_modes(record.rig, resting_signals, 0 * input_spectra, corner_hz) if corner_hz else resting_signals

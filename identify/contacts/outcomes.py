@@ -34,10 +34,10 @@ NO_OUTCOMES = Outcomes({}, {})
 def check_certain(estimate: JointEstimate, lacks_slow_motion: bool) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted.
     Displacement sensors would help where the record lacks the contact's slow motion."""
-    without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
-    quantities = [("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS_GRADIENT))]
+    estimate_without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
+    quantities = [("stiffness", estimate.stiffness_n_per_m, estimate_without_misfit.error(STIFFNESS_GRADIENT))]
     if not estimate.is_spring:
-        quantities.insert(0, ("clearance", estimate.clearance_m, without_misfit.clearance_error_m))
+        quantities.insert(0, ("clearance", estimate.clearance_m, estimate_without_misfit.clearance_error_m))
     for quantity, value, error in quantities:
         if not error < UNCERTAIN_SHARE * value:
             error_percent = min(100 * error / max(value, 1e-12), 100)

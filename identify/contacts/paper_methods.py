@@ -21,7 +21,7 @@ from identify.linear.modal import (
     modal_equations,
     transformation,
 )
-from identify.paper.nifo import Form, Nifo, nifo
+from identify.paper.nifo import Nifo, NifoForm, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics
 from identify.signals.law_evaluation import evaluated_law
@@ -34,7 +34,7 @@ LOWEST_NIFO_HZ = 0.5
 """Lowest frequency of NIFO: a free body's response below it is drift."""
 LOWEST_NIFO_CORNER_RATIO = 4.0
 """Lowest frequency of NIFO on integrated accelerations over the corner frequency, clear of the blocks' leakage."""
-MAX_EQUATIONS = 4
+MAX_EQUATIONS_PER_BODY = 4
 """Modal equations of each body, or as many as it has modes or stations."""
 
 Item = TypeVar("Item")
@@ -57,8 +57,8 @@ class PaperMethods:
     """Results of the paper's methods; notes say which could not be computed, and why.
 
     motion and eta_m are the inputs, transformations those of the bodies. histogram has the stops of each contact, None
-    where the density does not show them. main_equation is the one that the figures show; main_spectra are its NIFO in
-    the weak form and in the paper's, empty without NIFO, as of a record without a force.
+    where the density does not show them. main_equation is the one that the figures show; main_nifo_results are its
+    NIFO in the weak form and in the paper's, empty without NIFO, as of a record without a force.
     """
 
     motion: Kinematics
@@ -66,9 +66,9 @@ class PaperMethods:
     transformations: tuple[Transformation, ...]
     surfaces: tuple[Surface, ...]
     histogram: tuple[Stops | None, ...]
-    spectra: tuple[Nifo, ...]
+    nifo_results: tuple[Nifo, ...]
     main_equation: str
-    main_spectra: tuple[Nifo, ...]
+    main_nifo_results: tuple[Nifo, ...]
     notes: tuple[str, ...]
 
     @property
@@ -93,13 +93,13 @@ def results_by_name(
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
-    names = [
-        f"{body.name} {number}"
+    equation_names = [
+        f"{body.name} {mode_number}"
         for body in driven_bodies(rig)
-        for number in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
+        for mode_number in range(1, 1 + min(MAX_EQUATIONS_PER_BODY, body.max_modes))
     ]
-    if equation not in (None, *names):
-        raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
+    if equation not in (None, *equation_names):
+        raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(equation_names)}")
     if averaging != Averaging():
         rate_hz = rig.sample_rate_hz
         blocks(round(recording.duration_s * rate_hz), rate_hz, averaging, averaging.band_hz or (0.0, rate_hz / 4))
@@ -107,26 +107,26 @@ def check_request(recording: Recording, averaging: Averaging, equation: str | No
 
 def driven_bodies(rig: Rig) -> list[Body]:
     """Bodies on which a measured force acts: all where a measured base shakes."""
-    names = [body.name for body in rig.bodies] if rig.base_sensors else [station.body for station in rig.inputs]
-    return [rig.body(name) for name in dict.fromkeys(names)]
+    body_names = [body.name for body in rig.bodies] if rig.base_sensors else [station.body for station in rig.inputs]
+    return [rig.body(name) for name in dict.fromkeys(body_names)]
 
 
 def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
-    names = [contact.name for contact in separation.rig.contacts]
-    eta = np.empty((len(names), separation.records[0].eta_m.size))
+    contact_names = [contact.name for contact in separation.rig.contacts]
+    eta = np.empty((len(contact_names), separation.records[0].eta_m.size))
     force_n, force_over_stiffness_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
-        eta_m, velocity = record.eta_m, record.velocity_m_per_s
+        eta_m, velocity, rate_hz = record.eta_m, record.velocity_m_per_s, record.sample_rate_hz
         signs = dict(zip(group.contact_indices, group.signs, strict=True))
-        estimates = {k: outcomes.estimates[names[k]] for k in signs if names[k] in outcomes.estimates}
+        estimates = {k: outcomes.estimates[contact_names[k]] for k in signs if contact_names[k] in outcomes.estimates}
         if estimates:
             k, estimate = next(iter(estimates.items()))
             eta_m, velocity = eta_m + signs[k] * estimate.drift_m, velocity + signs[k] * estimate.drift_m_per_s
         for k, sign in signs.items():
             eta[k] = sign * eta_m
             if k in estimates:
-                force_over_stiffness_m[k] = evaluated_law(estimates[k].spring_m, eta[k][None], record.sample_rate_hz)
+                force_over_stiffness_m[k] = evaluated_law(estimates[k].unit_spring_m, eta[k][None], rate_hz)
                 force_n[k] = estimates[k].force_n(eta[k], sign * velocity)
     return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
@@ -161,65 +161,65 @@ def paper_methods(
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
     sample_count = correctable_samples(motion)
-    eta, force_over_stiffness_m = signals.eta_m[:, :sample_count], signals.force_over_stiffness_m[:, :sample_count]
-    blocks_by_body = _blocks(rig, motion, sample_count, averaging, notes)
+    etas_m, force_over_stiffness_m = signals.eta_m[:, :sample_count], signals.force_over_stiffness_m[:, :sample_count]
+    blocks_by_body = _blocks_by_body(rig, motion, sample_count, averaging, notes)
     uncorrected_motion, bodies = motion, {body.name: body for body in rig.bodies}
 
     def body_transformation(body: Body) -> Transformation:
         return transformation(rig, body, uncorrected_motion)
 
     def body_equations(transformation: Transformation) -> tuple[ModalEquation, ...]:
-        return modal_equations(rig, uncorrected_motion, transformation.body, MAX_EQUATIONS, signals.force_n)
+        return modal_equations(rig, uncorrected_motion, transformation.body, MAX_EQUATIONS_PER_BODY, signals.force_n)
 
     transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
-    equation_rows = results_by_name(notes, "the modal equations", transformations, body_equations)
-    equations = {e.name: e for row in equation_rows.values() for e in row}
-    motion = motion.segment(slice(sample_count)).without_rows
+    equations_by_body = results_by_name(notes, "the modal equations", transformations, body_equations)
+    equations = {e.name: e for row in equations_by_body.values() for e in row}
+    motion = motion.segment(slice(sample_count)).without_motion
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
     surface_decimation = _surface_decimation(rig, motion)
 
-    def nifo_of(modal: ModalEquation, form: Form = "weak") -> Nifo:
+    def nifo_of(modal: ModalEquation, form: NifoForm = "weak") -> Nifo:
         force_n = equivalent_force_n(rig, modal, motion.forces_n)
         return nifo(modal, force_n, force_over_stiffness_m, blocks_by_body[modal.body], form)
 
     def surface_of(modal: ModalEquation) -> Surface:
-        return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, surface_decimation, stops)
+        return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), etas_m, surface_decimation, stops)
 
-    spectra = results_by_name(notes, "NIFO", nifo_equations, nifo_of)
+    nifo_results = results_by_name(notes, "NIFO", nifo_equations, nifo_of)
     surfaces = results_by_name(notes, "the restoring force surface", equations, surface_of)
-    single_signals = {
-        contact.name: (eta[k, motion.excited_from :], stop.touched)
+    histogram_inputs = {
+        contact.name: (etas_m[k, motion.excited_from :], stop.touched)
         for k, (contact, stop) in enumerate(zip(rig.contacts, stops, strict=True))
         if stop and k in single_contacts
     }
-    histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
-    main_name = _main_equation(spectra, driven_equations, equation, notes)
-    main_spectra = {main_name: spectra[main_name]} if main_name in spectra else {}
-    main_equations = {name: spectrum.equation for name, spectrum in main_spectra.items()}
-    paper_spectra = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: nifo_of(e, "paper"))
+    histogram_stops = results_by_name(notes, "the histogram", histogram_inputs, _histogram_stops)
+    main_equation_name = _main_equation_name(nifo_results, driven_equations, equation, notes)
+    main_results = {main_equation_name: nifo_results[main_equation_name]} if main_equation_name in nifo_results else {}
+    main_equations = {name: spectrum.equation for name, spectrum in main_results.items()}
+    paper_results = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: nifo_of(e, "paper"))
     return PaperMethods(
         motion=motion,
-        eta_m=eta,
+        eta_m=etas_m,
         transformations=tuple(transformations.values()),
         surfaces=tuple(surfaces.values()),
-        histogram=tuple(histogram.get(contact.name) for contact in rig.contacts),
-        spectra=tuple(spectra.values()),
-        main_equation=main_name,
-        main_spectra=(*main_spectra.values(), *paper_spectra.values()) if paper_spectra else (),
+        histogram=tuple(histogram_stops.get(contact.name) for contact in rig.contacts),
+        nifo_results=tuple(nifo_results.values()),
+        main_equation=main_equation_name,
+        main_nifo_results=(*main_results.values(), *paper_results.values()) if paper_results else (),
         notes=tuple(notes),
     )
 
 
-def _blocks(
+def _blocks_by_body(
     rig: Rig, motion: Kinematics, sample_count: int, averaging: Averaging, notes: list[str]
 ) -> dict[str, Blocks]:
     """Blocks of NIFO by body, in the band of the forces on it; none for a body without force."""
-    body_forces_n = {}
+    forces_by_body_n = {}
     for body in driven_bodies(rig):
-        is_acting = [station.body == body.name or rig.is_on_ground(station) for station in rig.inputs]
-        if np.any(forces_n := motion.forces_n[is_acting]):
-            body_forces_n[body.name] = forces_n
+        acts_on_body = [station.body == body.name or rig.is_on_ground(station) for station in rig.inputs]
+        if np.any(forces_n := motion.forces_n[acts_on_body]):
+            forces_by_body_n[body.name] = forces_n
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
         low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
@@ -228,7 +228,7 @@ def _blocks(
         band_hz = averaging.band_hz or (low_hz, min(high_hz, trusted_to_hz))
         return blocks(sample_count, motion.sample_rate_hz, averaging, band_hz)
 
-    return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)
+    return results_by_name(notes, "NIFO of the equations", forces_by_body_n, body_blocks)
 
 
 def _histogram_stops(eta_and_touched: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
@@ -250,21 +250,22 @@ def _surface_decimation(rig: Rig, motion: Kinematics) -> int:
     return max(1, int(motion.sample_rate_hz / 2 / min(limits_hz)))
 
 
-def _main_equation(
-    spectra: Mapping[str, Nifo],
+def _main_equation_name(
+    nifo_results: Mapping[str, Nifo],
     driven_equations: Mapping[str, ModalEquation],
     requested_name: str | None,
     notes: list[str],
 ) -> str:
     """Name of the requested equation, or of the one whose stiffnesses deviate least over frequency; without NIFO, of
     the first with a force. Empty if there is none."""
-    if requested_name in (spectra or driven_equations):
+    if requested_name in (nifo_results or driven_equations):
         return str(requested_name)
     if requested_name is not None:
         notes.append(f"the modal equation {requested_name} cannot be made; the figures show another one")
 
-    def deviation(name: str) -> tuple[int, float]:
-        weak = spectra[name]
-        return -len(weak.contacts), float(np.max(weak.deviation_n_per_m / np.abs(weak.mean_n_per_m), initial=0.0))
+    def count_and_deviation(name: str) -> tuple[int, float]:
+        weak_nifo = nifo_results[name]
+        deviation_shares = weak_nifo.deviation_n_per_m / np.abs(weak_nifo.mean_n_per_m)
+        return -len(weak_nifo.contact_indices), float(np.max(deviation_shares, initial=0.0))
 
-    return min(spectra, key=deviation) if spectra else next(iter(driven_equations), "")
+    return min(nifo_results, key=count_and_deviation) if nifo_results else next(iter(driven_equations), "")

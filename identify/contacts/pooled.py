@@ -52,23 +52,22 @@ def identify_long(
         raise RigError(
             f"segments of {segment_s:g} s: give {SHORTEST_SEGMENT_S:g} s or more, of which contacts can be told"
         )
-    identified: list[Segment] = []
-    reason = ""
-    file_bytes = path.stat().st_size if path.exists() else 0
+    identified_segments: list[Segment] = []
+    refusal_reason, file_bytes = "", path.stat().st_size if path.exists() else 0
     for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         start_s = recording.start_s + (RINGING_S if recording.start_s else 0.0)
         try:
             identification = identify_recording(
                 recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances
             )
-            identified.append(Segment(start_s, recording.end_s, identification.report))
+            identified_segments.append(Segment(start_s, recording.end_s, identification.report))
         except RigError as error:
-            reason = str(error)
+            refusal_reason = str(error)
         channel_count = sum(len(signal.channels.names) for signal in recording.signals.values())
         progress(min(1.0, 8 * channel_count * recording.end_s * recording.rig.sample_rate_hz / file_bytes))
-    if not identified:
-        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({reason})")
-    return pooled_report([segment.report for segment in identified]), tuple(identified)
+    if not identified_segments:
+        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({refusal_reason})")
+    return pooled_report([segment.report for segment in identified_segments]), tuple(identified_segments)
 
 
 def longest_segment_s(path: Path) -> float:
@@ -90,8 +89,8 @@ def longest_segment_s(path: Path) -> float:
 
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
-    merged = _merged_structs(_with_usual_law(reports))
-    answered_names = {contact.name for contact in merged.contacts}
+    merged_report = _merged_structs(_with_usual_law(reports))
+    answered_names = {contact.name for contact in merged_report.contacts}
     findings = {
         (finding.cause, finding.channels, finding.of): finding
         for report in reversed(reports)
@@ -99,8 +98,8 @@ def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     }
     main_equations = [report.main_equation for report in reports]
     return msgspec.structs.replace(
-        merged,
-        unanswered=tuple(unanswered for unanswered in merged.unanswered if unanswered.name not in answered_names),
+        merged_report,
+        unanswered=tuple(u for u in merged_report.unanswered if u.name not in answered_names),
         findings=tuple(findings.values())[::-1],
         main_equation=max(main_equations, key=main_equations.count),
         notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
@@ -137,27 +136,28 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     if not np.all(errors > 0):
         return Estimate(float(values.mean()), float(errors.max()))
     weights = errors**-2 / np.sum(errors**-2)
-    mean, count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
-    scatter = count / (count - 1) * weights @ (values - mean) ** 2
-    shared = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
-    error = float(np.sqrt(max(scatter / count, min(scatter / count + shared, mean_variance))))
+    weighted_mean, effective_count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
+    scatter_variance = effective_count / (effective_count - 1) * weights @ (values - weighted_mean) ** 2
+    shared_variance = max(0.0, mean_variance - scatter_variance * max(0.0, 1 - np.sqrt(2 / effective_count)))
+    mean_scatter = scatter_variance / effective_count
+    mean_error = float(np.sqrt(max(mean_scatter, min(mean_scatter + shared_variance, mean_variance))))
     own_errors = [estimate.own_error for estimate in estimates if estimate.own_error is not None]
     if len(own_errors) < len(estimates):
-        return Estimate(float(mean), error)
-    own_error = float(np.sqrt(max(scatter / count, weights**2 @ np.square(own_errors))))
-    return Estimate(float(mean), error, own_error)
+        return Estimate(float(weighted_mean), mean_error)
+    own_error = float(np.sqrt(max(mean_scatter, weights**2 @ np.square(own_errors))))
+    return Estimate(float(weighted_mean), mean_error, own_error)
 
 
 def _merged_structs(structs: Sequence[Struct]) -> Struct:
     """Structure merged field by field; the numbers of averages are added."""
-    merged: dict[str, Any] = {}
+    merged_fields: dict[str, Any] = {}
     for name in structs[0].__struct_fields__:
-        values = [value for struct in structs if (value := getattr(struct, name)) is not None]
+        field_values = [value for struct in structs if (value := getattr(struct, name)) is not None]
         if name in SUMMED_FIELDS:
-            merged[name] = sum(values[1:], values[0])
+            merged_fields[name] = sum(field_values[1:], field_values[0])
         else:
-            merged[name] = _merged_value(values) if values else None
-    return type(structs[0])(**merged)
+            merged_fields[name] = _merged_value(field_values) if field_values else None
+    return type(structs[0])(**merged_fields)
 
 
 def _merged_value(field_values: Sequence[Any]) -> Any:
@@ -176,7 +176,7 @@ def _merged_value(field_values: Sequence[Any]) -> Any:
 
 def _merged_rows(struct_rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Structures of several rows, merged where their `IDENTIFYING_FIELDS` agree; the first row if there are none."""
-    by_name: dict[tuple[Any, ...], list[Any]] = {}
+    structs_by_key: dict[tuple[Any, ...], list[Any]] = {}
     for struct in (struct for row in struct_rows for struct in row if isinstance(struct, msgspec.Struct)):
-        by_name.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
-    return tuple(map(_merged_structs, by_name.values())) if by_name else struct_rows[0]
+        structs_by_key.setdefault(tuple(getattr(struct, name, None) for name in IDENTIFYING_FIELDS), []).append(struct)
+    return tuple(map(_merged_structs, structs_by_key.values())) if structs_by_key else struct_rows[0]

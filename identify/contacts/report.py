@@ -60,9 +60,9 @@ def write_results(
     from identify.contacts.figures import contact_figures
 
     make_folder(out)
-    references = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
+    reference_values = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     notes: list[str] = []
-    figures = contact_figures(result, references, laws_name, notes)
+    figures = contact_figures(result, reference_values, laws_name, notes)
     result = replace(result, report=msgspec.structs.replace(result.report, notes=(*result.report.notes, *notes)))
     for name, picture in figures.items():
         picture.save(out / f"{name}.png")
@@ -82,27 +82,27 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
-    decisive = {name: picture for name, picture in figures.items() if name == DECISIVE_FIGURE}
-    decisive_html = _figures_html(decisive, page.FIRST_PLOT_PX)
-    further_html = _figures_html({name: picture for name, picture in figures.items() if name not in decisive})
-    folded = [("Does it fit?", "".join(further_html))] if further_html else []
+    findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
+    decisive_figures = {name: picture for name, picture in figures.items() if name == DECISIVE_FIGURE}
+    decisive_html = _figures_html(decisive_figures, page.FIRST_PLOT_PX)
+    further_html = _figures_html({name: picture for name, picture in figures.items() if name not in decisive_figures})
+    folded_sections = [("Does it fit?", "".join(further_html))] if further_html else []
     if report.contacts:
-        folded.append(("How sure is it?", variance_table(_shares_by_quantity(result))))
+        folded_sections.append(("How sure is it?", variance_html(_shares_by_quantity(result))))
     page.write(
         path,
         title=title,
         answer=answer(report, len(result.rig.contacts)),
         top_blocks=[
-            f"{findings}{drawing(result.rig, report)}{values(report, laws, laws_name)}",
+            f"{findings_html}{drawing_html(result.rig, report)}{values_html(report, laws, laws_name)}",
             "".join(decisive_html),
         ],
         sections=[
-            *([("What was refused", refusals(report))] if report.unanswered else []),
+            *([("What was refused", refusals_html(report))] if report.unanswered else []),
             ("What would make it surer", page.list_html(recommendations(result))),
         ],
         folded_sections=[
-            *folded,
+            *folded_sections,
             ("What was assumed", page.list_html(assumptions(result))),
             ("For comparison: the paper's methods", _methods_html(result)),
         ],
@@ -111,17 +111,17 @@ def write_page(
     )
 
 
-def drawing(rig: Rig, report: ContactReport) -> str:
+def drawing_html(rig: Rig, report: ContactReport) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
-    lines: dict[str, tuple[str, ...]] = {}
+    lines_by_contact: dict[str, tuple[str, ...]] = {}
     for contact in report.contacts:
         stiffness = _interval_text(contact.stiffness_n_per_m, "N/m")
         clearance = () if contact.is_spring else (_interval_text(contact.clearance_m, "mm", 1e3),)
-        lines[contact.name] = (*clearance, stiffness)
-    lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
-    found_words = "; clearance and stiffness with 95 % intervals" if report.contacts else ""
-    caption = f"<figcaption>The rig, to scale along the bodies{found_words}.</figcaption>"
-    return f"<figure>{rig_drawing(rig, lines)}{caption}</figure>"
+        lines_by_contact[contact.name] = (*clearance, stiffness)
+    lines_by_contact |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
+    interval_words = "; clearance and stiffness with 95 % intervals" if report.contacts else ""
+    caption = f"<figcaption>The rig, to scale along the bodies{interval_words}.</figcaption>"
+    return f"<figure>{rig_drawing(rig, lines_by_contact)}{caption}</figure>"
 
 
 def _shares_by_quantity(result: Identification) -> dict[str, Mapping[str, float]]:
@@ -133,22 +133,22 @@ def _shares_by_quantity(result: Identification) -> dict[str, Mapping[str, float]
     }
 
 
-def variance_table(shares_by_quantity: Mapping[str, Mapping[str, float]]) -> str:
+def variance_html(shares_by_quantity: Mapping[str, Mapping[str, float]]) -> str:
     """Table of the share of each estimate's variance by source."""
-    rows = [
+    table_rows = [
         (quantity, *(percent(shares.get(source, 0.0)) for source in VARIANCE_SOURCES))
         for quantity, shares in shares_by_quantity.items()
     ]
-    table = page.table(("value", *VARIANCE_SOURCES.values()), rows)
+    table = page.table(("value", *VARIANCE_SOURCES.values()), table_rows)
     return f"<p>Where the variance of each value comes from.</p>{table}"
 
 
-def answer(report: ContactReport, total_count: int) -> page.Answer:
+def answer(report: ContactReport, contact_count: int) -> page.Answer:
     """Answer that the page of a report on so many contacts begins with."""
     count = len(report.contacts)
-    words = "identified" if count == total_count else f"{count} of {total_count} contacts identified"
+    words = "identified" if count == contact_count else f"{count} of {contact_count} contacts identified"
     return page.Answer(
-        "red" if not count else "green" if count == total_count and not report.findings else "yellow",
+        "red" if not count else "green" if count == contact_count and not report.findings else "yellow",
         "not to be relied on" if report.findings else words,
         _sentences(report),
     )
@@ -173,20 +173,20 @@ def _interval_text(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
     return interval(scale * estimate.value, scale * estimate.standard_error, unit)
 
 
-def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
+def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
     """Table of the identified values with 95 % intervals beside the reference values, and sentences on other laws."""
     contacts = report.contacts
     if not contacts:
         return ""
-    rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
+    table_rows = [row for contact in contacts for row in _value_rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
+    clearance_words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
     if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
-        words = (
+        clearance_words = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
-    table = page.table(("", "", "identified", laws_name, "differs by"), rows)
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval; inside: it holds the value beside it.{words}</p>"
+    table = page.table(("", "", "identified", laws_name, "differs by"), table_rows)
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval; inside: it holds the value beside it.{clearance_words}</p>"
     return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 
@@ -195,7 +195,7 @@ def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
     return 2 * estimate.standard_error < reference.standard_error
 
 
-def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
+def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
     first_quantity = "stiffness" if contact.is_spring else "clearance"
     for name, estimate, reference, unit, scale in (
@@ -220,11 +220,11 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
 def _difference_text(estimate: Estimate, reference: float) -> str:
     """Difference from the reference value in per cent, if that is not zero, and whether the 95 % interval holds it."""
     is_inside = abs(estimate.value - reference) <= COVERED * estimate.standard_error
-    share = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
-    return f"{share}{'inside' if is_inside else 'outside'}"
+    difference_text = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
+    return f"{difference_text}{'inside' if is_inside else 'outside'}"
 
 
-def refusals(report: ContactReport) -> str:
+def refusals_html(report: ContactReport) -> str:
     """Table of the contacts that the record does not determine, and why."""
     rows = [(unanswered.name, unanswered.reason) for unanswered in report.unanswered]
     return page.table(("contact", "not told by this record, because"), rows)
@@ -233,30 +233,30 @@ def refusals(report: ContactReport) -> str:
 def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
-    shown = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = results_by_name(notes, "the figure", shown, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    pairs = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
+    html = results_by_name(notes, "the figure", pairs, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
     return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 
 def _methods_html(result: Identification) -> str:
     """Section on NIFO, surface and histogram, which begins with the notes on methods that failed."""
     report = result.report
-    bands = [nifo.band_hz for nifo in report.nifo]  # each that of the forces on its body
-    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(band[1] for band in bands):.3g} Hz) and " if bands else ""
-    modes = [
+    bands_hz = [nifo.band_hz for nifo in report.nifo]  # each that of the forces on its body
+    nifo_text = f"NIFO ({min(bands_hz)[0]:.3g} to {max(band[1] for band in bands_hz):.3g} Hz) and " if bands_hz else ""
+    mode_rows = [
         (f"{mode.beam} {mode.index}", f"{mode.frequency_hz:.3f} Hz", f"{100 * mode.damping_ratio:.2f} %", mode.flag)
         for mode in report.modes
     ]
     return (
         (page.list_html(report.notes) if report.notes else "")
         + "<p>The response of the modes beyond the fitted ones, by the law found, is subtracted; then "
-        f"{nifo_bands}the restoring force surface are applied to every modal equation. Their values "
+        f"{nifo_text}the restoring force surface are applied to every modal equation. Their values "
         "have no known error, and the answers above do not rest on them: each equation takes its mode of rig.json as "
         "right and does not see the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
         + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))
-        + page.table(("mode", "frequency", "damping", ""), modes)
+        + page.table(("mode", "frequency", "damping", ""), mode_rows)
         + "</details>"
     )
 
@@ -265,9 +265,9 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
     for nifo in report.nifo:
         for stiffness in nifo.stiffness:
             mean_n_per_m = stiffness.mean_n_per_m.value
-            deviation = f"{100 * stiffness.rms_deviation_n_per_m / abs(mean_n_per_m):.2g} %"
+            deviation_text = f"{100 * stiffness.rms_deviation_n_per_m / abs(mean_n_per_m):.2g} %"
             note = "nearly invisible" if stiffness.contact in nifo.nearly_invisible else ""
-            yield nifo.equation, stiffness.contact, f"{number(mean_n_per_m)} N/m", deviation, note
+            yield nifo.equation, stiffness.contact, f"{number(mean_n_per_m)} N/m", deviation_text, note
     for nifo in report.nifo:
         for name in nifo.nearly_invisible:
             if name not in {stiffness.contact for stiffness in nifo.stiffness}:
@@ -276,9 +276,9 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
 
 def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
     surface = report.surface
-    clearances = [(f"surface of {s.equation}", clearance) for s in surface.surfaces for clearance in s.clearances]
-    clearances += [("histogram", clearance) for clearance in surface.histogram]
-    for method, clearance in clearances:
+    by_method = [(f"surface of {s.equation}", clearance) for s in surface.surfaces for clearance in s.clearances]
+    by_method += [("histogram", clearance) for clearance in surface.histogram]
+    for method, clearance in by_method:
         yield clearance.contact, method, f"{number(1e3 * clearance.clearance_m.value)} mm"
     for contact in report.contacts:
         if contact.name not in {clearance.contact for clearance in surface.histogram}:

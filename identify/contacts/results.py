@@ -88,11 +88,11 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     @property
     def _annular_words(self) -> str:
         """Friction and centre of an annular contact in words."""
-        clauses, friction, speed = [], self.friction_coefficient, self.sliding_speed_m_per_s
-        if friction is not None and speed is not None:
+        clauses, friction, sliding_speed = [], self.friction_coefficient, self.sliding_speed_m_per_s
+        if friction is not None and sliding_speed is not None:
             clauses.append(
                 f"friction coefficient {interval(friction.value, friction.standard_error, '1')}, sliding speed "
-                f"{interval(1e3 * speed.value, 1e3 * speed.standard_error, 'mm/s')}"
+                f"{interval(1e3 * sliding_speed.value, 1e3 * sliding_speed.standard_error, 'mm/s')}"
             )
         if self.center_y_m is None or self.center_z_m is None:
             return "; ".join([*clauses, "its centre is not known, as it does not rest in the ring"])
@@ -226,10 +226,10 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 
     Where only half the total play is known, the clearances are placed about the nominal middle of the play.
     """
-    estimates = {contact.name: contact for contact in report.contacts}
+    estimate_by_name = {contact.name: contact for contact in report.contacts}
     contacts = tuple(
-        replace(contact, law=_identified_law(contact.law, estimates[contact.name]))
-        if contact.name in estimates
+        replace(contact, law=_identified_law(contact.law, estimate_by_name[contact.name]))
+        if contact.name in estimate_by_name
         else contact
         for contact in rig.contacts
     )
@@ -241,8 +241,8 @@ def _identified_law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
         return _identified_annular_law(law, estimate)
     lower_m, upper_m = law.lower_clearance_m, law.upper_clearance_m
     if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
-        growth_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
-        lower_m, upper_m = lower_m + growth_m, upper_m + growth_m
+        change_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
+        lower_m, upper_m = lower_m + change_m, upper_m + change_m
     if estimate.lower_clearance_m is not None:
         lower_m = estimate.lower_clearance_m.value
     if estimate.upper_clearance_m is not None:

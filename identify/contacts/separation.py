@@ -16,9 +16,9 @@ from identify.contacts.observation import RINGING_S, SeparationInput
 from identify.contacts.refusals import RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
-from identify.linear.modal import relative_motion
+from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_S, Drift, spline
+from identify.signals.drift import KNOT_STEP_S, DriftPrior, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
 from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -32,7 +32,7 @@ FORCE_BAND_RATIO = 4.0
 LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
-DRIFT_BAND_HZ = 0.5 / KNOT_S
+HIGHEST_DRIFT_HZ = 0.5 / KNOT_STEP_S
 """Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
@@ -80,16 +80,16 @@ def separate_planes(
 
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
     """
-    gauged_motions = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
-    driven_motions = [motion for _, motion in gauged_motions if not is_unforced(motion)]
+    gauges_and_motions = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
+    driven_motions = [motion for _, motion in gauges_and_motions if not is_unforced(motion)]
     if driven_motions:
         highest_hz = max(map(highest_driven_hz, driven_motions))
     else:
-        highest_hz = max(highest_vibration_hz(motion) for _, motion in gauged_motions)
+        highest_hz = max(highest_vibration_hz(motion) for _, motion in gauges_and_motions)
     excited_from = min((motion.excited_from for motion in driven_motions), default=0)
-    transverse_motions = [motion for _, motion in gauged_motions[::-1]] if len(gauged_motions) > 1 else [None]
+    transverse_motions = [motion for _, motion in gauges_and_motions[::-1]] if len(gauges_and_motions) > 1 else [None]
     separations = []
-    for recording, (gauges, motion), transverse in zip(recordings, gauged_motions, transverse_motions, strict=True):
+    for recording, (gauges, motion), transverse in zip(recordings, gauges_and_motions, transverse_motions, strict=True):
         motion_in_space = replace(motion, excited_from=excited_from, transverse=transverse)
         separations.append(_separated(recording, gauges, motion_in_space, highest_hz, tolerances))
     return tuple(separations)
@@ -99,9 +99,8 @@ def _separated(
     recording: Recording, gauges: Gauges, motion: Kinematics, highest_excited_hz: float, tolerances: Tolerances
 ) -> Separation:
     """Contact forces of a recording that is excited up to that frequency."""
-    rig = recording.rig
-    least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
-    band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
+    rig, least_band_end_hz = recording.rig, LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
+    band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_band_end_hz), motion.trusted_hz[1])
     noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
     begins_at_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
@@ -116,7 +115,7 @@ def _separated(
             displacement_noise=displacement_noise(motion, rig),
             tolerances=tolerances,
             gauges=gauges,
-            from_rest=begins_at_rest,
+            begins_at_rest=begins_at_rest,
         )
     )
     if forces.slow_motion:
@@ -162,12 +161,12 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     """
     highest_moving_hz = highest_driven_hz(motion)
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
-    segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
-    line_hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
+    segment_samples = min(motion.sample_count, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
+    line_hz, density = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
     noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND)
-    noise_power = np.median(power[:, (line_hz > noise_low_hz) & (line_hz < noise_high_hz)], axis=1, keepdims=True)
-    exceeds_noise = power > NOISE_POWER_RATIO * noise_power
-    highest_hz = line_hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
+    noise_power = np.median(density[:, (line_hz > noise_low_hz) & (line_hz < noise_high_hz)], axis=1, keepdims=True)
+    exceeds_noise = density > NOISE_POWER_RATIO * noise_power
+    highest_hz = line_hz[density.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
     return float(min(highest_moving_hz, highest_hz.max()))
 
 
@@ -179,15 +178,15 @@ def _without_start(
     Raises ContactRefusedError if too little is left.
     """
     rate_hz, sample_count = motion.sample_rate_hz, forces.force_n.shape[1]
-    start_s = RINGING_S if begins_at_rest else start_transient_s(group_rig, forces.slow_n_per_m)
-    skipped_samples = round(start_s * rate_hz / forces.decimation)
+    skipped_s = RINGING_S if begins_at_rest else start_transient_s(group_rig, forces.slow_n_per_m)
+    skipped_samples = round(skipped_s * rate_hz / forces.decimation)
     if (sample_count - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
         remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
         raise refused(
             RefusalCode.TOO_SHORT,
             RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else remedy,
             duration_s=recording.duration_s,
-            at_start_s=start_s,
+            at_start_s=skipped_s,
             at_end_s=recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz,
         )
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
@@ -212,7 +211,7 @@ def _check_displacements(rig: Rig, motion: Kinematics) -> None:
     there does not follow from those at the stations."""
     for contact in rig.contacts:
         for station in contact_stations(contact):
-            body, count = station.body, sum(other.body == station.body for other in motion.stations)
+            body, count = station.body, sum(place.body == station.body for place in motion.stations)
             if motion.row(station) is None and count < rig.body(body).max_modes:
                 position_m = station.position_m
                 raise refused(
@@ -228,22 +227,22 @@ def _contact_records(
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
-    eta_m = relative_motion(rig, motion, motion.displacement_m)
-    velocity_m_per_s = relative_motion(rig, motion, motion.velocity_m_per_s)
+    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.sample_count)
+    eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
+    velocity_m_per_s = signals_across_contacts(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
     is_initial_state = np.array([p.kind == NuisanceKind.INITIAL_STATE for p in nuisances.parameters], dtype=bool)
     quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]
     quiet_deviation_n = quiet_force_n.std(axis=1) if quiet_force_n.shape[1] else np.zeros(len(rig.contacts))
     quiet_deviation_n = np.maximum(quiet_deviation_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
-        displacements_m = nuisances.eta_m[:, j]
-        shifts_eta = np.any(displacements_m, axis=1)
+        nuisance_etas_m = nuisances.eta_m[:, j]
+        shifts_eta = np.any(nuisance_etas_m, axis=1)
         drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, sample_count)
         if drift:
             spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
             drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
-        nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :sample_count].astype(np.float32)
+        nuisance_m = oversampled(nuisance_etas_m[shifts_eta], forces.decimation)[:, :sample_count].astype(np.float32)
         records.append(
             ContactRecord(
                 eta_m=eta_m[j, :sample_count],
@@ -254,7 +253,7 @@ def _contact_records(
                 quiet_deviation_n=float(quiet_deviation_n[j]),
                 noise_n=float(forces.noise_n[j]),
                 unmodelled_share=tolerances.unmodelled_contact,
-                noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
+                eta_noise_m=float(forces.slow_motion.eta_noise_m[j]) if forces.slow_motion else 0.0,
                 drift=drift,
                 drift_spline=spline(sample_count, motion.sample_rate_hz, drift),
                 nuisance_n=nuisances.force_n[:, j],
@@ -275,7 +274,7 @@ def drift_of(
     noise_m_per_s2: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
     sample_count: int,
-) -> Drift | None:
+) -> DriftPrior | None:
     """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
 
     Raises ContactRefusedError if no sensor stands at the contact.
@@ -290,14 +289,14 @@ def drift_of(
                 RefusalCode.NO_ACCELEROMETER, contact=contact.name, position_m=station.position_m, body=station.body
             )
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
-    densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
+    error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
         error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
-        densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
-    return Drift(
+        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / HIGHEST_DRIFT_HZ)))
+    return DriftPrior(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
-        noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
+        noise_density=max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )
 
@@ -310,25 +309,25 @@ def _error_density(
     It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
     of the other direction.
     """
-    row = motion.stations.index(station)
-    body_rows = [k for k, other in enumerate(motion.stations) if other.body == station.body]
+    station_row = motion.stations.index(station)
+    body_rows = [k for k, place in enumerate(motion.stations) if place.body == station.body]
     body_rows.sort(key=lambda k: motion.stations[k].position_m)
     slow_m_per_s2 = np.stack([_slow_acceleration(motion.acceleration_m_per_s2[k], motion) for k in body_rows])
-    place = body_rows.index(row)
-    absolute_m_per_s2 = slow_m_per_s2[place]
+    row_on_body = body_rows.index(station_row)
+    absolute_slow_m_per_s2 = slow_m_per_s2[row_on_body]
     if motion.base:
-        absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
-    error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
+        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+    error_power = tolerances.gain**2 * np.mean(absolute_slow_m_per_s2**2)
     if len(body_rows) > 1:
         positions_m = [motion.stations[k].position_m for k in body_rows]
-        slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[place]
-        error_power += tolerances.position_m**2 * np.mean(slope**2)
+        acceleration_slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[row_on_body]
+        error_power += tolerances.position_m**2 * np.mean(acceleration_slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
         transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
+    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / HIGHEST_DRIFT_HZ))
 
 
 def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
     """Acceleration in the band of the drift."""
-    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * DRIFT_BAND_HZ))))
+    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * HIGHEST_DRIFT_HZ))))

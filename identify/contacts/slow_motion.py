@@ -20,14 +20,14 @@ from jaxtyping import Complex, Float
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, ResponseCache, input_shapes, responses_of
 from identify.linear.nuisance import Nuisance, ObservedSignals, changes_of
-from identify.signals.kinematics import CORNER_HZ, Kinematics, integrated
+from identify.signals.kinematics import CORNER_HZ, Kinematics, omega_power
 from rig.model.description import Rig
 
 LOWEST_CORNER_HZ = 2 * CORNER_HZ
 """Lowest corner of L, above which the kinematics cut nothing off."""
 HIGHEST_CORNER_HZ, CORNER_STEP = 16.0, 2**0.5
 """Highest corner, and the ratio of the corners that are tried."""
-NOISE_SHARE = 0.05
+NOISE_FORCE_SHARE = 0.05
 """Largest force that the noise of a relative displacement makes by the nominal stiffness of a contact, over its rms."""
 
 
@@ -38,7 +38,7 @@ def is_held(response: Response) -> bool:
 
 def low_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
     """L: one below half the corner, zero above it."""
-    return np.asarray(1 + omega**2 * integrated(omega, -2, corner_hz).real)
+    return np.asarray(1 + omega**2 * omega_power(omega, -2, corner_hz).real)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class SlowModel:
     nuisance parameters at given forces; low_pass_gain is L at every station whose displacement is integrated."""
 
     low_pass_gain: Float[np.ndarray, "stations slow"]
-    input_displacements: Complex[np.ndarray, "inputs stations slow"]
+    displacements_per_n: Complex[np.ndarray, "inputs stations slow"]
     nuisance_changes: Mapping[Nuisance, Complex[np.ndarray, "stations slow"]]
 
     def correction(
@@ -55,23 +55,23 @@ class SlowModel:
     ) -> Complex[np.ndarray, "stations slow"]:
         """Slow displacement by exciting and contact forces, less the integrated one."""
         slow_lines = slice(self.low_pass_gain.shape[1])
-        force_displacements = np.einsum("isl,il->sl", self.input_displacements, input_spectra[:, slow_lines])
+        force_displacements = np.einsum("isl,il->sl", self.displacements_per_n, input_spectra[:, slow_lines])
         return np.asarray(force_displacements - self.low_pass_gain * displacements[:, slow_lines])
 
     def displacement_change(
         self,
         parameter: Nuisance,
-        contact_forces: Complex[np.ndarray, "contacts lines"],
-        displacements: Complex[np.ndarray, "stations lines"],
+        contact_force_changes: Complex[np.ndarray, "contacts lines"],
+        displacement_changes: Complex[np.ndarray, "stations lines"],
     ) -> Complex[np.ndarray, "stations lines"]:
         """Change of the stations' displacement by a parameter, given its changes of the contact forces and of the
         integrated displacement."""
         slow_count = self.low_pass_gain.shape[1]
-        contact_displacements = self.input_displacements[-len(contact_forces) :]
-        slow_changes = np.einsum("isl,il->sl", contact_displacements, contact_forces[:, :slow_count])
+        contact_displacements = self.displacements_per_n[-len(contact_force_changes) :]
+        slow_changes = np.einsum("isl,il->sl", contact_displacements, contact_force_changes[:, :slow_count])
         slow_changes = slow_changes - self.nuisance_changes.get(parameter, 0.0)
-        integrated_motion = (1 - self.low_pass_gain) * displacements[:, :slow_count]
-        return np.concatenate([integrated_motion + slow_changes, displacements[:, slow_count:]], axis=1)
+        integrated_motion = (1 - self.low_pass_gain) * displacement_changes[:, :slow_count]
+        return np.concatenate([integrated_motion + slow_changes, displacement_changes[:, slow_count:]], axis=1)
 
 
 def slow_model(
@@ -79,24 +79,24 @@ def slow_model(
     motion: Kinematics,
     lines: SpectralLines,
     corner_hz: float,
-    accelerations_by_input: Complex[np.ndarray, "inputs rows lines"],
+    unit_accelerations: Complex[np.ndarray, "inputs rows lines"],
     observed: ObservedSignals,
 ) -> SlowModel:
-    """Slow model of a rig; `accelerations_by_input` are per newton, those of the stations first; `observed` has the
+    """Slow model of a rig; `unit_accelerations` are per newton, those of the stations first; `observed` has the
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
     is_integrated = [float(sensor.measures.order > 0) for sensor in motion.displaced_by]
     low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
-    exact_sensors = msgspec.structs.replace(
+    sensor_free_tolerances = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
     )
     no_motion = np.zeros((station_count, slow_count), dtype=complex)
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
-    signals = ObservedSignals(
+    slow_signals = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
-        tolerances=exact_sensors,
+        tolerances=sensor_free_tolerances,
         omega=omega,
         sensor_response=(low_pass_gain / -(omega**2)).astype(complex),
         signals=no_motion,
@@ -107,19 +107,19 @@ def slow_model(
             for body, response in zip(observed.bodies, responses, strict=True)
         ),
     )
-    displacements_by_input = accelerations_by_input[:, :station_count, :slow_count] * signals.sensor_response
-    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(signals)}
+    displacements_by_input = unit_accelerations[:, :station_count, :slow_count] * slow_signals.sensor_response
+    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(slow_signals)}
     return SlowModel(low_pass_gain, displacements_by_input, changes)
 
 
 @dataclass(frozen=True)
 class SlowMotion:
-    """Slow displacement (m) and velocity that every station lacks; noise_m is the noise of each relative displacement
-    with it."""
+    """Slow displacement (m) and velocity that every station lacks; eta_noise_m is the noise of each relative
+    displacement with it."""
 
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
-    noise_m: Float[np.ndarray, " contacts"]
+    eta_noise_m: Float[np.ndarray, " contacts"]
 
     def added_to(self, motion: Kinematics) -> Kinematics:
         """Motion with the slow displacement: its zero is known."""
@@ -136,30 +136,30 @@ class SlowMotion:
     def is_quiet(self, rig: Rig, force_n: Float[np.ndarray, "contacts samples"]) -> bool:
         """True if the noise of the relative displacements is small against the penetrations by the nominal
         stiffness."""
-        stiffness = np.array([contact.law.stiffness_n_per_m for contact in rig.contacts])
-        return bool(np.all(stiffness * self.noise_m <= NOISE_SHARE * force_n.std(axis=1)))
+        stiffnesses_n_per_m = np.array([contact.law.stiffness_n_per_m for contact in rig.contacts])
+        return bool(np.all(stiffnesses_n_per_m * self.eta_noise_m <= NOISE_FORCE_SHARE * force_n.std(axis=1)))
 
 
 def slow_motion(
     correction_spectra: Complex[np.ndarray, "stations slow"],
     lines: SpectralLines,
     sample_count: int,
-    noise_m: Float[np.ndarray, " contacts"],
+    eta_noise_m: Float[np.ndarray, " contacts"],
 ) -> SlowMotion:
     """Slow motion over some samples, at the rate of the record."""
     i_omega = 1j * lines.omega[: correction_spectra.shape[-1]]
     real_at_zero = np.concatenate([correction_spectra[:, :1].real, correction_spectra[:, 1:]], axis=1)
-    displacement, velocity = (
+    displacement_m, velocity_m_per_s = (
         np.fft.irfft(spectra, lines.padded_samples)[:, :sample_count]
         for spectra in (real_at_zero, i_omega * correction_spectra)
     )
-    return SlowMotion(displacement, velocity, noise_m)
+    return SlowMotion(displacement_m, velocity_m_per_s, eta_noise_m)
 
 
-def quietest_corner(
-    signs: Float[np.ndarray, "contacts stations"],
+def quietest_corner_and_noise(
+    eta_signs: Float[np.ndarray, "contacts stations"],
     contact_accelerances: Complex[np.ndarray, "contacts rows lines"],
-    weights: Complex[np.ndarray, "contacts rows lines"],
+    force_weights: Complex[np.ndarray, "contacts rows lines"],
     noise_power: Float[np.ndarray, "rows lines"],
     acceleration_power: Float[np.ndarray, "stations lines"],
     lines: SpectralLines,
@@ -169,21 +169,20 @@ def quietest_corner(
     noise_power is that of the rows over the padded record, acceleration_power that of the stations as accelerations:
     integrated twice above the corner, and what all rows make of the contact forces below it.
     """
-    omega, stations = lines.omega, signs.shape[1]
-    integrated_power = np.einsum("cs,sl->cl", signs**2, acceleration_power) / omega**4
-    by_contacts_m = np.einsum("cs,jsl->cjl", signs, contact_accelerances[:, :stations]) / omega**2
-    by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
-    modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
+    omega, station_count = lines.omega, eta_signs.shape[1]
+    integrated_noise = np.einsum("cs,sl->cl", eta_signs**2, acceleration_power) / omega**4
+    eta_by_contact_force = np.einsum("cs,jsl->cjl", eta_signs, contact_accelerances[:, :station_count]) / omega**2
+    eta_by_row = np.einsum("cjl,jrl->crl", eta_by_contact_force, force_weights)
+    modelled_noise = np.einsum("crl,rl->cl", np.abs(eta_by_row) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, omega[-1] / (2 * np.pi))
     corner_count = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
-    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count)
-    noise_m = []
+    corners_hz, noises_m = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count), []
     for corner_hz in corners_hz:
-        gain = low_pass(omega, float(corner_hz))
-        power = gain**2 * modelled_power + (1 - gain) ** 2 * integrated_power
-        noise_m.append(np.sqrt(2 * power.sum(axis=1)) / lines.padded_samples)
-    quietest = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
-    return float(corners_hz[quietest]), noise_m[quietest]
+        low_pass_gain = low_pass(omega, float(corner_hz))
+        noise_power_m2 = low_pass_gain**2 * modelled_noise + (1 - low_pass_gain) ** 2 * integrated_noise
+        noises_m.append(np.sqrt(2 * noise_power_m2.sum(axis=1)) / lines.padded_samples)
+    quietest_index = int(np.argmin(np.sum(np.array(noises_m) ** 2 / np.min(noises_m, axis=0) ** 2, axis=1)))
+    return float(corners_hz[quietest_index]), noises_m[quietest_index]
 
 
 def with_slow_modes(
@@ -191,13 +190,12 @@ def with_slow_modes(
 ) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
-    slow = slice(int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz)))
-    bodies = []
+    slow_lines, bodies = slice(int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))), []
     for body in observed.bodies:
-        response, acceleration = body.response, body.acceleration.copy()
-        held_modes = np.flatnonzero(response.dynamics.natural_hz[: len(acceleration)]).tolist()
-        held_modes = [mode for mode in held_modes if mode not in response.dynamics.high_passed]
-        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ input_spectra[:, slow]
-        acceleration[held_modes, slow] = response.accelerance[held_modes, slow] * modal_force
-        bodies.append(replace(body, acceleration=acceleration))
+        response, accelerations = body.response, body.acceleration.copy()
+        held_indices = np.flatnonzero(response.dynamics.natural_hz[: len(accelerations)]).tolist()
+        held_indices = [mode for mode in held_indices if mode not in response.dynamics.high_passed_modes]
+        modal_force = input_shapes(rig, response, rig.forces)[:, held_indices].T @ input_spectra[:, slow_lines]
+        accelerations[held_indices, slow_lines] = response.accelerance[held_indices, slow_lines] * modal_force
+        bodies.append(replace(body, acceleration=accelerations))
     return replace(observed, bodies=tuple(bodies))

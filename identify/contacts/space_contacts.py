@@ -36,7 +36,7 @@ class SpaceContacts:
 
     separations: tuple[Separation, Separation]
     annular: Mapping[str, AnnularEstimate]
-    records: Mapping[str, AnnularRecord]
+    annular_records: Mapping[str, AnnularRecord]
     plane: Outcomes
     refusals: Mapping[str, Refusal]
     findings: tuple[Finding, ...]
@@ -50,13 +50,13 @@ def checked_space_contacts(recording: Recording, use: MotionQuantity, tolerances
     check_directions(recording.rig, use)
     findings = space_findings(recording, use, tolerances)
     with naming_first_finding(findings):
-        contacts = space_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
-    return replace(contacts, findings=findings + contacts.findings)
+        checked = space_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    return replace(checked, findings=findings + checked.findings)
 
 
 def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> tuple[Finding, ...]:
     """Findings of the check, without what weight does to displacements at rest."""
-    findings = check_recording(counted_from_rest(recording), use, tolerances)
+    findings = check_recording(recording_from_rest(recording), use, tolerances)
     findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
     return tuple(finding for finding in findings if finding.cause != "not at rest")
 
@@ -65,27 +65,27 @@ def check_directions(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
     for contact in (contact for contact in rig.contacts if contact.law.spatial):
         for body in (station.body for station in contact_stations(contact)):
-            measured = {
+            measured_directions = {
                 sensor.station.direction
                 for sensor in rig.sensors
                 if sensor.station.body == body and use in ("auto", sensor.quantity) and sensor.measures.translates
             }
-            if missing := {*rig.directions} - measured:
+            if missing := {*rig.directions} - measured_directions:
                 raise refused(RefusalCode.ONE_DIRECTION, contact=contact.name, body=body, direction=min(missing))
 
 
-def counted_from_rest(recording: Recording) -> Recording:
+def recording_from_rest(recording: Recording) -> Recording:
     """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
     has none, or does not begin at rest."""
-    rig, first_excited = recording.rig, 0
+    rig, first_excited_sample = recording.rig, 0
     if rig.gravity_m_per_s2 and not recording.start_s:
-        channels = (recording.values_of(sensor) for sensor in rig.sensors)
-        first_excited = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
+        sensor_signals = (recording.values_of(sensor) for sensor in rig.sensors)
+        first_excited_sample = excitation_start(recording.forces_n, sensor_signals, rig.sample_rate_hz)
     signals = dict(recording.signals)
-    for name in {"displacement", "strain"} & signals.keys() if first_excited else ():
-        values = signals[name].values
-        rest = values[:, :first_excited].mean(axis=1, keepdims=True)
-        signals[name] = replace(signals[name], values=values - rest)
+    for name in {"displacement", "strain"} & signals.keys() if first_excited_sample else ():
+        quantity_values = signals[name].values
+        rest_values = quantity_values[:, :first_excited_sample].mean(axis=1, keepdims=True)
+        signals[name] = replace(signals[name], values=quantity_values - rest_values)
     return replace(recording, signals=signals)
 
 
@@ -98,14 +98,13 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     check_described(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
-            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
-    recording_from_rest = counted_from_rest(recording)
-    planes = [plane_recording(recording_from_rest, direction) for direction in rig.directions]
-    y, z = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)
-    records = annular_records(rig, (y, z), tolerances)
-    annular = dict[str, AnnularEstimate]()
-    refusals = dict[str, Refusal]()
+            unmodelled = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled)
+    rest_recording = recording_from_rest(recording)
+    planes = [plane_recording(rest_recording, direction) for direction in rig.directions]
+    y_plane, z_plane = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)
+    records = annular_records(rig, (y_plane, z_plane), tolerances)
+    estimates, refusals = dict[str, AnnularEstimate](), dict[str, Refusal]()
     for name, record in records.items():
         law = rig.contact(name).law
         assert isinstance(law, Annular)
@@ -115,11 +114,11 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         except ContactRefusedError as error:
             refusals[name] = error.refusal
         else:
-            annular[name] = widened_estimate(estimate, record.parameters, mass_pull=0.0)  # known of no ring
-    plane, findings = _plane_outcomes(rig, (y, z))
-    shared_parameters = next(iter(records.values())).parameters if annular else ()
-    annular_findings = fit_findings(annular, shared_parameters, DAMPING)
-    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *annular_findings))
+            estimates[name] = widened_estimate(estimate, record.parameters, mass_pull=0.0)  # known of no ring
+    plane_outcomes, findings = _plane_outcomes(rig, (y_plane, z_plane))
+    shared_parameters = next(iter(records.values())).parameters if estimates else ()
+    ring_findings = fit_findings(estimates, shared_parameters, DAMPING)
+    return SpaceContacts((y_plane, z_plane), estimates, records, plane_outcomes, refusals, (*findings, *ring_findings))
 
 
 def annular_records(
@@ -128,24 +127,24 @@ def annular_records(
     """Record of every annular contact."""
     (y_names, z_names) = (rig.force_names_in(direction) for direction in rig.directions)
     (y_parameters, z_parameters) = (separation.forces.nuisances.parameters for separation in separations)
-    records = {}
+    records, quiet_count = {}, separations[0].motion.quiet_sample_count
     for name in (contact.name for contact in rig.contacts if contact.law.spatial):
         y_record, z_record = (_record_of(name, separation, tolerances) for separation in separations)
         records[name] = annular_record(
-            (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), separations[0].motion.quiet_samples
+            (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), quiet_count
         )
     return records
 
 
-def _record_of(name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
+def _record_of(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
     """Record of a contact of that name in one direction."""
     contacts = separation.rig.contacts
     (record,) = (
         record
         for group, record in zip(separation.contact_groups, separation.records, strict=True)
-        if name in [contacts[index].name for index in group.contact_indices]
+        if contact_name in [contacts[contact_index].name for contact_index in group.contact_indices]
     )
-    return _with_whole_band(record, separation, separation.rig.contact(name), tolerances)
+    return _with_whole_band(record, separation, separation.rig.contact(contact_name), tolerances)
 
 
 def _with_whole_band(
@@ -161,28 +160,28 @@ def _with_whole_band(
     for sign, station in ((1.0, contact.at), (-1.0, contact.against)):
         if station is None or (row := motion.row(station)) is None:
             continue
-        sensor = motion.displaced_by[row].name
-        stated = tolerances.of_sensor(sensor)
+        sensor_name = motion.displaced_by[row].name
+        tolerance = tolerances.of_sensor(sensor_name)
         changes_m = {
-            NuisanceKind.GAIN: stated.gain * motion.displacement_m[row],
-            NuisanceKind.DELAY: -stated.delay_s * motion.velocity_m_per_s[row],
+            NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],
+            NuisanceKind.DELAY: -tolerance.delay_s * motion.velocity_m_per_s[row],
         }
-        if motion.transverse and (across := motion.transverse.row(station)) is not None:
-            changes_m[NuisanceKind.CROSS_AXIS] = stated.cross_axis * motion.transverse.displacement_m[across]
+        if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
+            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.transverse.displacement_m[transverse_row]
         for kind, change_m in changes_m.items():
-            if (parameter := Nuisance(kind, sensor)) in parameters:
-                whole_m = sign * change_m[:sample_count]
-                band_m = oversampled(decimated(whole_m, record.decimation), record.decimation)[:sample_count]
-                nuisance_m[parameters.index(parameter)] += whole_m - band_m
+            if (parameter := Nuisance(kind, sensor_name)) in parameters:
+                whole_change_m = sign * change_m[:sample_count]
+                band_m = oversampled(decimated(whole_change_m, record.decimation), record.decimation)[:sample_count]
+                nuisance_m[parameters.index(parameter)] += whole_change_m - band_m
     return replace(record, nuisance_m=nuisance_m)
 
 
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
-    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        share = float(estimate.errors[index] / estimate.values[index])
-        if not share < UNCERTAIN_SHARE:
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * share, 100.0))
+    for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
+        if not error_share < UNCERTAIN_SHARE:
+            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
 
 
 def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tuple[Outcomes, tuple[Finding, ...]]:
@@ -191,15 +190,15 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
     annular_names = {contact.name for contact in rig.contacts if contact.law.spatial}
     for separation in separations:
         contacts, groups = separation.rig.contacts, separation.contact_groups
-        plane = [k for k, g in enumerate(groups) if not annular_names & {contacts[i].name for i in g.contact_indices}]
-        if not plane:
+        indices = [k for k, g in enumerate(groups) if not annular_names & {contacts[i].name for i in g.contact_indices}]
+        if not indices:
             continue
-        slow_n_per_m = separation.forces.slow_n_per_m[np.ix_(plane, plane)]
+        slow_n_per_m = separation.forces.slow_n_per_m[np.ix_(indices, indices)]
         plane_separation = replace(
             separation,
             forces=replace(separation.forces, slow_n_per_m=slow_n_per_m),
-            contact_groups=tuple(groups[k] for k in plane),
-            records=tuple(separation.records[k] for k in plane),
+            contact_groups=tuple(groups[k] for k in indices),
+            records=tuple(separation.records[k] for k in indices),
         )
         plane_outcomes, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {

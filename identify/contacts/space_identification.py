@@ -77,11 +77,11 @@ def identify_in_space(
     contacts = checked_space_contacts(recording, use, tolerances)
     progress(0.95)
     rig, motions = recording.rig, [separation.motion for separation in contacts.separations]
-    plane_eta_m = {
+    plane_etas_m = {
         name: record.eta_m + contacts.plane.estimates[name].drift_m
         for separation in contacts.separations
-        for place, record in zip(separation.contact_groups, separation.records, strict=True)
-        for name in [separation.rig.contacts[index].name for index in place.contact_indices]
+        for group, record in zip(separation.contact_groups, separation.records, strict=True)
+        for name in [separation.rig.contacts[contact_index].name for contact_index in group.contact_indices]
         if name in contacts.plane.estimates
     }
     estimates = []
@@ -89,9 +89,9 @@ def identify_in_space(
         if name in contacts.annular:
             estimate, motion = contacts.annular[name], motions[0]
             shares = ring_shares(estimate, motion.sample_rate_hz, motion.excited_from, motion.start_s)
-            estimates.append(_annular(name, estimate, shares))
+            estimates.append(_annular_estimate(name, estimate, shares))
         elif name in contacts.plane.estimates:
-            estimates.append(contact_estimate(name, contacts.plane.estimates[name], plane_eta_m[name]))
+            estimates.append(contact_estimate(name, contacts.plane.estimates[name], plane_etas_m[name]))
     refusals = {**contacts.refusals, **contacts.plane.refusals}
     refusals = {contact.name: refusals[contact.name] for contact in rig.contacts if contact.name in refusals}
     report = results.ContactReport(
@@ -115,17 +115,17 @@ def identify_in_space(
 def _rings_are_coupled(contacts: SpaceContacts) -> bool:
     """True if springs couple the slow motion of some contact to that of others, beside a ring."""
     stiffnesses = [separation.forces.slow_n_per_m for separation in contacts.separations]
-    return bool(contacts.records) and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)
+    return bool(contacts.annular_records) and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)
 
 
-def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
+def _annular_estimate(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
     values, errors, own_errors = estimate.values, estimate.errors, estimate.own_errors
 
     def ring_estimate(index: int) -> results.Estimate:
         return results.Estimate(float(values[index]), float(errors[index]), float(own_errors[index]))
 
-    speed = float(np.exp(values[LOG_SPEED]))
-    speed_errors = (speed * float(errors[LOG_SPEED]), speed * float(own_errors[LOG_SPEED]))
+    speed_m_per_s = float(np.exp(values[LOG_SPEED]))
+    speed_errors = (speed_m_per_s * float(errors[LOG_SPEED]), speed_m_per_s * float(own_errors[LOG_SPEED]))
     center_y, center_z = (ring_estimate(index) for index in range(len(values))[CENTER])
     rest_y, rest_z = (ring_estimate(index) for index in range(len(values))[REST])
     return results.ContactEstimate(
@@ -136,7 +136,7 @@ def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> result
         closed_share=1.0 - shares.free,
         law="annular",
         friction_coefficient=ring_estimate(FRICTION),
-        sliding_speed_m_per_s=results.Estimate(speed, *speed_errors),
+        sliding_speed_m_per_s=results.Estimate(speed_m_per_s, *speed_errors),
         center_y_m=center_y if estimate.center_known else None,
         center_z_m=center_z if estimate.center_known else None,
         rest_force_y_n=rest_y,

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from identify.contacts.annular_law import CLEARANCE, DAMPING, FRICTION, STIFFNESS
-from identify.contacts.assumptions import places_of, tolerances_sentence
-from identify.contacts.report import FOOT_TEXT, Laws, answer, drawing, refusals, values, variance_table
+from identify.contacts.assumptions import places_text, tolerances_sentence
+from identify.contacts.report import FOOT_TEXT, Laws, answer, drawing_html, refusals_html, values_html, variance_html
 from identify.contacts.results import identified_rig
 from identify.contacts.space_figures import space_figures
 from identify.contacts.space_identification import SpaceIdentification
@@ -40,23 +40,23 @@ def _write_page(
     result: SpaceIdentification,
     figures: Mapping[str, Picture],
     title: str,
-    reference: tuple[Laws, str],
+    laws_and_name: tuple[Laws, str],
     path: Path,
     sources: Sequence[Path],
 ) -> None:
     report = result.report
     findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
-    html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
-    orbit = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
+    drawn_html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
+    orbit_html = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
     page.write(
         path,
         title=title,
         answer=answer(report, len(result.rig.contacts)),
-        top_blocks=[f"{findings}{drawing(result.rig, report)}{values(report, *reference)}", orbit],
-        sections=[("What was refused", refusals(report))] if report.unanswered else [],
+        top_blocks=[f"{findings}{drawing_html(result.rig, report)}{values_html(report, *laws_and_name)}", orbit_html],
+        sections=[("What was refused", refusals_html(report))] if report.unanswered else [],
         folded_sections=[
-            ("Does it fit?", "".join(html.values())),
-            *([("How sure is it?", variance_table(_shares_by_quantity(result)))] if report.contacts else []),
+            ("Does it fit?", "".join(drawn_html.values())),
+            *([("How sure is it?", variance_html(_shares_by_quantity(result)))] if report.contacts else []),
             ("What was assumed", page.list_html(_assumptions(result))),
         ],
         foot_text=FOOT_TEXT,
@@ -69,8 +69,8 @@ def _shares_by_quantity(result: SpaceIdentification) -> dict[str, Mapping[str, f
     quantities = {"clearance": CLEARANCE, "stiffness": STIFFNESS, "damping": DAMPING, "friction": FRICTION}
     return {
         f"{quantity} of {name}": {
-            source: float(part[index, index] / estimate.covariance[index, index])
-            for source, part in estimate.covariances.items()
+            source: float(covariance[index, index] / estimate.covariance[index, index])
+            for source, covariance in estimate.covariances.items()
         }
         for name, estimate in result.contacts.annular.items()
         for quantity, index in quantities.items()
@@ -97,7 +97,7 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         )
     motions = [separation.motion for separation in result.contacts.separations]
     for direction, motion in zip("yz", motions, strict=True):
-        places = "; ".join(places_of(body.name, motion.stations) for body in result.rig.bodies)
+        places = "; ".join(places_text(body.name, motion.stations) for body in result.rig.bodies)
         yield f"Stations used in {direction}: {places}."
     low_hz, high_hz = result.report.trusted_hz
     yield (

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.linear.free_motion import InitialStates, estimated_states, free_motions, unit_free_spectra
+from identify.linear.free_motion import FreeMotionEstimate, estimated_states, free_motions, unit_free_spectra
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import Change, elastic_modes, modes_near_band
+from identify.linear.nuisance import Change, elastic_modes, mode_count_near_band
 from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
@@ -76,11 +76,11 @@ class SpectralLines:
 
 @dataclass(frozen=True)
 class StationRows:
-    """Signals of the stations in the separation: accelerations, or on the lines `in_metres` displacements times a scale
-    in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
+    """Signals of the stations in the separation: accelerations, or on the lines `is_in_metres` displacements times a
+    scale in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
     accelerations, per sample and line, (m/s^2)^2."""
 
-    in_metres: Bool[np.ndarray, "stations lines"]
+    is_in_metres: Bool[np.ndarray, "stations lines"]
     scale_per_s2: Float[np.ndarray, " stations"]
     omega: Float[np.ndarray, " lines"]
     acceleration_variance: Float[np.ndarray, "stations lines"]
@@ -88,17 +88,17 @@ class StationRows:
     @cached_property
     def response(self) -> Complex[np.ndarray, "stations lines"]:
         """Signals per acceleration."""
-        return np.where(self.in_metres, -self.scale_per_s2[:, None] / self.omega**2, 1.0).astype(complex)
+        return np.where(self.is_in_metres, -self.scale_per_s2[:, None] / self.omega**2, 1.0).astype(complex)
 
     @property
     def noise_variance(self) -> Float[np.ndarray, "stations lines"]:
         """Variance of the signals' noise per sample on each line."""
         return np.asarray(self.acceleration_variance * np.abs(self.response) ** 2)
 
-    def of(self, stations: list[int]) -> "StationRows":
+    def rows_of(self, stations: list[int]) -> "StationRows":
         """Rows of some stations."""
         return StationRows(
-            self.in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]
+            self.is_in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]
         )
 
     def signals(
@@ -106,7 +106,7 @@ class StationRows:
         displacements: Complex[np.ndarray, "*some stations lines"],
         accelerations: Complex[np.ndarray, "*some stations lines"],
     ) -> Complex[np.ndarray, "*some stations lines"]:
-        return np.where(self.in_metres, self.scale_per_s2[:, None] * displacements, accelerations)
+        return np.where(self.is_in_metres, self.scale_per_s2[:, None] * displacements, accelerations)
 
 
 @dataclass(frozen=True)
@@ -115,24 +115,24 @@ class StationErrors:
     standard deviation of every tolerance at the measured response, averaged over `correlated_line_count`."""
 
     noise_power: Float[np.ndarray, "stations lines"]
-    least_power: float
+    least_noise_power: float
     changes: tuple[Change, ...]
     correlated_line_count: int
 
     def covariance(self, first_line: int, stop_line: int) -> Complex[np.ndarray, "some stations stations"]:
         """Covariance of the stations' errors on the lines from `first_line` to before `stop_line`."""
         station_count, line_count = self.noise_power.shape
-        reach = self.correlated_line_count
-        averaged = slice(max(first_line - reach, 0), min(stop_line + reach, line_count))
-        chunk = slice(first_line - averaged.start, stop_line - averaged.start)
+        line_reach = self.correlated_line_count
+        averaged_lines = slice(max(first_line - line_reach, 0), min(stop_line + line_reach, line_count))
+        chunk_lines = slice(first_line - averaged_lines.start, stop_line - averaged_lines.start)
         covariance = np.zeros((station_count, station_count, stop_line - first_line), dtype=complex)
         diagonal = np.arange(station_count)
-        least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
+        least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_noise_power)
         covariance[diagonal, diagonal] = self.noise_power[:, first_line:stop_line] + least_power
         for change in self.changes:
-            rows, signals = np.array(change.sensors), change.signals[:, averaged]
-            products = uniform_filter1d(signals[:, None] * signals[None].conj(), reach, axis=-1)
-            covariance[rows[:, None], rows[None]] += products[..., chunk]
+            sensor_rows, signals = np.array(change.sensors), change.signals[:, averaged_lines]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), line_reach, axis=-1)
+            covariance[sensor_rows[:, None], sensor_rows[None]] += products[..., chunk_lines]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
     @cached_property
@@ -141,7 +141,7 @@ class StationErrors:
         tolerance_power = sum(np.linalg.norm(change.signals) ** 2 for change in self.changes)
         return float(np.sum(self.noise_power) + tolerance_power) / self.noise_power.size
 
-    def line_chunks(self, start_line: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
+    def covariances(self, start_line: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
         """Lines from `start_line` on, chunk by chunk, with their covariance."""
         line_count = self.noise_power.shape[1]
         for first_line in range(start_line, line_count, CHUNK_LINES):
@@ -156,7 +156,7 @@ def force_weights(
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    contact_weights, condition_number = to_free_inputs(contact_accelerances, station_errors.line_chunks())
+    contact_weights, condition_number = to_free_inputs(contact_accelerances, station_errors.covariances())
     if not condition_number <= CONDITION_LIMIT:
         raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
     return contact_weights
@@ -166,14 +166,14 @@ def observed_body_motion(
     rig: Rig, response: Response, motion: Kinematics, accelerations: Complex[np.ndarray, "stations lines"]
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
-    body = transformation(rig, response.body, motion)
-    modal_accelerations = real_product(body.inverse_shapes, accelerations[list(body.station_rows)])
+    transform = transformation(rig, response.body, motion)
+    modal_accelerations = real_product(transform.inverse_shapes, accelerations[list(transform.station_rows)])
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return modes_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
+    return mode_count_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
 
 
 def driven_body_motion(
@@ -181,8 +181,8 @@ def driven_body_motion(
     response: Response,
     motion: Kinematics,
     accelerations: Complex[np.ndarray, "stations lines"],
-    forces: Complex[np.ndarray, "forces lines"],
-    contact_forces: Complex[np.ndarray, "contacts lines"],
+    force_spectra: Complex[np.ndarray, "forces lines"],
+    contact_spectra: Complex[np.ndarray, "contacts lines"],
 ) -> BodyMotion:
     """Modal accelerations of a body, hidden modes included, which follow from the exciting and the contact forces:
 
@@ -190,16 +190,17 @@ def driven_body_motion(
 
     and are subtracted from the stations' accelerations before the others are determined.
     """
-    count = len(transformation(rig, response.body, motion).inverse_shapes)
-    modal_force = real_product(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
-    hidden_accelerations = response.accelerance[count:] * modal_force[count:]
-    hidden_shapes = response.shapes(motion.stations)[:, count:]
+    visible_count = len(transformation(rig, response.body, motion).inverse_shapes)
+    input_spectra = np.concatenate([force_spectra, contact_spectra])
+    modal_force = real_product(input_shapes(rig, response, rig.inputs).T, input_spectra)
+    hidden_accelerations = response.accelerance[visible_count:] * modal_force[visible_count:]
+    hidden_shapes = response.shapes(motion.stations)[:, visible_count:]
     visible_accelerations = accelerations - real_product(hidden_shapes, hidden_accelerations)
     body_motion = observed_body_motion(rig, response, motion, visible_accelerations)
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic_indices=elastic_modes(response, max(count, modes_near_band(response))),
+        elastic_indices=elastic_modes(response, max(visible_count, mode_count_near_band(response))),
     )
 
 
@@ -221,45 +222,45 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
     return np.asarray(spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
-def initial_states(
+def start_free_motion(
     responses: tuple[Response, ...],
     motion: Kinematics,
     station_rows: StationRows,
     lines: SpectralLines,
     accelerations_by_input: Complex[np.ndarray, "inputs stations lines"],
     station_errors: StationErrors,
-) -> InitialStates:
-    """Initial states of the modes, from the record cut off sharply at both ends.
+) -> FreeMotionEstimate:
+    """Free motion by the initial states of the modes, from the record cut off sharply at both ends.
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
     untapered, omega, force_count = replace(lines, is_tapered=False), lines.omega, len(motion.forces_n)
-    sample_count, padding_samples = motion.samples, lines.padded_samples - motion.samples
+    sample_count, padding_samples = motion.sample_count, lines.padded_samples - motion.sample_count
     highest_hz = float(omega[-1]) / (2 * np.pi)
-    modes, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
-    orders = [sensor.measures.order for sensor in motion.sensors]
+    unit_motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
+    derivative_orders = [sensor.measures.order for sensor in motion.sensors]
 
     def unit_spectra(cut_lines: SpectralLines, cut_samples: int) -> Complex[np.ndarray, "states stations lines"]:
         def cut_spectra(signals: Float[np.ndarray, "rows samples"]) -> Complex[np.ndarray, "rows lines"]:
             return cut_lines.spectra(signals[:, :cut_samples])
 
-        spectra = unit_free_spectra(modes, orders, station_rows.in_metres, omega, cut_spectra)
+        spectra = unit_free_spectra(unit_motions, derivative_orders, station_rows.is_in_metres, omega, cut_spectra)
         return station_rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * omega * sample_count / lines.rate_hz)
     measured = station_rows.signals(untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
-    by_forces = accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None]
+    signals_by_force = accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None]
     first_line = 0 if motion.zero_known else int(np.count_nonzero(omega < 2 * 2 * np.pi * CORNER_HZ))
     prior_mean, prior_deviation = (np.concatenate(ends) for ends in zip(start_prior, end_prior, strict=True))
-    states = estimated_states(
+    state_estimate = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
         prior_mean,
         prior_deviation,
-        measured - np.sum(by_forces, axis=0),
+        measured - np.sum(signals_by_force, axis=0),
         accelerations_by_input[force_count:],
-        station_errors.line_chunks(first_line),
+        station_errors.covariances(first_line),
         correlated_line_count=lines.correlated_line_count,
     )
-    held_modes = np.flatnonzero([mode.is_held for mode in modes])
-    return states.initial_states(unit_spectra(lines, sample_count), held_modes)
+    held_indices = np.flatnonzero([mode.is_held for mode in unit_motions])
+    return state_estimate.free_motion(unit_spectra(lines, sample_count), held_indices)

@@ -199,7 +199,7 @@ def _contact_law_fit(
     friction = sliding_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     estimate = ContactLawEstimate(
-        contact=group.contact.name,
+        contact=group.joined_contact.name,
         verdict=verdict_sentence(pieces, formula_text, tried_laws, best_tried, contact_record.sides_known, friction),
         best=best_tried.law,
         formula=formula_text,

@@ -39,11 +39,11 @@ RELATIVE_STEP = 1e-6
 class FreeMotion:
     """Free motion of one mode per unit of its initial displacement or velocity.
 
-    derivatives are the coordinate's displacement, velocity and acceleration; shape is the mode's at the stations.
+    coordinate_derivatives are its displacement, velocity and acceleration; shape is the mode's at the stations.
     is_held is False if the mode's spring acts on the high-passed displacement: the drift then covers its initial state.
     """
 
-    derivatives: Float[np.ndarray, "3 samples"]
+    coordinate_derivatives: Float[np.ndarray, "3 samples"]
     shape: Float[np.ndarray, " stations"]
     is_held: bool
 
@@ -61,38 +61,38 @@ def free_motions(
     modes of the body; otherwise it is zero, with a wide one. A mode whose spring acts on the high-passed displacement
     moves as a free one: the part that integration loses.
     """
-    time_s = np.arange(max(motion.samples, sample_count - motion.samples)) / motion.sample_rate_hz
+    time_s = np.arange(max(motion.sample_count, sample_count - motion.sample_count)) / motion.sample_rate_hz
     motions, prior_mean, prior_deviation, wide_deviation = list[FreeMotion](), [], [], []
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
-        rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
-        mode_count = min(rows.size, response.mode_count)
-        start = np.array([motion.displacement_m[rows], motion.velocity_m_per_s[rows]])
-        coordinates = np.linalg.pinv(shapes[rows, :mode_count]) @ start
-        is_measured = mode_count == response.mode_count and motion.zero_known
+        station_rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
+        sensed_count = min(station_rows.size, response.mode_count)
+        station_signals = np.array([motion.displacement_m[station_rows], motion.velocity_m_per_s[station_rows]])
+        mode_coordinates = np.linalg.pinv(shapes[station_rows, :sensed_count]) @ station_signals
+        is_measured = sensed_count == response.mode_count and motion.zero_known
         rms_m, rms_m_per_s2 = (
-            float(np.max(derivative[rows].std(axis=1)))
+            float(np.max(derivative[station_rows].std(axis=1)))
             for derivative in (motion.displacement_m, motion.acceleration_m_per_s2)
         )
-        for mode in np.flatnonzero(hz < highest_hz).tolist():
-            largest_shape = float(np.max(np.abs(shapes[rows, mode])))
-            omega = 2 * np.pi * max(hz[mode], MIN_FREQUENCY_HZ)
+        for mode_index in np.flatnonzero(hz < highest_hz).tolist():
+            largest_shape = float(np.max(np.abs(shapes[station_rows, mode_index])))
+            omega = 2 * np.pi * max(hz[mode_index], MIN_FREQUENCY_HZ)
             amplitude_m = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
-            is_held = mode not in response.dynamics.high_passed
-            for order in range(2):
-                derivatives = free_motion(float(hz[mode]), float(zeta[mode]), order, time_s)
-                motions.append(FreeMotion(derivatives, shapes[:, mode], is_held))
-                size = amplitude_m * omega**order
-                prior_mean.append(float(coordinates[order, mode, 0]) if is_measured else 0.0)
-                prior_deviation.append((MEASURED_PRIOR if is_measured else WIDE_PRIOR) * size)
-                wide_deviation.append(WIDE_PRIOR * size)
+            is_held = mode_index not in response.dynamics.high_passed_modes
+            for initial_order in range(2):
+                derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), initial_order, time_s)
+                motions.append(FreeMotion(derivatives, shapes[:, mode_index], is_held))
+                initial_value_size = amplitude_m * omega**initial_order
+                prior_mean.append(float(mode_coordinates[initial_order, mode_index, 0]) if is_measured else 0.0)
+                prior_deviation.append((MEASURED_PRIOR if is_measured else WIDE_PRIOR) * initial_value_size)
+                wide_deviation.append(WIDE_PRIOR * initial_value_size)
     start_prior = np.array(prior_mean), np.array(prior_deviation)
     return motions, start_prior, (np.zeros(len(prior_mean)), np.array(wide_deviation))
 
 
 @dataclass(frozen=True)
-class InitialStates:
+class FreeMotionEstimate:
     """Free motion from a record's start, as the sensors deliver it.
 
     signals is its estimate; its errors have the independent unit components sum_i spectra_i root_ij, with unit_spectra
@@ -105,51 +105,53 @@ class InitialStates:
 
 
 @dataclass(frozen=True)
-class StateEstimate:
+class InitialStateEstimate:
     """Initial values and their covariance."""
 
-    values: Float[np.ndarray, " values"]
+    initial_values: Float[np.ndarray, " values"]
     covariance: Float[np.ndarray, "values values"]
 
-    def initial_states(
-        self, spectra: Complex[np.ndarray, "values stations lines"], indices: Int[np.ndarray, " indices"]
-    ) -> InitialStates:
-        """Free motion by the initial values with these indices; `spectra` are those per unit of the first values."""
-        covariance = self.covariance[np.ix_(indices, indices)]
-        deviations = np.sqrt(np.diag(covariance))
-        eigenvalues, directions = np.linalg.eigh(covariance / (deviations[:, None] * deviations))
-        root = deviations[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
-        return InitialStates(np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], root)
+    def free_motion(
+        self, unit_spectra: Complex[np.ndarray, "values stations lines"], indices: Int[np.ndarray, " indices"]
+    ) -> FreeMotionEstimate:
+        """Free motion by the initial values with these indices; `unit_spectra` are per unit of the first values."""
+        value_covariance = self.covariance[np.ix_(indices, indices)]
+        deviations = np.sqrt(np.diag(value_covariance))
+        eigenvalues, directions = np.linalg.eigh(value_covariance / (deviations[:, None] * deviations))
+        error_root = deviations[:, None] * directions * np.sqrt(np.maximum(eigenvalues, 0.0))
+        unit_spectra = unit_spectra[indices]
+        signals = np.einsum("i,isf->sf", self.initial_values[indices], unit_spectra)
+        return FreeMotionEstimate(signals, unit_spectra, error_root)
 
 
 def unit_free_spectra(
     motions: list[FreeMotion],
-    orders: list[int],
-    in_metres: Bool[np.ndarray, "stations lines"],
+    derivative_orders: list[int],
+    is_in_metres: Bool[np.ndarray, "stations lines"],
     omega: Float[np.ndarray, " lines"],
     spectra_of: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
 ) -> Complex[np.ndarray, "values stations lines"]:
     """Spectra at the stations per unit of every initial value: accelerations, as (i omega)^(2 - order) times the
     spectrum of the derivative that the station's sensor measures, or displacements on the lines in metres."""
-    factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
-    unit_spectra = np.empty((len(motions), *in_metres.shape), dtype=complex)
+    acceleration_factors = {order: (1j * omega) ** (2 - order) for order in range(3)}
+    unit_spectra = np.empty((len(motions), *is_in_metres.shape), dtype=complex)
     for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
-        derivatives = spectra_of(motion.derivatives)
-        for row, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
-            acceleration = factors[order] * derivatives[order]
-            unit_spectrum[row] = shape * np.where(in_metres[row], derivatives[0], acceleration)
+        derivative_spectra = spectra_of(motion.coordinate_derivatives)
+        for row, (shape, order) in enumerate(zip(motion.shape, derivative_orders, strict=True)):
+            acceleration = acceleration_factors[order] * derivative_spectra[order]
+            unit_spectrum[row] = shape * np.where(is_in_metres[row], derivative_spectra[0], acceleration)
     return unit_spectra
 
 
 def estimated_states(
-    spectra: Complex[np.ndarray, "values stations lines"],
+    unit_spectra: Complex[np.ndarray, "values stations lines"],
     prior_mean: Float[np.ndarray, " values"],
     prior_deviation: Float[np.ndarray, " values"],
     unexplained_spectra: Complex[np.ndarray, "stations lines"],
     spectra_by_contact: Complex[np.ndarray, "contacts stations lines"],
     error_covariances: Covariances,
     correlated_line_count: int,
-) -> StateEstimate:
+) -> InitialStateEstimate:
     """Initial values theta by generalised least squares, and their covariance.
 
     unexplained = sum_i theta_i spectra_i + sum_j by_contacts_j f_j + error, with contact forces f_j free at every line
@@ -157,17 +159,17 @@ def estimated_states(
     of `correlated_line_count` neighbouring lines count as one. Poorly determined directions shrink to the mean.
     """
     normal_matrix, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
-    unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, spectra)
-    columns = [spectra, unexplained_spectra[None]]
-    for rows in without_free_inputs(columns, spectra_by_contact, error_covariances):
-        real_rows = np.concatenate([rows.real, rows.imag])
+    unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, unit_spectra)
+    unit_and_unexplained = [unit_spectra, unexplained_spectra[None]]
+    for residual_rows in without_free_inputs(unit_and_unexplained, spectra_by_contact, error_covariances):
+        real_rows = np.concatenate([residual_rows.real, residual_rows.imag])
         normal_matrix += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
         gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
     information, directions = np.linalg.eigh(normal_matrix * prior_deviation[:, None] * prior_deviation)
     directions = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    change = (information - 1) / (information + SHRINKAGE) / information * (directions.T @ gradient)
-    return StateEstimate(prior_mean + directions @ change, (directions / information) @ directions.T)
+    direction_changes = (information - 1) / (information + SHRINKAGE) / information * (directions.T @ gradient)
+    return InitialStateEstimate(prior_mean + directions @ direction_changes, (directions / information) @ directions.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,12 +212,12 @@ def free_modes(
     modes = []
     for body_index, (response, mode_indices) in enumerate(zip(responses, indices_by_body, strict=True)):
         dynamics, shapes = response.dynamics, response.shapes(stations)
-        for mode in mode_indices.tolist():
-            hz, zeta = float(dynamics.natural_hz[mode]), float(dynamics.damping_ratios[mode])
-            accelerance = response.accelerance[mode]
+        for mode_index in mode_indices.tolist():
+            hz, zeta = float(dynamics.natural_hz[mode_index]), float(dynamics.damping_ratios[mode_index])
+            accelerance = response.accelerance[mode_index]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
             sensed = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
-            modes.append(FreeMode(body_index, mode, shapes[:, mode], accelerations, sensed, np.zeros(2)))
+            modes.append(FreeMode(body_index, mode_index, shapes[:, mode_index], accelerations, sensed, np.zeros(2)))
     return tuple(modes)
 
 
@@ -229,11 +231,11 @@ def tuning_derivative(
         return np.zeros_like(mode.sensed_acceleration)
 
     def acceleration(factor: float) -> Complex[np.ndarray, " lines"]:
-        tuned = (hz * factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * factor)
-        return np.asarray(mode.initial_state @ sampled_accelerations(*tuned, sampling))
+        tuned_hz_and_zeta = (hz * factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * factor)
+        return np.asarray(mode.initial_state @ sampled_accelerations(*tuned_hz_and_zeta, sampling))
 
-    difference = acceleration(1 + RELATIVE_STEP) - acceleration(1 - RELATIVE_STEP)
-    return np.outer(mode.shape, difference) / (2 * RELATIVE_STEP)
+    acceleration_difference = acceleration(1 + RELATIVE_STEP) - acceleration(1 - RELATIVE_STEP)
+    return np.outer(mode.shape, acceleration_difference) / (2 * RELATIVE_STEP)
 
 
 def fitted_free_modes(
@@ -257,17 +259,17 @@ def fitted_free_modes(
     weighted = (weights[:, :, None] * units).reshape(len(units), -1, units.shape[2])
     weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
     normal_matrix, gradient = (
-        np.concatenate([_products(rows, columns) for rows, columns in zip(units, others, strict=True)])
-        for others in (weighted, weighted_residual)
+        np.concatenate([_real_products(rows, columns) for rows, columns in zip(units, right_rows, strict=True)])
+        for right_rows in (weighted, weighted_residual)
     )
     norms = np.sqrt(np.diag(normal_matrix))
-    inverse = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
-    pseudo_inverse = np.linalg.pinv(inverse[:, None] * normal_matrix * inverse, hermitian=True)
-    states = (inverse * (pseudo_inverse @ (inverse * gradient[:, 0]))).reshape(-1, 2)
-    return tuple(replace(motion, initial_state=state) for motion, state in zip(motions, states, strict=True))
+    inverse_norms = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
+    pseudo_inverse = np.linalg.pinv(inverse_norms[:, None] * normal_matrix * inverse_norms, hermitian=True)
+    initial_states = (inverse_norms * (pseudo_inverse @ (inverse_norms * gradient[:, 0]))).reshape(-1, 2)
+    return tuple(replace(motion, initial_state=state) for motion, state in zip(motions, initial_states, strict=True))
 
 
-def _products(
+def _real_products(
     rows: Complex[np.ndarray, "rows lines"], columns: Complex[np.ndarray, "columns lines"]
 ) -> Float[np.ndarray, "rows columns"]:
     """Real parts of the scalar products."""
@@ -276,14 +278,14 @@ def _products(
 
 def state_changes(
     motions: Sequence[FreeMode],
-    bodies: Sequence[str],
+    body_names: Sequence[str],
     sensor_response: Complex[np.ndarray, "sensors lines"],
     signal_norm: float,
 ) -> Iterator[Change]:
     """Changes by each mode's initial displacement and velocity, scaled so that the sensors deliver this norm."""
     for motion in motions:
-        parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body_index], motion.mode_index + 1)
+        parameter = Nuisance(NuisanceKind.INITIAL_STATE, body_names[motion.body_index], motion.mode_index + 1)
         for unit_acceleration in motion.sensed_unit_accelerations:
-            signals = sensor_response * np.outer(motion.shape, unit_acceleration)
-            signal_scale = signal_norm / max(float(np.linalg.norm(signals)), 1e-300)
-            yield Change(parameter, list(range(len(signals))), signals * signal_scale)
+            unit_signals = sensor_response * np.outer(motion.shape, unit_acceleration)
+            signal_scale = signal_norm / max(float(np.linalg.norm(unit_signals)), 1e-300)
+            yield Change(parameter, list(range(len(unit_signals))), unit_signals * signal_scale)

@@ -20,7 +20,7 @@ class ContactGroup:
     contact.
     """
 
-    contact: Contact
+    joined_contact: Contact
     contact_indices: tuple[int, ...]
     signs: tuple[int, ...]
 
@@ -32,17 +32,17 @@ def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
     for j, contact in enumerate(contacts):
         indices_by_places.setdefault(frozenset({contact.at, contact.against}), []).append(j)
     groups = []
-    for indices in indices_by_places.values():
-        first = contacts[indices[0]]
-        joined = replace(first, name=" + ".join(contacts[j].name for j in indices))
-        signs = tuple(1 if contacts[j].at == first.at else -1 for j in indices)
-        groups.append(ContactGroup(joined, tuple(indices), signs))
+    for contact_indices in indices_by_places.values():
+        first_contact = contacts[contact_indices[0]]
+        joined_contact = replace(first_contact, name=" + ".join(contacts[j].name for j in contact_indices))
+        signs = tuple(1 if contacts[j].at == first_contact.at else -1 for j in contact_indices)
+        groups.append(ContactGroup(joined_contact, tuple(contact_indices), signs))
     return tuple(groups)
 
 
 def group_rig_of(rig: Rig) -> Rig:
     """Rig with one contact for each pair of places, which has the names of all and the law of the first."""
-    return replace(rig, contacts=tuple(group.contact for group in contact_groups(rig)))
+    return replace(rig, contacts=tuple(group.joined_contact for group in contact_groups(rig)))
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,15 @@ class GroupLaw:
     @property
     def clearances_m(self) -> tuple[float, float]:
         """Clearances of the nearest stops below and above, m."""
-        pairs = zip(self.laws, self.signs, strict=True)
-        clearances = [(law.lower_clearance_m, law.upper_clearance_m)[::sign] for law, sign in pairs]
-        lower, upper = zip(*clearances, strict=True)
-        return min(lower), min(upper)
+        law_sign_pairs = zip(self.laws, self.signs, strict=True)
+        clearance_pairs_m = [(law.lower_clearance_m, law.upper_clearance_m)[::sign] for law, sign in law_sign_pairs]
+        lower_m, upper_m = zip(*clearance_pairs_m, strict=True)
+        return min(lower_m), min(upper_m)
 
     def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
         """Sum of the contact forces, N."""
-        laws = zip(self.signs, self.laws, strict=True)
-        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in laws))
+        sign_laws = zip(self.signs, self.laws, strict=True)
+        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in sign_laws))
 
 
 def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:

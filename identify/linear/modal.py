@@ -41,7 +41,7 @@ class ModalEquation:
     """
 
     body: str
-    index: int
+    mode_number: int
     frequency_hz: float
     damping_ratio: float
     shape_at_force: float
@@ -53,7 +53,7 @@ class ModalEquation:
 
     @property
     def name(self) -> str:
-        return f"{self.body} {self.index}"
+        return f"{self.body} {self.mode_number}"
 
     @property
     def is_visible(self) -> tuple[bool, ...]:
@@ -112,7 +112,7 @@ def modal_equations(
     return tuple(
         ModalEquation(
             body=body.name,
-            index=m + 1,
+            mode_number=m + 1,
             frequency_hz=float(body.frequencies_hz(mode_count)[m]),
             damping_ratio=float(body.damping_ratios(mode_count)[m]),
             shape_at_force=float(force_shapes[m]),
@@ -133,13 +133,13 @@ def equivalent_force_n(
     if len(forces_n) == 1 or equation.shape_at_force == 0:
         return forces_n[0]
     body = rig.body(equation.body)
-    input_shapes = input_mode_shapes(rig, body, equation.index)[:, -1]
+    input_shapes = input_mode_shapes(rig, body, equation.mode_number)[:, -1]
     return input_shapes / equation.shape_at_force @ forces_n
 
 
 def correctable_samples(motion: Kinematics) -> int:
     """Number of samples from whose modal coordinates the higher modes can be subtracted."""
-    return motion.samples - round(0.25 * motion.sample_rate_hz)
+    return motion.sample_count - round(0.25 * motion.sample_rate_hz)
 
 
 def _without_higher_modes(
@@ -151,7 +151,7 @@ def _without_higher_modes(
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
     body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
-    padded_length = next_fast_len(motion.samples, real=True)
+    padded_length = next_fast_len(motion.sample_count, real=True)
     line_hz = np.fft.rfftfreq(padded_length, 1 / motion.sample_rate_hz)
     force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), padded_length)
     positions_m = np.array([motion.stations[row].position_m for row in transform.station_rows])
@@ -165,12 +165,12 @@ def _without_higher_modes(
         mode_response = receptance(float(natural_hz[m]), float(damping_ratios[m]), line_hz) * modal_force
         for i, share in enumerate(coordinate_shares[:, m]):
             higher_spectra[i] += share * mode_response
-    corrected = []
-    for fitted in coordinates:
-        higher = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
-        corrected.append(fitted[:, :kept_samples] - np.stack(higher))
+    corrected_coordinates = []
+    for fitted_coordinate in coordinates:
+        higher_parts = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
+        corrected_coordinates.append(fitted_coordinate[:, :kept_samples] - np.stack(higher_parts))
         higher_spectra *= 2j * np.pi * line_hz
-    return corrected
+    return corrected_coordinates
 
 
 def receptance(
@@ -188,33 +188,33 @@ def receptance(
 def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Mode shapes in the relative displacement of a contact: that at its station minus that against it."""
     contact = rig.contacts[contact_index]
-    against_shape = shape_at(body, contact.against, mode_count) if contact.against else 0.0
-    return np.asarray(shape_at(body, contact.at, mode_count) - against_shape)
+    against_shape = shapes_at(body, contact.against, mode_count) if contact.against else 0.0
+    return np.asarray(shapes_at(body, contact.at, mode_count) - against_shape)
 
 
-def relative_motion(
+def signals_across_contacts(
     rig: Rig, motion: Kinematics, station_signals: Float[np.ndarray, "stations samples"]
 ) -> Float[np.ndarray, "contacts samples"]:
     """Signals of the stations, such as their displacements, across each contact: from the sensors at its stations or,
     without any, from the modes."""
 
-    def station_motion(station: Station) -> Float[np.ndarray, " samples"]:
+    def station_signal(station: Station) -> Float[np.ndarray, " samples"]:
         row = motion.row(station)
         if row is not None:
             return station_signals[row]
         body = rig.body(station.body)
         transform = transformation(rig, body, motion)
-        shape = shape_at(body, station, transform.inverse_shapes.shape[0])
+        shape = shapes_at(body, station, transform.inverse_shapes.shape[0])
         return np.asarray(shape @ transform.inverse_shapes @ station_signals[list(transform.station_rows)])
 
-    return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
+    return np.stack([station_signal(c.at) - (station_signal(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
 def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
     """Shapes of a body through which the rig's inputs drive it; of a shaken base the participation of the modes."""
     shapes_by_input = [
-        participation(rig, body, body, mode_count) if rig.is_on_ground(station) else shape_at(body, station, mode_count)
-        for station in rig.inputs
+        participation(rig, body, body, mode_count) if rig.is_on_ground(place) else shapes_at(body, place, mode_count)
+        for place in rig.inputs
     ]
     return np.array(shapes_by_input).reshape(len(shapes_by_input), mode_count)
 
@@ -227,7 +227,7 @@ def force_on_mass(
     return np.asarray(shapes @ forces_n)
 
 
-def shape_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray, " modes"]:
+def shapes_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Shapes of a body at a station; zero at a station of another body."""
     if station.body != body.name:
         return np.zeros(mode_count)
@@ -246,11 +246,11 @@ def _truncation_shares(
         return np.zeros(fitted_count)
     natural_hz = body.frequencies_hz(mode_count)
     highest_hz = natural_hz[fitted_count - 1] or natural_hz[fitted_count]
-    responses = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
+    receptances = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
     stations = [station for contact in rig.contacts for station in contact_stations(contact)]
-    contacts_m = np.array([station.position_m for station in stations if station.body == body.name])
-    input_shapes = np.concatenate([body.shapes(contacts_m, mode_count), input_mode_shapes(rig, body, mode_count)])
-    covariance = (responses @ responses.conj().T).real * (input_shapes.T @ input_shapes)
+    contact_places_m = np.array([station.position_m for station in stations if station.body == body.name])
+    input_shapes = np.concatenate([body.shapes(contact_places_m, mode_count), input_mode_shapes(rig, body, mode_count)])
+    modal_covariance = (receptances @ receptances.conj().T).real * (input_shapes.T @ input_shapes)
     error_shapes = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
-    error_power = np.diag(error_shapes @ covariance @ error_shapes.T)
-    return np.asarray(np.sqrt(error_power / np.diag(covariance)[:fitted_count]))
+    error_power = np.diag(error_shapes @ modal_covariance @ error_shapes.T)
+    return np.asarray(np.sqrt(error_power / np.diag(modal_covariance)[:fitted_count]))

@@ -21,13 +21,13 @@ from jaxtyping import Complex, Float
 
 from identify.linear.modal import receptance
 from identify.linear.point_dampers import DamperFeedback, damper_feedback
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import CORNER_HZ, omega_power
 from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
 from rig.model.description import Body, PointDamper, Rig, Sensor, Station
 from rig.model.modes import Modes, modes_of, participation
 
-SLOPE_STEP = 1e-4
+SLOPE_STEP_SHARE = 1e-4
 """Step of the differences for slopes of shapes, as a share of the body's length, to either side."""
 RANK_TOLERANCE = 1e-9
 """Smallest share of the largest modal displacement of a contact that counts as motion."""
@@ -41,13 +41,13 @@ Place = Station | Sensor | None
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes of one cache.
 
-    The springs of the modes in high_passed act on the high-passed displacement alone.
+    The springs of the high_passed_modes act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
     damping_ratios: Float[np.ndarray, " modes"]
     omega: Float[np.ndarray, " lines"]
-    high_passed: tuple[int, ...]
+    high_passed_modes: tuple[int, ...]
 
 
 class ResponseCache:
@@ -67,10 +67,10 @@ class ResponseCache:
         self,
         natural_hz: Float[np.ndarray, " modes"],
         damping_ratios: Float[np.ndarray, " modes"],
-        high_passed: tuple[int, ...] = (),
+        high_passed_modes: tuple[int, ...] = (),
     ) -> Dynamics:
-        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed)
-        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed))
+        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed_modes)
+        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed_modes))
 
     def accelerance(self, dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
         return self._accelerances.get(dynamics, lambda: _accelerance(dynamics))
@@ -100,7 +100,7 @@ class Response:
     dynamics: Dynamics
     cache: ResponseCache = field(repr=False)
     shape_cache: dict[Hashable, Float[np.ndarray, "places _"]] = field(default_factory=dict, repr=False, compare=False)
-    dampers: DamperFeedback | None = None
+    feedback: DamperFeedback | None = None
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
@@ -115,38 +115,38 @@ class Response:
         length_m = self.body.length_m
         if not length_m:
             return np.zeros((len(places), self.mode_count))
-        step_m, places_m = SLOPE_STEP * length_m, np.array([_station_of(place).position_m for place in places])
-        span_m = np.minimum(places_m + step_m, length_m) - np.maximum(places_m - step_m, 0.0)
+        step_m, positions_m = SLOPE_STEP_SHARE * length_m, np.array([_station_of(place).position_m for place in places])
+        span_m = np.minimum(positions_m + step_m, length_m) - np.maximum(positions_m - step_m, 0.0)
         return np.asarray((self._shapes_at(places, step_m) - self._shapes_at(places, -step_m)) / span_m[:, None])
 
     def _shapes_at(self, places: Sequence[Place], offset_m: float) -> Float[np.ndarray, "places modes"]:
         """Rows of `shapes` with every place moved along the body, to its end at most."""
-        rows = np.zeros((len(places), self.mode_count))
+        shape_rows = np.zeros((len(places), self.mode_count))
         body_indices = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == self.body.name]
         for are_gauges in (False, True):
             place_indices = [i for i in body_indices if _is_gauge(places[i]) == are_gauges]
             if not place_indices:
                 continue
-            places_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
+            positions_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
             if offset_m:
-                places_m = np.clip(places_m, 0.0, self.body.length_m)
+                positions_m = np.clip(positions_m, 0.0, self.body.length_m)
             derivative_orders = range(3) if are_gauges else range(1)
-            derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in derivative_orders]
-            rows[place_indices] = derivatives[0]
+            derivatives = [self.modes.shapes(positions_m, self.mode_count, order) for order in derivative_orders]
+            shape_rows[place_indices] = derivatives[0]
             for row, i in enumerate(place_indices if are_gauges else ()):
-                rows[i] = _strain_row(places[i], self.body, np.array([derivative[row] for derivative in derivatives]))
-        return rows
+                shape_rows[i] = _strain_row(places[i], self.body, np.array([shapes[row] for shapes in derivatives]))
+        return shape_rows
 
-    def weights(self, sensor_stations: Stations, stations: Stations) -> Float[np.ndarray, "stations sensors"]:
+    def sensor_weights(self, sensor_stations: Stations, stations: Stations) -> Float[np.ndarray, "stations sensors"]:
         """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors."""
 
         def make() -> Float[np.ndarray, "stations sensors"]:
-            sensors = [i for i, s in enumerate(sensor_stations) if s is not None and s.body == self.body.name]
-            mode_count = min(len(sensors), self.mode_count)
-            weights = np.zeros((len(stations), len(sensor_stations)))
-            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensors])[:, :mode_count])
-            weights[:, sensors] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
-            return weights
+            sensor_indices = [i for i, s in enumerate(sensor_stations) if s is not None and s.body == self.body.name]
+            mode_count = min(len(sensor_indices), self.mode_count)
+            sensor_weights = np.zeros((len(stations), len(sensor_stations)))
+            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensor_indices])[:, :mode_count])
+            sensor_weights[:, sensor_indices] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
+            return sensor_weights
 
         return self._cache((tuple(sensor_stations), tuple(stations)), make)
 
@@ -175,7 +175,7 @@ class Response:
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others."""
         undamped = partial(self.cache.transfer, self.dynamics)
-        return self.dampers.transfer(undamped, outputs, inputs) if self.dampers else undamped(outputs, inputs)
+        return self.feedback.transfer(undamped, outputs, inputs) if self.feedback else undamped(outputs, inputs)
 
     def modal_accelerations(
         self, modal_forces: Complex[np.ndarray, "modes lines"]
@@ -187,9 +187,9 @@ class Response:
         self, accelerations: Complex[np.ndarray, "modes lines"]
     ) -> Complex[np.ndarray, "modes lines"]:
         """Accelerations of the modes with the dampers, from those that the same cause has without them."""
-        if self.dampers is None:
+        if self.feedback is None:
             return accelerations
-        return accelerations - self.accelerance * self.dampers.modal_reactions(accelerations)
+        return accelerations - self.accelerance * self.feedback.modal_reactions(accelerations)
 
     def damped_by(self, dampers: Sequence[PointDamper]) -> "Response":
         """Response with those of some dampers that stand on the body; the modes stay as they are."""
@@ -198,17 +198,17 @@ class Response:
             return self
         undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in dampers])
         feedback = damper_feedback(shapes, [d.damping_n_s_per_m for d in dampers], undamped, self.cache.omega)
-        return replace(self, dampers=feedback)
+        return replace(self, feedback=feedback)
 
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
         hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
-        return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed_modes))
 
-    def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
+    def with_high_passed(self, mode_indices: tuple[int, ...]) -> "Response":
         """Response in which the springs of these modes act on the high-passed displacement alone."""
         hz, zeta = self.dynamics.natural_hz, self.dynamics.damping_ratios
-        return replace(self, dynamics=self.cache.dynamics(hz, zeta, modes))
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, mode_indices))
 
 
 def _station_of(place: Place) -> Station:
@@ -239,37 +239,37 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     """Accelerance A_m of each mode."""
     hz, zeta, omega = dynamics.natural_hz, dynamics.damping_ratios, dynamics.omega
     accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
-    for mode in dynamics.high_passed:
+    for mode in dynamics.high_passed_modes:
         natural_omega = 2 * np.pi * hz[mode]
-        spring_term = natural_omega**2 * integrated(omega, -2, CORNER_HZ)
-        accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * integrated(omega, -1, CORNER_HZ))
+        spring_term = natural_omega**2 * omega_power(omega, -2, CORNER_HZ)
+        accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * omega_power(omega, -1, CORNER_HZ))
     accelerance[hz == 0] = 1.0
     accelerance.flags.writeable = False
     return accelerance
 
 
 def accelerances(
-    rig: Rig, responses: Sequence[Response], forces: Sequence[Station], places: Sequence[Place]
+    rig: Rig, responses: Sequence[Response], force_stations: Sequence[Station], places: Sequence[Place]
 ) -> Complex[np.ndarray, "inputs places lines"]:
     """Accelerations at some places (at strain gauges the second derivative of the strain) per newton of each force,
     then of each contact force f_j (-G_j)."""
     line_count = responses[0].cache.omega.size
-    accelerance = np.zeros((len(forces) + len(rig.contacts), len(places), line_count), dtype=complex)
+    accelerance = np.zeros((len(force_stations) + len(rig.contacts), len(places), line_count), dtype=complex)
     for response in responses:
-        rows = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == response.body.name]
-        inputs = input_shapes(rig, response, forces)
-        body_inputs = np.flatnonzero(np.any(inputs, axis=1))
-        if rows and body_inputs.size:
-            outputs = response.shapes([places[row] for row in rows])
-            accelerance[body_inputs[:, None], rows] = response.transfer(outputs, inputs[body_inputs])
+        place_indices = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == response.body.name]
+        drive_shapes = input_shapes(rig, response, force_stations)
+        input_indices = np.flatnonzero(np.any(drive_shapes, axis=1))
+        if place_indices and input_indices.size:
+            shapes = response.shapes([places[row] for row in place_indices])
+            accelerance[input_indices[:, None], place_indices] = response.transfer(shapes, drive_shapes[input_indices])
     return accelerance
 
 
-def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
+def input_shapes(rig: Rig, response: Response, force_stations: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
     """Mode shapes through which forces at some places, and contact forces, drive a body; the participation of its modes
     in a force on the ground, which is the inertial force on each kilogram."""
-    force_shapes = response.shapes([*forces]).copy()
-    for row, station in zip(force_shapes, forces, strict=True):
+    force_shapes = response.shapes([*force_stations]).copy()
+    for row, station in zip(force_shapes, force_stations, strict=True):
         if rig.is_on_ground(station):
             row[:] = participation(rig, response.body, response.modes, response.mode_count)
     return np.concatenate([force_shapes, -relative_shapes(rig, response)])
@@ -298,7 +298,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
     Raises RigError if no number of modes identifies every contact force.
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
-    eta_shapes, _ = eta_modes(rig, responses)
+    eta_shapes, _ = eta_shapes_and_omega(rig, responses)
     if _force_rank(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
@@ -306,9 +306,9 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         )
     if zero_known or not rig.contacts:
         return responses
-    high_passed = _high_passed_modes(responses, eta_shapes)
+    passed_modes = _high_passed_modes(responses, eta_shapes)
     return tuple(
-        r.with_high_passed(tuple(sorted(m for body, m in high_passed if body == k))) for k, r in enumerate(responses)
+        r.with_high_passed(tuple(sorted(m for body, m in passed_modes if body == k))) for k, r in enumerate(responses)
     )
 
 
@@ -316,27 +316,27 @@ def _high_passed_modes(
     responses: Sequence[Response], eta_shapes: Float[np.ndarray, "contacts modes"]
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
-    modes = [(k, m) for k, response in enumerate(responses) for m in range(response.mode_count)]
+    body_modes = [(k, m) for k, response in enumerate(responses) for m in range(response.mode_count)]
     rigid_counts = [max(response.body.rigid_modes, response.body.is_mass) for response in responses]
-    high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid_counts[k]]
-    rank = _force_rank(eta_shapes, high_passed)
+    high_passed_indices = [i for i, (k, m) in enumerate(body_modes) if m < rigid_counts[k]]
+    force_rank = _force_rank(eta_shapes, high_passed_indices)
     natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
     for i in np.argsort(natural_hz, kind="stable").tolist():
-        if rank == len(eta_shapes):
+        if force_rank == len(eta_shapes):
             break
-        if _force_rank(eta_shapes, [*high_passed, i]) > rank:
-            high_passed.append(i)
-            rank += 1
-    return [modes[i] for i in high_passed]
+        if _force_rank(eta_shapes, [*high_passed_indices, i]) > force_rank:
+            high_passed_indices.append(i)
+            force_rank += 1
+    return [body_modes[i] for i in high_passed_indices]
 
 
-def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
+def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], mode_indices: Sequence[int]) -> int:
     """Number of contact forces that some modes tell apart."""
     least_value = RANK_TOLERANCE * float(np.max(np.abs(eta_shapes), initial=0.0))
-    return int(np.linalg.matrix_rank(eta_shapes[:, list(modes)], least_value))
+    return int(np.linalg.matrix_rank(eta_shapes[:, list(mode_indices)], least_value))
 
 
-def eta_modes(
+def eta_shapes_and_omega(
     rig: Rig, responses: Sequence[Response]
 ) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
     """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from identify.linear.model import Response, real_product
 from identify.linear.observed_motion import BodyMotion, ObservedBase, ObservedTransverse
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import CORNER_HZ, omega_power
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
@@ -97,9 +97,9 @@ class ObservedSignals:
     """Signals that the sensors deliver of the true motion, and its parts that the changes need.
 
     force_accelerations are those by each measured force on a body; displacements those at the sensors' stations, which
-    the sensors `displaced_by` gave, as they gave the signals on the lines `by_displacements`, if any. sensor_response
-    is a sensor's signal per acceleration. further_changes are those by parameters that no tolerance states. Where a
-    base is measured, all motion is relative to it.
+    the sensors `displaced_by` gave, as they gave the signals on the lines `is_from_displacement`, if any.
+    sensor_response is a sensor's signal per acceleration. further_changes are those by parameters that no tolerance
+    states. Where a base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -114,9 +114,9 @@ class ObservedSignals:
     further_changes: tuple[Change, ...] = ()
     base: ObservedBase | None = None
     transverse: ObservedTransverse | None = None
-    by_displacements: Bool[np.ndarray, "sensors lines"] | None = None
+    is_from_displacement: Bool[np.ndarray, "sensors lines"] | None = None
 
-    def share_of(
+    def lines_given_by(
         self, channel: Sensor, sensor_index: int, base: ObservedBase | None = None
     ) -> Bool[np.ndarray, " lines"]:
         """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
@@ -124,8 +124,8 @@ class ObservedSignals:
         if base is not None:
             sensor, displaced_by = base.sensor, base.displaced_by
         from_displacement = np.zeros(self.omega.size, dtype=bool)
-        if self.by_displacements is not None:
-            from_displacement = self.by_displacements[sensor_index]
+        if self.is_from_displacement is not None:
+            from_displacement = self.is_from_displacement[sensor_index]
         return ((channel == sensor) & ~from_displacement) | ((channel == displaced_by) & from_displacement)
 
     @property
@@ -134,19 +134,19 @@ class ObservedSignals:
         return all(body.sensor_weights is not None for body in self.bodies)
 
 
-def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
-    """Modes among the first `count` that bend a body; none for a single mass."""
+def elastic_modes(response: Response, mode_count: int) -> Int[np.ndarray, " some"]:
+    """Modes among the first `mode_count` that bend a body; none for a single mass."""
     body = response.body
-    return np.arange(body.rigid_modes, max(count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
+    return np.arange(body.rigid_modes, max(mode_count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
 
 
-def modes_near_band(response: Response, margin: float = BAND_MARGIN) -> int:
+def mode_count_near_band(response: Response, margin: float = BAND_MARGIN) -> int:
     """Number of modes up to `margin` times the band's end."""
     dynamics = response.dynamics
     return int(np.count_nonzero(dynamics.natural_hz < margin * dynamics.omega[-1] / (2 * np.pi)))
 
 
-def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[Change]:
+def changes_of(observed: ObservedSignals, with_common_tolerances: bool = True) -> Iterator[Change]:
     """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
     common only on request."""
     yield from _sensor_changes(observed)
@@ -154,9 +154,9 @@ def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[
     yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
-        sensors = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
-        yield from _position_changes(observed, body, sensors)
-        yield from _mode_changes(observed, body, sensors, with_common)
+        sensor_indices = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
+        yield from _position_changes(observed, body, sensor_indices)
+        yield from _mode_changes(observed, body, sensor_indices, with_common_tolerances)
     yield from observed.further_changes
 
 
@@ -164,17 +164,17 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by each sensor's chain, which passes the motion in space: that against the base and the base's."""
     base = observed.base
     base_acceleration, base_displacement = (base.acceleration, base.displacement) if base else (0.0, 0.0)
-    unit_rows = np.eye(len(observed.sensors))
+    sensor_units = np.eye(len(observed.sensors))
     for i, (sensor, displaced_by) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
         response = observed.sensor_response[[i]]
         for channel in dict.fromkeys((sensor, displaced_by)):
-            for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
-                if np.any(factor):
-                    signals = factor * (observed.signals[[i]] + response * base_acceleration)
-                    signals = signals * observed.share_of(channel, i)
-                    absolute = observed.displacements[[i]] + base_displacement
-                    displacements = factor * absolute if channel == displaced_by else None
-                    pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
+            for kind, relative in _chain_changes(channel, observed.tolerances, observed.omega).items():
+                if np.any(relative):
+                    signals = relative * (observed.signals[[i]] + response * base_acceleration)
+                    signals = signals * observed.lines_given_by(channel, i)
+                    absolute_displacement = observed.displacements[[i]] + base_displacement
+                    displacements = relative * absolute_displacement if channel == displaced_by else None
+                    pattern = SensorPattern(relative * response, sensor_units[i]) if observed.is_motion_sensed else None
                     yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
 
 
@@ -186,48 +186,48 @@ def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
     ):
         sensor, displaced_by = observed.sensors[i], observed.displaced_by[i]
         for channel in dict.fromkeys((sensor, displaced_by)):
-            if share := observed.tolerances.of_sensor(channel.name).cross_axis:
+            if cross_axis_share := observed.tolerances.of_sensor(channel.name).cross_axis:
                 yield Change(
                     Nuisance(NuisanceKind.CROSS_AXIS, channel.name),
                     [i],
-                    share * signals[None] * (channel == sensor),
-                    share * displacements[None] if channel == displaced_by else None,
+                    cross_axis_share * signals[None] * (channel == sensor),
+                    cross_axis_share * displacements[None] if channel == displaced_by else None,
                 )
 
 
 def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the chains of the sensors on a shaken base: a gain that is too large takes too much motion from every
     sensor, and more for what the base causes."""
-    base, sensors = observed.base, list(range(len(observed.sensors)))
+    base, sensor_indices = observed.base, list(range(len(observed.sensors)))
     if base is None:
         return
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
-        for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
-            if np.any(factor):
-                shares = np.stack([observed.share_of(channel, i, base) for i in sensors])
-                accelerations = shares * base.acceleration + base.station_accelerations * (channel == base.sensor)
-                signals = -factor * observed.sensor_response * accelerations
+        for kind, relative_change in _chain_changes(channel, observed.tolerances, observed.omega).items():
+            if np.any(relative_change):
+                given_lines = np.stack([observed.lines_given_by(channel, i, base) for i in sensor_indices])
+                accelerations = given_lines * base.acceleration + base.station_accelerations * (channel == base.sensor)
+                signals = -relative_change * observed.sensor_response * accelerations
                 displacements = None
                 if channel == base.displaced_by:
-                    displacements = np.tile(-factor * base.displacement, (len(sensors), 1))
-                yield Change(Nuisance(kind, channel.name), sensors, signals, displacements)
+                    displacements = np.tile(-relative_change * base.displacement, (len(sensor_indices), 1))
+                yield Change(Nuisance(kind, channel.name), sensor_indices, signals, displacements)
 
 
 def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
-    share, sensors, units = observed.tolerances.crosstalk, observed.sensors, np.eye(len(observed.sensors))
-    is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for left, right in pairwise(range(len(sensors)) if share else ()):
+    crosstalk_share, sensors, units = observed.tolerances.crosstalk, observed.sensors, np.eye(len(observed.sensors))
+    gives_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
+    for left, right in pairwise(range(len(sensors)) if crosstalk_share else ()):
         if sensors[left].measures != sensors[right].measures:
             continue
         for source, target in ((left, right), (right, left)):
             parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
-            are_displacements = is_displacement[source] and is_displacement[target]
-            displacements = share * observed.displacements[[source]] if are_displacements else None
+            both_give_displacement = gives_displacement[source] and gives_displacement[target]
+            displacements = crosstalk_share * observed.displacements[[source]] if both_give_displacement else None
             pattern = None
             if observed.is_motion_sensed:
-                pattern = SensorPattern(share * observed.sensor_response[[source]], units[source])
-            yield Change(parameter, [target], share * observed.signals[[source]], displacements, pattern)
+                pattern = SensorPattern(crosstalk_share * observed.sensor_response[[source]], units[source])
+            yield Change(parameter, [target], crosstalk_share * observed.signals[[source]], displacements, pattern)
 
 
 def _chain_changes(
@@ -236,11 +236,11 @@ def _chain_changes(
     """Relative change of a sensor's signal by one tolerance each of its gain g, its delay tau, and the corner w of the
     first-order high-pass i omega / (i omega + w) of an AC-coupled one: g, -i omega tau, -w / (i omega + w).
     """
-    tolerance, i_omega = tolerances.of_sensor(sensor.name), 1j * omega
-    corner_omega = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
+    sensor_tolerance, i_omega = tolerances.of_sensor(sensor.name), 1j * omega
+    corner_omega = 2 * np.pi * sensor_tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
     return {
-        NuisanceKind.GAIN: np.full(omega.size, tolerance.gain, dtype=complex),
-        NuisanceKind.DELAY: -tolerance.delay_s * i_omega,
+        NuisanceKind.GAIN: np.full(omega.size, sensor_tolerance.gain, dtype=complex),
+        NuisanceKind.DELAY: -sensor_tolerance.delay_s * i_omega,
         NuisanceKind.HIGH_PASS: -corner_omega / (i_omega + corner_omega) if corner_omega else np.zeros_like(i_omega),
     }
 
@@ -248,44 +248,44 @@ def _chain_changes(
 def _force_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the gain of each measured force, which is gain times the true one."""
     force_count = len(observed.force_accelerations)
-    names = force_names(force_count) if force_count > 1 else (SINGLE_FORCE_NAME,) * force_count
-    if gain := observed.tolerances.force_gain:
-        for name, accelerations in zip(names, observed.force_accelerations, strict=True):
-            signals = -gain * observed.sensor_response * accelerations
+    gain_names = force_names(force_count) if force_count > 1 else (SINGLE_FORCE_NAME,) * force_count
+    if gain_tolerance := observed.tolerances.force_gain:
+        for name, accelerations in zip(gain_names, observed.force_accelerations, strict=True):
+            signals = -gain_tolerance * observed.sensor_response * accelerations
             yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(signals))), signals)
 
 
-def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+def _position_changes(observed: ObservedSignals, motion: BodyMotion, sensors: list[int]) -> Iterator[Change]:
     """Changes by the position of each sensor along the body."""
-    if not (motion.response.body.length_m and rows):
+    if not (motion.response.body.length_m and sensors):
         return
-    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
-    double_integral = integrated(observed.omega, -2, CORNER_HZ)
-    for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
+    shape_slopes = motion.response.slopes([observed.sensors[i] for i in sensors])[:, motion.moving_modes]
+    double_integral = omega_power(observed.omega, -2, CORNER_HZ)
+    for i, slope, slope_acceleration in zip(sensors, shape_slopes, shape_slopes @ motion.acceleration, strict=True):
         sensor, displaced_by, response = observed.sensors[i], observed.displaced_by[i], observed.sensor_response[i]
         for channel in dict.fromkeys((sensor, displaced_by)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 acceleration_change = tolerance_m * slope_acceleration[None]
-                signals = response * acceleration_change * observed.share_of(channel, i)
+                signals = response * acceleration_change * observed.lines_given_by(channel, i)
                 displacements = double_integral * acceleration_change if channel == displaced_by else None
                 pattern = None
                 if motion.sensor_weights is not None:
-                    weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
-                    pattern = SensorPattern(tolerance_m * response[None], weights)
+                    slope_weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
+                    pattern = SensorPattern(tolerance_m * response[None], slope_weights)
                 yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], signals, displacements, pattern)
 
 
 def _mode_changes(
-    observed: ObservedSignals, motion: BodyMotion, sensors: list[int], with_common: bool
+    observed: ObservedSignals, motion: BodyMotion, sensors: list[int], with_common_tolerances: bool
 ) -> Iterator[Change]:
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode.
 
     A body of another mass follows its base as before.
     """
-    response, tolerances, weights = motion.response, observed.tolerances, motion.sensor_weights
+    response, tolerances, sensor_weights = motion.response, observed.tolerances, motion.sensor_weights
     body, sensor_response = response.body, observed.sensor_response[sensors]
     shapes = response.shapes([observed.sensors[i] for i in sensors])[:, motion.moving_modes]
-    if with_common and tolerances.mass:
+    if with_common_tolerances and tolerances.mass:
         driven_accelerations = real_product(shapes, motion.acceleration)
         if observed.base:
             driven_accelerations -= observed.base.station_accelerations[sensors]
@@ -293,17 +293,17 @@ def _mode_changes(
         yield Change(Nuisance(NuisanceKind.MASS, body.name), sensors, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         sensitivities = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
-        if with_common and (tolerance := _tolerance_of(tolerances, kind)):
+        if with_common_tolerances and (tolerance := _tolerance_of(tolerances, kind)):
             signals = tolerance * sensor_response * real_product(shapes, sensitivities * motion.acceleration)
             yield Change(Nuisance(kind, body.name), sensors, signals)
-        for mode in motion.elastic_indices.tolist():
-            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode + 1), kind):
-                by_mode = tolerance * sensor_response * (shapes[:, mode, None] * sensitivities[mode])
+        for mode_index in motion.elastic_indices.tolist():
+            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode_index + 1), kind):
+                mode_response = tolerance * sensor_response * (shapes[:, mode_index, None] * sensitivities[mode_index])
                 pattern = None
-                if weights is not None and mode < len(weights):
-                    pattern = SensorPattern(by_mode, weights[mode])
-                signals = by_mode * motion.acceleration[mode]
-                yield Change(Nuisance(kind, body.name, mode + 1), sensors, signals, sensor_pattern=pattern)
+                if sensor_weights is not None and mode_index < len(sensor_weights):
+                    pattern = SensorPattern(mode_response, sensor_weights[mode_index])
+                signals = mode_response * motion.acceleration[mode_index]
+                yield Change(Nuisance(kind, body.name, mode_index + 1), sensors, signals, sensor_pattern=pattern)
 
 
 def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:

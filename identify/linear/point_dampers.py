@@ -26,20 +26,20 @@ class DamperFeedback:
     """Mode shapes at the dampers of a body, and the forces against each per acceleration at each, N per m/s^2."""
 
     shapes: Float[np.ndarray, "dampers modes"]
-    reaction: Complex[np.ndarray, "dampers dampers lines"]
+    force_per_acceleration: Complex[np.ndarray, "dampers dampers lines"]
 
     def transfer(
-        self, undamped: Transfer, outputs: OutputShapes, inputs: InputShapes
+        self, undamped: Transfer, output_shapes: OutputShapes, input_shapes: InputShapes
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others, from those without dampers."""
-        reactions = np.einsum("del,iel->idl", self.reaction, undamped(self.shapes, inputs))
-        acceleration_by_dampers = np.einsum("idl,dol->iol", reactions, undamped(outputs, self.shapes))
-        return np.asarray(undamped(outputs, inputs) - acceleration_by_dampers)
+        damper_forces = np.einsum("del,iel->idl", self.force_per_acceleration, undamped(self.shapes, input_shapes))
+        acceleration_by_dampers = np.einsum("idl,dol->iol", damper_forces, undamped(output_shapes, self.shapes))
+        return np.asarray(undamped(output_shapes, input_shapes) - acceleration_by_dampers)
 
     def modal_reactions(self, accelerations: Complex[np.ndarray, "modes lines"]) -> Complex[np.ndarray, "modes lines"]:
         """Modal forces of the dampers against the accelerations that the modes would have without them."""
-        reactions = np.einsum("del,el->dl", self.reaction, self.shapes @ accelerations)
-        return np.asarray(self.shapes.T @ reactions)
+        damper_forces = np.einsum("del,el->dl", self.force_per_acceleration, self.shapes @ accelerations)
+        return np.asarray(self.shapes.T @ damper_forces)
 
 
 def damper_feedback(
@@ -49,9 +49,9 @@ def damper_feedback(
     omega: Float[np.ndarray, " lines"],
 ) -> DamperFeedback:
     """Feedback of dampers above zero; at frequency zero there is none."""
-    impedance = undamped(shapes, shapes).transpose(2, 0, 1).copy()
-    is_moving, diagonal = omega > 0, np.arange(len(shapes))
-    impedance[:, diagonal, diagonal] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
-    reaction = np.zeros_like(impedance)
-    reaction[is_moving] = np.linalg.inv(impedance[is_moving])
-    return DamperFeedback(shapes, reaction.transpose(1, 2, 0))
+    summed_accelerance = undamped(shapes, shapes).transpose(2, 0, 1).copy()
+    is_above_zero_hz, diagonal = omega > 0, np.arange(len(shapes))
+    summed_accelerance[:, diagonal, diagonal] += 1j * omega[:, None] / np.asarray(damping_n_s_per_m)
+    force_per_acceleration = np.zeros_like(summed_accelerance)
+    force_per_acceleration[is_above_zero_hz] = np.linalg.inv(summed_accelerance[is_above_zero_hz])
+    return DamperFeedback(shapes, force_per_acceleration.transpose(1, 2, 0))

@@ -36,17 +36,17 @@ class Projection:
     free_count: int
 
     def applied_to(
-        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
+        self, signal_change: Complex[np.ndarray, "some lines"], sensor_indices: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
         """Residual of a change that some sensors deliver, in standard deviations, and the free inputs.
 
         The inputs with a prior are the residual's last rows.
         """
-        signals = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
+        signals = (signal_change / self.deviation[sensor_indices]).astype(self.by_input.dtype, copy=False)
         inputs = np.empty_like(signals, shape=(len(self.to_inputs), signals.shape[1]))
-        for input_spectrum, to_input in zip(inputs, self.to_inputs[:, sensors], strict=True):
+        for input_spectrum, to_input in zip(inputs, self.to_inputs[:, sensor_indices], strict=True):
             np.sum(to_input * signals, axis=0, out=input_spectrum)
-        residual = input_residual(self.by_input, inputs, signals, sensors)
+        residual = input_residual(self.by_input, inputs, signals, sensor_indices)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
     def in_single_precision(self) -> "Projection":
@@ -74,8 +74,8 @@ def estimated_inputs(
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
     normal_matrices = _normal_matrices(by_input, by_input, free_count)
-    products = np.einsum("isl,sl->il", by_input.conj(), standardised_signals)
-    inputs = _line_solutions(normal_matrices, products[:, None])[:, 0]
+    signal_products = np.einsum("isl,sl->il", by_input.conj(), standardised_signals)
+    inputs = _line_solutions(normal_matrices, signal_products[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
     log_det, free_log_det = (
@@ -88,13 +88,13 @@ def input_residual(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
     standardised_signals: Complex[np.ndarray, "some lines"],
-    sensors: list[int] | slice = slice(None),
+    sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Residual r = y - B x of accelerations that some sensors deliver."""
     residual = np.zeros_like(by_input, shape=by_input.shape[1:])
     for signals_per_unit, input_spectrum in zip(by_input, inputs, strict=True):
         residual -= signals_per_unit * input_spectrum
-    residual[sensors] += standardised_signals
+    residual[sensor_indices] += standardised_signals
     return residual
 
 
@@ -107,9 +107,9 @@ def to_free_inputs(
     """
     to_inputs, condition_number = np.empty_like(by_input), 1.0
     for lines, covariance in covariances:
-        columns = by_input[..., lines]
-        weighted_columns = np.linalg.solve(covariance, _lines_first(columns)).transpose(2, 1, 0)
-        normal_matrices = _normal_matrices(columns, weighted_columns, len(columns))
+        line_columns = by_input[..., lines]
+        weighted_columns = np.linalg.solve(covariance, _lines_first(line_columns)).transpose(2, 1, 0)
+        normal_matrices = _normal_matrices(line_columns, weighted_columns, len(line_columns))
         if not np.isfinite(normal_matrices).all():
             return to_inputs, np.inf
         condition_number = float(np.maximum(condition_number, np.max(np.linalg.cond(normal_matrices))))
@@ -118,7 +118,7 @@ def to_free_inputs(
 
 
 def without_free_inputs(
-    columns: Sequence[Complex[np.ndarray, "_ sensors lines"]],
+    signal_sets: Sequence[Complex[np.ndarray, "_ sensors lines"]],
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     covariances: Covariances,
 ) -> Iterator[Complex[np.ndarray, "rows columns"]]:
@@ -128,12 +128,12 @@ def without_free_inputs(
     """
     input_count = len(by_input)
     for lines, covariance in covariances:
-        stacked = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
+        stacked = _lines_first(np.concatenate([by_input[..., lines], *(signal[..., lines] for signal in signal_sets)]))
         standardised = np.linalg.solve(np.linalg.cholesky(covariance), stacked)
         line_inputs, line_columns = standardised[..., :input_count], standardised[..., input_count:]
-        products = (line_inputs.conj().transpose(0, 2, 1) @ line_columns).transpose(1, 2, 0)
+        input_products = (line_inputs.conj().transpose(0, 2, 1) @ line_columns).transpose(1, 2, 0)
         input_rows = line_inputs.transpose(2, 1, 0)
-        solutions = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
+        solutions = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), input_products)
         residual = line_columns - line_inputs @ solutions.transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
@@ -173,6 +173,6 @@ def _line_solutions(
     return np.ascontiguousarray(np.linalg.solve(normal_matrices, right_side.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
-def _lines_first(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
+def _lines_first(columns: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
     """Array with the line as the first axis and the input as the last."""
-    return np.ascontiguousarray(rows.transpose(2, 1, 0))
+    return np.ascontiguousarray(columns.transpose(2, 1, 0))

@@ -16,37 +16,38 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float
 
-LEAST_DECAY = 1e-6
+Poles = Complex[np.ndarray, "2"] | Float[np.ndarray, "2"]
+LEAST_LOG_DECAY = 1e-6
 """Decay over a record, as a logarithm, that an undamped mode has in sums over samples, which are 0/0 at its line."""
 
 
 def free_motion(
-    natural_hz: float, damping_ratio: float, order: int, time_s: Float[np.ndarray, " samples"]
+    natural_hz: float, damping_ratio: float, initial_order: int, time_s: Float[np.ndarray, " samples"]
 ) -> Float[np.ndarray, "3 samples"]:
     """u (order 0, of a unit displacement) or v (order 1, of a unit velocity) with its two derivatives in time."""
     if natural_hz == 0:
         ones, zeros = np.ones_like(time_s), np.zeros_like(time_s)
-        return np.stack([time_s, ones, zeros] if order else [ones, zeros, zeros])
+        return np.stack([time_s, ones, zeros] if initial_order else [ones, zeros, zeros])
     poles = _poles(natural_hz, damping_ratio)
     exponentials = [np.exp(pole * time_s) for pole in poles]
-    derivatives = [_pole_combination(poles, exponentials, order, k) / (poles[1] - poles[0]) for k in range(3)]
+    derivatives = [_pole_combination(poles, exponentials, initial_order, k) / (poles[1] - poles[0]) for k in range(3)]
     return np.asarray(np.real(derivatives))
 
 
-def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] | Float[np.ndarray, "2"]:
+def _poles(natural_hz: float, damping_ratio: float) -> Poles:
     """Poles of a mode, 1/s; critical damping is avoided, where they coincide."""
     zeta = damping_ratio if abs(damping_ratio - 1) > 1e-6 else 1 + 1e-6
     return 2 * np.pi * natural_hz * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
 
 
 def _pole_combination(
-    poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"], terms: Sequence[np.ndarray], order: int, derivative: int
+    poles: Poles, pole_terms: Sequence[np.ndarray], initial_order: int, derivative_order: int
 ) -> np.ndarray:
     """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
-    first_pole, second_pole = poles
-    if order:
-        return np.asarray(second_pole**derivative * terms[1] - first_pole**derivative * terms[0])
-    return np.asarray(second_pole * first_pole**derivative * terms[0] - first_pole * second_pole**derivative * terms[1])
+    p_1, p_2 = poles
+    if initial_order:
+        return np.asarray(p_2**derivative_order * pole_terms[1] - p_1**derivative_order * pole_terms[0])
+    return np.asarray(p_2 * p_1**derivative_order * pole_terms[0] - p_1 * p_2**derivative_order * pole_terms[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ class Sampling:
     """Sampling of a free motion: the order of the measured derivative, how many of the samples a taper fades, and the
     circular frequencies of the lines."""
 
-    order: int
+    derivative_order: int
     rate_hz: float
     sample_count: int
     fading_samples: int
@@ -88,8 +89,8 @@ def sampled_accelerations(
     natural_hz: float, damping_ratio: float, sampling: Sampling
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
-    poles = _poles(natural_hz, damping_ratio)
-    poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
-    sums = [tapered_sum(complex(pole), sampling) for pole in poles]
-    factor = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
-    return np.stack([factor * _pole_combination(poles, sums, order, sampling.order) for order in range(2)])
+    poles, order = _poles(natural_hz, damping_ratio), sampling.derivative_order
+    poles = poles - max(0.0, LEAST_LOG_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
+    tapered_sums = [tapered_sum(complex(pole), sampling) for pole in poles]
+    acceleration_factor = (1j * sampling.omega) ** (2 - order) / ((poles[1] - poles[0]) * sampling.rate_hz)
+    return np.stack([acceleration_factor * _pole_combination(poles, tapered_sums, k, order) for k in range(2)])

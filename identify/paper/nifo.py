@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.linear.modal import ModalEquation, receptance
-from identify.signals.regression import influences, line_by_line, variance_of_sum
-from identify.signals.spectra import Blocks, Term
+from identify.signals.regression import influences, jackknife_variance, weights_by_line
+from identify.signals.spectra import Blocks, WindowedTerm
 from rig.errors import RigError
 
-Form = Literal["weak", "paper"]
+NifoForm = Literal["weak", "paper"]
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,16 @@ class Nifo:
     """Result of NIFO in one modal equation.
 
     frf is q over the modal force (s^2); stiffness_n_per_m is the complex contact stiffness of each contact that takes
-    part, and contacts are their indices. stiffness_error_n_per_m is the standard error of the spectral means.
+    part, and contact_indices are their indices. stiffness_error_n_per_m is the standard error of the spectral means.
     """
 
     equation: ModalEquation
-    contacts: tuple[int, ...]
+    contact_indices: tuple[int, ...]
     frequency_hz: Float[np.ndarray, " lines"]
     frf: Complex[np.ndarray, " lines"]
     stiffness_n_per_m: Complex[np.ndarray, "contacts lines"]
     stiffness_error_n_per_m: Float[np.ndarray, " contacts"]
-    averages: int
+    average_count: int
     resolution_hz: float
 
     @property
@@ -42,7 +42,7 @@ class Nifo:
         """Rms over frequency of the deviation from the spectral mean."""
         return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
 
-    def true_frf(self) -> Complex[np.ndarray, " lines"]:
+    def described_frf(self) -> Complex[np.ndarray, " lines"]:
         """FRF of the mode as the rig's description has it."""
         return receptance(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
 
@@ -52,7 +52,7 @@ def nifo(
     force_n: Float[np.ndarray, " samples"],
     penetration_m: Float[np.ndarray, "contacts samples"],
     blocks: Blocks,
-    form: Form = "weak",
+    form: NifoForm = "weak",
 ) -> Nifo:
     """Regression of the modal coordinate on the modal force and the penetrations, line by line over the blocks.
 
@@ -67,51 +67,51 @@ def nifo(
     Contacts that are not visible in the equation, or that never close, take no part. Raises RigError if there are not
     more blocks than unknowns.
     """
-    active = tuple(j for j, is_visible in enumerate(equation.is_visible) if is_visible and np.any(penetration_m[j]))
-    unknown_count = 1 + len(active) + (form == "weak")
+    contact_indices = tuple(j for j, visible in enumerate(equation.is_visible) if visible and np.any(penetration_m[j]))
+    unknown_count = 1 + len(contact_indices) + (form == "weak")
     if len(blocks.starts) <= unknown_count:
         raise RigError(
             f"{len(blocks.starts)} blocks for {unknown_count} unknowns a line; use shorter blocks or record longer"
         )
     displacement = equation.displacement
-    terms = [[Term(force_n, factor=equation.shape_at_force)]]
-    terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
+    channel_terms = [[WindowedTerm(force_n, factor=equation.shape_at_force)]]
+    channel_terms += [[WindowedTerm(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in contact_indices]
     if form == "weak":
-        terms[0].append(Term(displacement, derivative=2, factor=-1.0))
-        terms.append([Term(displacement, derivative=1)])
-    terms.append([Term(displacement)])
+        channel_terms[0].append(WindowedTerm(displacement, derivative_order=2, factor=-1.0))
+        channel_terms.append([WindowedTerm(displacement, derivative_order=1)])
+    channel_terms.append([WindowedTerm(displacement)])
     derivative_factor = 2j * 2 * np.pi * blocks.frequency_hz
 
     def channel_spectra(block_indices: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
-        spectra = blocks.spectra_of_sums(terms, [blocks.starts[k] for k in block_indices])
+        spectra = blocks.spectra_of_sums(channel_terms, [blocks.starts[k] for k in block_indices])
         if form == "weak":
             spectra[0] += derivative_factor * spectra[-2]
         return spectra
 
-    weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
-    frf, of_contacts = weights[:, 0], slice(1, 1 + len(active))
-    stiffness_n_per_m = -weights[:, of_contacts] / frf[:, None]
+    input_weights, inverse_normals = weights_by_line(channel_spectra, len(blocks.starts))
+    frf, contact_columns = input_weights[:, 0], slice(1, 1 + len(contact_indices))
+    stiffness_n_per_m = -input_weights[:, contact_columns] / frf[:, None]
 
     def mean_stiffness_influence(
-        changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
+        weight_changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
     ) -> Float[np.ndarray, "blocks contacts"]:
         """Changes of the spectral means of the stiffness k = -w / H by those of the weights w and of the FRF H."""
-        weight_changes, frf_changes = changes[:, :, of_contacts], changes[:, :, :1]
-        k_changes = -((weight_changes + stiffness_n_per_m[chunk, None] * frf_changes) / frf[chunk, None, None])
-        return k_changes.real.sum(axis=0) / frf.size
+        contact_changes, frf_changes = weight_changes[:, :, contact_columns], weight_changes[:, :, :1]
+        stiffness_changes = -((contact_changes + stiffness_n_per_m[chunk, None] * frf_changes) / frf[chunk, None, None])
+        return stiffness_changes.real.sum(axis=0) / frf.size
 
     def block_influences(block_indices: Sequence[int]) -> Float[np.ndarray, "blocks contacts"]:
-        return influences(channel_spectra, block_indices, weights, inverse_normal, mean_stiffness_influence)
+        return influences(channel_spectra, block_indices, input_weights, inverse_normals, mean_stiffness_influence)
 
-    mean_variances = variance_of_sum(block_influences, len(blocks.starts))
+    mean_variances = jackknife_variance(block_influences, len(blocks.starts))
     return Nifo(
         equation=equation,
-        contacts=active,
+        contact_indices=contact_indices,
         frequency_hz=blocks.frequency_hz,
         frf=frf,
         stiffness_n_per_m=stiffness_n_per_m.T,
         stiffness_error_n_per_m=np.sqrt(mean_variances),
-        averages=len(blocks.starts),
+        average_count=len(blocks.starts),
         resolution_hz=blocks.resolution_hz,
     )
 
@@ -125,7 +125,7 @@ def fit_mode(nifo_result: Nifo) -> tuple[float, float]:
     columns = np.stack([nifo_result.frf, 1j * omega * nifo_result.frf], axis=1)
     target = 1 + omega**2 * nifo_result.frf
     real_columns, real_target = np.concatenate([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
-    (natural_squared, damping_rate), *_ = np.linalg.lstsq(real_columns, real_target, rcond=None)
-    natural_rad_per_s = float(np.sqrt(max(float(natural_squared), 0.0)))
+    (natural_omega_squared, damping_rate), *_ = np.linalg.lstsq(real_columns, real_target, rcond=None)
+    natural_rad_per_s = float(np.sqrt(max(float(natural_omega_squared), 0.0)))
     damping_ratio = float(damping_rate) / (2 * natural_rad_per_s) if natural_rad_per_s > 0 else 0.0
     return natural_rad_per_s / (2 * np.pi), damping_ratio

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
 
 from identify.linear.modal import ModalEquation
-from identify.signals.scores import PARTS, part_scores
+from identify.signals.scores import PART_COUNT, part_scores
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import penetration_m
 
@@ -51,16 +51,16 @@ class Stops:
 class Surface:
     """Restoring force of a modal equation, measured and fitted, at every `decimation`-th sample of the record.
 
-    measured_force = shape_at_force F - q'' (N / sqrt(kg));
-    fitted_force = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
-    contact_forces are the parts of each contact in the fitted force.
+    measured_modal_force = shape_at_force F - q'' (N / sqrt(kg));
+    fitted_modal_force = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
+    fitted_contact_parts are the parts of each contact in the fitted force.
     """
 
     equation: ModalEquation
     decimation: int
-    measured_force: Float[np.ndarray, " samples"]
-    fitted_force: Float[np.ndarray, " samples"]
-    contact_forces: Float[np.ndarray, "contacts samples"]
+    measured_modal_force: Float[np.ndarray, " samples"]
+    fitted_modal_force: Float[np.ndarray, " samples"]
+    fitted_contact_parts: Float[np.ndarray, "contacts samples"]
     stops: tuple[Stops | None, ...]
     stiffness_n_per_m: Float[np.ndarray, " contacts"]
 
@@ -83,8 +83,8 @@ def fit_surface(
     errors are sandwich estimates, which allow for residuals correlated within a sixteenth of the record. Both sides are
     low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
-    visible = zip(start_stops, equation.is_visible, strict=True)
-    starts = {j: start for j, (start, is_visible) in enumerate(visible) if is_visible and start}
+    stop_visibility = zip(start_stops, equation.is_visible, strict=True)
+    starts = {j: start for j, (start, is_visible) in enumerate(stop_visibility) if is_visible and start}
     measured = decimated(restoring_force(equation, force_n), decimation)
     linear_columns = decimated(np.stack([equation.velocity, equation.displacement]), decimation)
 
@@ -98,33 +98,32 @@ def fit_surface(
     def residual(stops: Float[np.ndarray, " stops"]) -> Samples:
         return measured - _projection(columns_of(stops), measured)[0]
 
-    scale_m = np.maximum(np.array([[-eta_m[j].min(), eta_m[j].max()] for j in starts]).ravel(), 1e-12)
-    start_m = np.array([x for start in starts.values() for x in (start.lower_m, start.upper_m)])
+    reach_m = np.maximum(np.array([[-eta_m[j].min(), eta_m[j].max()] for j in starts]).ravel(), 1e-12)
+    start_clearances_m = np.array([x for start in starts.values() for x in (start.lower_m, start.upper_m)])
     solution = least_squares(
-        lambda relative: residual(relative * scale_m),
-        np.clip(start_m / scale_m, 0.0, 0.98),
+        lambda relative: residual(relative * reach_m),
+        np.clip(start_clearances_m / reach_m, 0.0, 0.98),
         bounds=(0, 1),
         xtol=1e-9,
         ftol=1e-12,
     )
-    stops_m = solution.x * scale_m
+    stops_m = solution.x * reach_m
     columns = columns_of(stops_m)
-    fitted, weights = _projection(columns, measured)
-    covariance = _sandwich(np.concatenate([columns, solution.jac / scale_m], axis=1), measured - fitted)
+    fitted, column_weights = _projection(columns, measured)
+    covariance = _sandwich(np.concatenate([columns, solution.jac / reach_m], axis=1), measured - fitted)
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
-    contact_forces = np.zeros((len(eta_m), measured.size))
-    stiffness_n_per_m = np.full(len(eta_m), np.nan)
+    contact_parts, stiffness_n_per_m = np.zeros((len(eta_m), measured.size)), np.full(len(eta_m), np.nan)
     for i, (j, start) in enumerate(starts.items()):
-        first = columns.shape[1] + 2 * i
-        variance = covariance[first : first + 2, first : first + 2]
-        stiffness_n_per_m[j] = weights[2 + i]
-        contact_forces[j] = weights[2 + i] * columns[:, 2 + i]
+        stop_row = columns.shape[1] + 2 * i
+        stop_covariance = covariance[stop_row : stop_row + 2, stop_row : stop_row + 2]
+        stiffness_n_per_m[j] = column_weights[2 + i]
+        contact_parts[j] = column_weights[2 + i] * columns[:, 2 + i]
         lower_m, upper_m = stops_m[2 * i : 2 * i + 2].tolist()
         if np.mean((eta_m[j] > upper_m) | (eta_m[j] < -lower_m)) >= MIN_CONTACT_SHARE:
-            variances = [variance[0, 0], variance[1, 1], variance.sum() / 4]
+            variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
             lower_error_m, upper_error_m, mean_error_m = np.sqrt(variances).tolist()
             fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, mean_error_m, start.touched)
-    return Surface(equation, decimation, measured, fitted, contact_forces, tuple(fitted_stops), stiffness_n_per_m)
+    return Surface(equation, decimation, measured, fitted, contact_parts, tuple(fitted_stops), stiffness_n_per_m)
 
 
 def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
@@ -135,37 +134,36 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record;
     NaN for a stop that is not reached in each of them.
     """
-    edges_m = np.linspace(eta_m.min(), eta_m.max(), 401)
-    deviation_m = float(np.std(eta_m))
-    scaled_eta = (edges_m[:-1] + edges_m[1:]) / 2 / deviation_m
+    bin_edges_m, deviation_m = np.linspace(eta_m.min(), eta_m.max(), 401), float(np.std(eta_m))
+    bin_etas = (bin_edges_m[:-1] + bin_edges_m[1:]) / 2 / deviation_m
 
-    def fit_density(sample_m: Samples, starts: list[Parameters]) -> Parameters:
-        bin_shares = np.histogram(sample_m, edges_m)[0] / sample_m.size
+    def fit_density(sample_m: Samples, start_parameters: list[Parameters]) -> Parameters:
+        bin_shares = np.histogram(sample_m, bin_edges_m)[0] / sample_m.size
 
         def cost(parameters: Parameters) -> tuple[float, Parameters]:
             """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
-            depth, kappa = penetration_m(scaled_eta, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
-            exponent = -parameters[0] * scaled_eta - parameters[1] * scaled_eta**2 / 2 - kappa * depth**2 / 2
-            largest = exponent.max()
-            density = np.exp(exponent - largest)
+            depth, kappa = penetration_m(bin_etas, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
+            log_density = -parameters[0] * bin_etas - parameters[1] * bin_etas**2 / 2 - kappa * depth**2 / 2
+            largest_log_density = log_density.max()
+            density = np.exp(log_density - largest_log_density)
             density_sum = density.sum()
-            by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < MAX_LOG_KAPPA)
-            by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
-            slopes = np.array([-scaled_eta, -(scaled_eta**2) / 2, by_log_kappa, *by_stops])
-            cost = float(-(bin_shares @ exponent) + largest + np.log(density_sum))
-            return cost, slopes @ (density / density_sum - bin_shares)
+            slope_by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < MAX_LOG_KAPPA)
+            slopes_by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
+            log_density_slopes = np.array([-bin_etas, -(bin_etas**2) / 2, slope_by_log_kappa, *slopes_by_stops])
+            cost = float(-(bin_shares @ log_density) + largest_log_density + np.log(density_sum))
+            return cost, log_density_slopes @ (density / density_sum - bin_shares)
 
-        attempts = [minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in starts]
-        return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
+        fits = [minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in start_parameters]
+        return np.asarray(min(fits, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m
-    best = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
-    parts_m = np.array_split(eta_m, PARTS)
-    part_stops_m = np.array([np.abs(fit_density(part_m, [best])[3:]) for part_m in parts_m]) * deviation_m
+    likeliest = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, quantile, quantile]) for quantile in quantiles])
+    parts_m = np.array_split(eta_m, PART_COUNT)
+    part_stops_m = np.array([np.abs(fit_density(part_m, [likeliest])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
-    lower_m, upper_m = np.abs(best[3:]) * deviation_m
+    lower_m, upper_m = np.abs(likeliest[3:]) * deviation_m
     lower_error_m, upper_error_m, mean_error_m = (
-        float(np.std(stops_m, ddof=1) / np.sqrt(PARTS))
+        float(np.std(stops_m, ddof=1) / np.sqrt(PART_COUNT))
         for stops_m in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
     return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, mean_error_m)
@@ -177,8 +175,8 @@ def _projection(
     """Projection of the target on the columns, and their weights, by normal equations of scaled columns."""
     norms = _column_norms(columns)
     normal_matrix = (columns.T @ columns) / np.outer(norms, norms)
-    weights = np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / norms) / norms
-    return columns @ weights, weights
+    column_weights = np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / norms) / norms
+    return columns @ column_weights, column_weights
 
 
 def _sandwich(
@@ -189,7 +187,7 @@ def _sandwich(
     unit_columns = jacobian / norms
     inverse_normal = np.linalg.pinv(unit_columns.T @ unit_columns, rcond=1e-12, hermitian=True)
     scores = part_scores(unit_columns @ inverse_normal, residual) / norms
-    return np.asarray(scores.T @ scores * PARTS / (PARTS - 1))
+    return np.asarray(scores.T @ scores * PART_COUNT / (PART_COUNT - 1))
 
 
 def _column_norms(columns: Float[np.ndarray, "samples columns"]) -> Float[np.ndarray, " columns"]:

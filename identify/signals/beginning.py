@@ -11,7 +11,7 @@ STD_BY_MEDIAN = 1.4826
 """Standard deviation of normal samples, over the median of their sizes."""
 ONSET_DEVIATIONS = 6.0
 """Smallest force that counts as begun, in standard deviations of its noise."""
-MAX_REST_SHARE = 0.02
+MAX_REST_RMS_SHARE = 0.02
 """Largest standard deviation before the excitation of a channel at rest, over that of its whole record."""
 
 
@@ -28,8 +28,8 @@ def force_onset(force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: f
 def _onset(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int:
     """Onset of one force."""
     force_size_n = np.abs(force_n)
-    first_sizes_n = force_size_n[: max(1, round(QUIET_S * sample_rate_hz))]
-    threshold_n = ONSET_DEVIATIONS * STD_BY_MEDIAN * float(np.median(first_sizes_n))
+    starting_sizes_n = force_size_n[: max(1, round(QUIET_S * sample_rate_hz))]
+    threshold_n = ONSET_DEVIATIONS * STD_BY_MEDIAN * float(np.median(starting_sizes_n))
     if threshold_n >= np.sqrt(np.mean(force_size_n**2)):
         return 0
     return int(np.argmax(force_size_n > max(threshold_n, 1e-3 * float(force_size_n.max()))))
@@ -37,16 +37,16 @@ def _onset(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int
 
 def excitation_start(
     force_n: Float[np.ndarray, "*forces samples"],
-    channels: Iterable[Float[np.ndarray, " samples"]],
+    signals: Iterable[Float[np.ndarray, " samples"]],
     sample_rate_hz: float,
 ) -> int:
-    """First excited sample, as `force_onset`; 0 also if a channel scatters before it by over 2 % of its record."""
+    """First excited sample, as `force_onset`; 0 also if a signal scatters before it by over 2 % of its record."""
     onset = force_onset(force_n, sample_rate_hz)
-    is_moving = onset and any(np.std(channel[:onset]) > MAX_REST_SHARE * np.std(channel) for channel in channels)
-    return 0 if is_moving else onset
+    moves_before = onset and any(np.std(signal[:onset]) > MAX_REST_RMS_SHARE * np.std(signal) for signal in signals)
+    return 0 if moves_before else onset
 
 
-def lead_in(signal: Float[np.ndarray, " samples"], sample_count: int) -> Float[np.ndarray, " before"]:
+def lead_in(signal: Float[np.ndarray, " samples"], lead_samples: int) -> Float[np.ndarray, " before"]:
     """Lead-in that keeps a signal's value and slope continuous at its start: its point reflection, faded in."""
-    reflection = 2 * signal[0] - signal[sample_count:0:-1]
-    return np.asarray(reflection * np.sin(np.pi / 2 * (np.arange(sample_count) + 0.5) / sample_count) ** 2)
+    reflection = 2 * signal[0] - signal[lead_samples:0:-1]
+    return np.asarray(reflection * np.sin(np.pi / 2 * (np.arange(lead_samples) + 0.5) / lead_samples) ** 2)

@@ -7,12 +7,12 @@ from jaxtyping import Float
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix, diags
 
-KNOT_S = 0.1
+KNOT_STEP_S = 0.1
 """Distance of the spline's knots, s."""
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftPrior:
     """Prior of the drift b(t) by the accelerometers.
 
     acceleration_m_per_s2 is the measured b'' below the corner of the integration, with the one-sided noise_density
@@ -26,51 +26,51 @@ class Drift:
     damper_n_s_per_m: float = 0.0
 
     @property
-    def unfollowed_m(self) -> float:
+    def unfollowed_noise_m(self) -> float:
         """Standard deviation of the twice integrated noise above the frequency that the knots can follow.
 
-        The integral of (s / (2 pi f)^2)^2 from f = 1 / (2 KNOT_S) on is s^2 / (16 pi^4 3 f^3).
+        The integral of (s / (2 pi f)^2)^2 from f = 1 / (2 KNOT_STEP_S) on is s^2 / (16 pi^4 3 f^3).
         """
-        return float(self.noise_density / (4 * np.pi**2 * np.sqrt(3 * (0.5 / KNOT_S) ** 3)))
+        return float(self.noise_density / (4 * np.pi**2 * np.sqrt(3 * (0.5 / KNOT_STEP_S) ** 3)))
 
 
 @dataclass(frozen=True)
 class Spline:
     """Spline b = value @ knots, with b' = rate @ knots, at every sample.
 
-    Its prior is a least-squares one, curvature @ knots = target, with rows divided by their standard deviation.
+    Its prior is a least-squares one, curvature @ knots = curvature_target, rows divided by their standard deviation.
     """
 
     value: csr_matrix
     rate: csr_matrix
     curvature: csr_matrix
-    target: Float[np.ndarray, " curvatures"]
+    curvature_target: Float[np.ndarray, " curvatures"]
 
     @property
-    def knots(self) -> int:
+    def knot_count(self) -> int:
         return int(self.value.shape[1])
 
 
-def spline(sample_count: int, sample_rate_hz: float, drift: Drift | None, knot_s: float = KNOT_S) -> Spline:
-    """Cubic spline over a record with a knot every `knot_s`; without a drift, one without knots, which is zero.
+def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None, knot_spacing_s: float = KNOT_STEP_S) -> Spline:
+    """Cubic spline over a record with a knot every `knot_spacing_s`; without a drift, one without knots, which is zero.
 
     White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h.
     """
     if drift is None:
         empty_matrix = csr_matrix((sample_count, 0))
         return Spline(empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
-    times_s = np.arange(sample_count) / sample_rate_hz
-    inner_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_s))) + 1)
-    spacing_s = inner_s[1]
-    before_s, after_s = -spacing_s * np.arange(3, 0, -1), inner_s[-1] + spacing_s * np.arange(1, 4)
-    knots_s = np.concatenate([before_s, inner_s, after_s])
-    second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(inner_s.size, knots_s.size - 4)) / spacing_s**2
+    times_s = np.arange(sample_count) / rate_hz
+    inner_knots_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_spacing_s))) + 1)
+    spacing_s = inner_knots_s[1]
+    knots_before_s, knots_after_s = -spacing_s * np.arange(3, 0, -1), inner_knots_s[-1] + spacing_s * np.arange(1, 4)
+    knots_s = np.concatenate([knots_before_s, inner_knots_s, knots_after_s])
+    second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(inner_knots_s.size, knots_s.size - 4)) / spacing_s**2
     curvature_deviation = drift.noise_density / np.sqrt(2 * spacing_s)
     return Spline(
         value=csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)),
         rate=_rate_matrix(times_s, knots_s),
         curvature=csr_matrix(second_difference / curvature_deviation),
-        target=np.interp(inner_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
+        curvature_target=np.interp(inner_knots_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
     )
 
 

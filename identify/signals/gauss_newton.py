@@ -38,20 +38,21 @@ StepOf = TypeVar("StepOf", bound=Step[Any])
 def gauss_newton(
     initial_state: State,
     linearize: Callable[[State], StepOf],
-    min_fall_of: Callable[[State], float],
+    min_cost_fall_of: Callable[[State], float],
     max_steps: int,
-    negligible_share: float = 0.0,
+    negligible_fall_share: float = 0.0,
 ) -> tuple[State, StepOf]:
     """State with the least cost after at most `max_steps` steps, and the last step that was tried.
 
     A step that does not lower the cost is shortened to the minimum of the parabola through both costs with the slope at
     its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
-    than `min_fall_of` the state before it, and before a step that promises less than `negligible_share` of that.
+    than `min_cost_fall_of` the state before it, and before a step that promises less than `negligible_fall_share` of
+    that.
     """
     state, cost, slow_step_count = initial_state, initial_state.cost, 0
     for _ in range(max_steps):
-        step, step_share, min_cost_fall = linearize(state), 1.0, min_fall_of(state)
-        if step.predicted_decrease < negligible_share * min_cost_fall:
+        step, step_share, min_cost_fall = linearize(state), 1.0, min_cost_fall_of(state)
+        if step.predicted_decrease < negligible_fall_share * min_cost_fall:
             break
         candidate_state, cost_fall = None, -np.inf
         for _ in range(MAX_STEP_LENGTHS):
@@ -59,8 +60,8 @@ def gauss_newton(
             cost_fall = cost - candidate_state.cost if candidate_state is not None else -np.inf
             if cost_fall > 0 or step.predicted_decrease < min_cost_fall:
                 break
-            predicted = step.predicted_decrease * step_share
-            step_share *= np.clip(predicted / (2 * predicted - cost_fall), 0.1, 0.5)
+            predicted_decrease = step.predicted_decrease * step_share
+            step_share *= np.clip(predicted_decrease / (2 * predicted_decrease - cost_fall), 0.1, 0.5)
         if candidate_state is None or not cost_fall > 0:
             break
         state, cost = candidate_state, cost - cost_fall

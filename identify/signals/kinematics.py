@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 else:
     MotionQuantity = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
 """Quantity of the sensors in use, or all of motion; strain gauges show none (`identify.contacts.gauges`)."""
-ByStation = dict[Station, dict[int, Sensor]]
+SensorsByStation = dict[Station, dict[int, Sensor]]
 """Sensor of each measured derivative at each station; the last one of several alike."""
 
 
@@ -65,9 +65,9 @@ class Kinematics:
     base: MeasuredBase | None = None
     transverse: "Kinematics | None" = None
 
-    def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
-        """Times of every `factor`-th of the first samples, s."""
-        return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
+    def time_s(self, sample_count: int, decimation: int = 1) -> Float[np.ndarray, " samples"]:
+        """Times of every `decimation`-th of the first samples, s."""
+        return self.start_s + np.arange(sample_count) * decimation / self.sample_rate_hz
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
@@ -76,11 +76,11 @@ class Kinematics:
         return np.asarray(force_n)
 
     @property
-    def samples(self) -> int:
+    def sample_count(self) -> int:
         return self.forces_n.shape[1]
 
     @property
-    def quiet_samples(self) -> int:
+    def quiet_sample_count(self) -> int:
         """Number of samples at the start that show the noise; 0 if they are too few."""
         quiet_count = self.excited_from - round(0.05 * self.sample_rate_hz)
         return quiet_count if quiet_count > QUIET_S * self.sample_rate_hz else 0
@@ -88,27 +88,27 @@ class Kinematics:
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
 
-    def segment(self, samples: slice) -> "Kinematics":
+    def segment(self, sample_slice: slice) -> "Kinematics":
         """Kinematics of a slice of the samples."""
         return replace(
             self,
-            forces_n=self.forces_n[:, samples],
-            displacement_m=self.displacement_m[:, samples],
-            velocity_m_per_s=self.velocity_m_per_s[:, samples],
-            acceleration_m_per_s2=self.acceleration_m_per_s2[:, samples],
-            lost_m_per_s2=self.lost_m_per_s2[:, samples],
-            excited_from=max(0, self.excited_from - (samples.start or 0)),
-            start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
-            base=self.base and self.base.segment(samples),
-            transverse=self.transverse and self.transverse.segment(samples),
+            forces_n=self.forces_n[:, sample_slice],
+            displacement_m=self.displacement_m[:, sample_slice],
+            velocity_m_per_s=self.velocity_m_per_s[:, sample_slice],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[:, sample_slice],
+            lost_m_per_s2=self.lost_m_per_s2[:, sample_slice],
+            excited_from=max(0, self.excited_from - (sample_slice.start or 0)),
+            start_s=self.start_s + (sample_slice.start or 0) / self.sample_rate_hz,
+            base=self.base and self.base.segment(sample_slice),
+            transverse=self.transverse and self.transverse.segment(sample_slice),
         )
 
     @property
-    def without_rows(self) -> "Kinematics":
+    def without_motion(self) -> "Kinematics":
         """Kinematics without the motion of any station, which takes much memory."""
-        empty = np.empty((0, self.samples))
+        no_rows = np.empty((0, self.sample_count))
         return replace(
-            self, displacement_m=empty, velocity_m_per_s=empty, acceleration_m_per_s2=empty, lost_m_per_s2=empty
+            self, displacement_m=no_rows, velocity_m_per_s=no_rows, acceleration_m_per_s2=no_rows, lost_m_per_s2=no_rows
         )
 
 
@@ -135,13 +135,13 @@ class _PaddedTransform:
 
         `lead_samples` of a lead-in stand before the first sample, at the end of the transform's input.
         """
-        padded = np.zeros(self.padded_count)
-        padded[: signal.size] = signal * self.end_taper
+        padded_signal = np.zeros(self.padded_count)
+        padded_signal[: signal.size] = signal * self.end_taper
         if lead_samples:
-            padded[-lead_samples:] = lead_in(padded[: signal.size], lead_samples)
+            padded_signal[-lead_samples:] = lead_in(padded_signal[: signal.size], lead_samples)
         in_passband = self.omega >= PASSBAND_START * 2 * np.pi * sensor.high_pass_hz
-        response, motion = sensor.response(self.omega), np.zeros(self.omega.size, dtype=complex)
-        return np.divide(scipy.fft.rfft(padded), response, out=motion, where=in_passband)
+        response, motion_spectrum = sensor.response(self.omega), np.zeros(self.omega.size, dtype=complex)
+        return np.divide(scipy.fft.rfft(padded_signal), response, out=motion_spectrum, where=in_passband)
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
         return np.asarray(scipy.fft.irfft(spectrum, self.padded_count)[: self.usable_count])
@@ -178,7 +178,7 @@ def kinematics(
     Raises RigError if there is no such sensor, or the record is too short for its ends to be left out.
     """
     sensors = _motion_sensors(recording, use)
-    station_sensors = _by_station(sensors)
+    station_sensors = _sensors_by_station(sensors)
     integrates = any(0 not in by_order for by_order in station_sensors.values())
     transform = _transform(recording, sensors, corner_hz, integrates)
     motion = _motion(recording, station_sensors, transform, least_order)
@@ -217,18 +217,18 @@ def _motion_sensors(recording: Recording, use: MotionQuantity) -> list[Sensor]:
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     sensors = [sensor for sensor in sensors if sensor not in base_sensors]
     if not sensors:
-        required = "sensors of motion" if use == "auto" else f"{use} sensors"
+        required_text = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
-        raise RigError(f"the recording has no {required}; it has {', '.join(sorted(recording.signals))}{advice}")
+        raise RigError(f"the recording has no {required_text}; it has {', '.join(sorted(recording.signals))}{advice}")
     return [*base_sensors, *sensors]
 
 
-def _by_station(sensors: list[Sensor]) -> ByStation:
+def _sensors_by_station(sensors: list[Sensor]) -> SensorsByStation:
     """Sensors by station and order of the derivative."""
-    station_sensors: ByStation = {}
+    by_station: SensorsByStation = {}
     for sensor in sensors:
-        station_sensors.setdefault(sensor.station, {})[sensor.measures.order] = sensor
-    return station_sensors
+        by_station.setdefault(sensor.station, {})[sensor.measures.order] = sensor
+    return by_station
 
 
 def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _PaddedTransform:
@@ -248,8 +248,8 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
     padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
-    channels = (recording.values_of(sensor) for sensor in sensors)
-    excited_from = excitation_start(excitations(recording), channels, rate_hz)
+    channel_signals = (recording.values_of(sensor) for sensor in sensors)
+    excited_from = excitation_start(excitations(recording), channel_signals, rate_hz)
     return _PaddedTransform(
         corner_hz=corner_hz,
         end_taper=end_taper,
@@ -261,35 +261,35 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     )
 
 
-def _motion(recording: Recording, station_sensors: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
+def _motion(recording: Recording, sensors: SensorsByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
     """Motion of every station in time, from the orders `least_order` to 2."""
     omega, corner_hz = transform.omega, transform.corner_hz
-    integration_factor = cache(lambda power: integrated(omega, power, corner_hz))
+    factor_of_power = cache(lambda power: omega_power(omega, power, corner_hz))
     low_pass = 1 - _high_pass(omega, corner_hz)
     contact_places = {ON_GROUND, *(s for contact in recording.rig.contacts for s in contact_stations(contact))}
     derivatives = tuple(
-        np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
+        np.empty((len(sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
-    lost_m_per_s2 = np.zeros((len(station_sensors), transform.usable_count))
+    lost_m_per_s2 = np.zeros((len(sensors), transform.usable_count))
     channels: dict[str, None] = {}
-    for row, (station, by_order) in enumerate(station_sensors.items()):
+    for row, (station, sensor_by_order) in enumerate(sensors.items()):
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
-            sensor = _nearest_sensor(by_order, order)
+            sensor = _nearest_sensor(sensor_by_order, order)
             differentiations = order - sensor.measures.order
             # nothing may precede the record in an integral
             lead_samples = transform.lead_samples if differentiations > 0 else 0
             if (key := (sensor.name, lead_samples)) not in spectra:
                 spectra[key] = transform.spectrum(sensor, recording.values_of(sensor), lead_samples)
-            spectrum = spectra[key] * integration_factor(differentiations)
+            spectrum = spectra[key] * factor_of_power(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
-        if station in contact_places and 0 not in by_order:  # the spectrum is the acceleration's
+        if station in contact_places and 0 not in sensor_by_order:  # the spectrum is the acceleration's
             lost_m_per_s2[row] = transform.usable_samples(spectrum * low_pass)
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 
 
-def _contacts_show_zero(rig: Rig, station_sensors: ByStation, excited_from: int) -> bool:
+def _contacts_show_zero(rig: Rig, station_sensors: SensorsByStation, excited_from: int) -> bool:
     """True if displacements are measured at both sides of every contact, in a record that begins at rest."""
     contact_sides = {side for contact in rig.contacts for side in contact_stations(contact)}
     contact_sides |= {ON_GROUND} if rig.base_sensors else set()
@@ -298,12 +298,12 @@ def _contacts_show_zero(rig: Rig, station_sensors: ByStation, excited_from: int)
 
 def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
     """Motion of the base, the first of the stations; no displacement where it is left out."""
-    displacement, _, acceleration = motion.derivatives
+    station_displacements, _, station_accelerations = motion.derivatives
     return MeasuredBase(
         sensor=_nearest_sensor(by_order, 2),
         displaced_by=_nearest_sensor(by_order, 0),
-        displacement_m=np.empty(0) if least_order else displacement[0],
-        acceleration_m_per_s2=acceleration[0],
+        displacement_m=np.empty(0) if least_order else station_displacements[0],
+        acceleration_m_per_s2=station_accelerations[0],
         lost_m_per_s2=motion.lost_m_per_s2[0],
     )
 
@@ -318,7 +318,7 @@ def _nearest_sensor(by_order: dict[int, Sensor], derivative_order: int) -> Senso
     return min(by_order.values(), key=distance)
 
 
-def integrated(omega: Float[np.ndarray, " lines"], exponent: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
+def omega_power(omega: Float[np.ndarray, " lines"], exponent: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
     """(i omega)^exponent; a negative exponent integrates, with a high-pass from half the corner to the corner."""
     if exponent >= 0:
         return np.asarray((1j * omega) ** exponent)
@@ -333,6 +333,6 @@ def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np
 
 def taper(sample_count: int, fading_samples: int) -> Float[np.ndarray, " samples"]:
     """Weights of one that fall smoothly to zero over the last `fading_samples`."""
-    weights, steps = np.ones(sample_count), np.arange(fading_samples) + 1
-    weights[sample_count - fading_samples :] = 0.5 * (1 + np.cos(np.pi * steps / fading_samples))
+    weights, fading_steps = np.ones(sample_count), np.arange(fading_samples) + 1
+    weights[sample_count - fading_samples :] = 0.5 * (1 + np.cos(np.pi * fading_steps / fading_samples))
     return weights

@@ -55,32 +55,32 @@ def evaluated_law(
     along leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier
     transforms under tapers that are one inside the block, so that it need not be periodic.
     """
-    batches = finer_batches(signals, sample_rate_hz)
-    return evaluated_on(law, batches, signals.shape[1], sample_rate_hz, decimation, multiple)
+    batches = finer_signal_batches(signals, sample_rate_hz)
+    return evaluated_on_batches(law, batches, signals.shape[1], sample_rate_hz, decimation, multiple)
 
 
-def finer_batches(
+def finer_signal_batches(
     signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float
 ) -> Iterator[Float[np.ndarray, "..."]]:
-    """Signals at the rate at which laws are evaluated, for `evaluated_on`: some blocks at a time, rows x blocks x
-    samples, or as they are if that is their rate."""
-    factor, samples = oversampling(sample_rate_hz), signals.shape[1]
+    """Signals at the rate at which laws are evaluated, for `evaluated_on_batches`: some blocks at a time, rows x blocks
+    x samples, or as they are if that is their rate."""
+    factor, sample_count = oversampling(sample_rate_hz), signals.shape[1]
     if factor == 1:
         yield signals
         return
-    block_count = -(-samples // BLOCK_SAMPLES)
-    padding = 2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples
-    padded = np.pad(signals, [(0, 0), padding], mode="edge")
-    blocks = sliding_window_view(padded, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
-    signal_taper, batch = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES), max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
-    for first in range(0, block_count, batch):
-        yield _finer(blocks[:, first : first + batch] * signal_taper, factor)
+    block_count = -(-sample_count // BLOCK_SAMPLES)
+    padding = 2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - sample_count
+    padded_signals = np.pad(signals, [(0, 0), padding], mode="edge")
+    blocks = sliding_window_view(padded_signals, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
+    taper, batch_blocks = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES), max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
+    for first_block in range(0, block_count, batch_blocks):
+        yield _finer(blocks[:, first_block : first_block + batch_blocks] * taper, factor)
 
 
-def evaluated_on(
+def evaluated_on_batches(
     law: Law,
     batches: Iterable[Float[np.ndarray, "..."]],
-    samples: int,
+    sample_count: int,
     sample_rate_hz: float,
     decimation: int = 1,
     multiple: int = 1,
@@ -93,10 +93,10 @@ def evaluated_on(
         (signals,) = batches
         return decimated(law(*signals), decimation)
     result_taper = _taper(PADDED_SAMPLES * factor, MARGIN_SAMPLES * factor, MARGIN_SAMPLES * factor)
-    inside = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
-    results = [_coarser(law(*signals) * result_taper, factor, multiple)[..., inside] for signals in batches]
+    inner_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
+    results = [_coarser(law(*signals) * result_taper, factor, multiple)[..., inner_samples] for signals in batches]
     blocks = np.concatenate(results, axis=-2)
-    return decimated(blocks.reshape(*blocks.shape[:-2], -1)[..., : samples * multiple], decimation)
+    return decimated(blocks.reshape(*blocks.shape[:-2], -1)[..., : sample_count * multiple], decimation)
 
 
 def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -> Float[np.ndarray, " fine"]:
@@ -126,7 +126,7 @@ def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Floa
 def _coarser(
     fine_results: Float[np.ndarray, "*results fine"], factor: int, multiple: int
 ) -> Float[np.ndarray, "*results length"]:
-    """Rows at multiple / factor times the rate."""
+    """Results at multiple / factor times the rate."""
     padded_length = PADDED_SAMPLES * multiple
     spectra = rfft(fine_results)[..., : padded_length // 2 + 1] * (multiple / factor)
     if multiple < factor:

@@ -25,13 +25,13 @@ class MeasuredBase:
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
     lost_m_per_s2: Float[np.ndarray, " samples"]
 
-    def segment(self, samples: slice) -> "MeasuredBase":
+    def segment(self, sample_slice: slice) -> "MeasuredBase":
         """Motion over a slice of the samples."""
         return replace(
             self,
-            displacement_m=self.displacement_m[samples],
-            acceleration_m_per_s2=self.acceleration_m_per_s2[samples],
-            lost_m_per_s2=self.lost_m_per_s2[samples],
+            displacement_m=self.displacement_m[sample_slice],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[sample_slice],
+            lost_m_per_s2=self.lost_m_per_s2[sample_slice],
         )
 
 
@@ -45,14 +45,14 @@ def excitations(recording: Recording) -> Float[np.ndarray, "excitations samples"
 
 def excitation_names(rig: Rig) -> tuple[str, ...]:
     """Channels of the `excitations`."""
-    return (*rig.force_names[: count_on_bodies(rig)], *(sensor.name for sensor in rig.base_sensors))
+    return (*rig.force_names[: body_force_count(rig)], *(sensor.name for sensor in rig.base_sensors))
 
 
 def forces_on_bodies(recording: Recording) -> Float[np.ndarray, "forces samples"]:
     """Measured forces on bodies, N; none where the base alone shakes the rig."""
-    return recording.forces_n[: count_on_bodies(recording.rig)]
+    return recording.forces_n[: body_force_count(recording.rig)]
 
 
-def count_on_bodies(rig: Rig) -> int:
+def body_force_count(rig: Rig) -> int:
     """Number of the measured forces on bodies, which come first among the inputs of a rig."""
     return len(rig.inputs) - bool(rig.base_sensors)

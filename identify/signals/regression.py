@@ -17,7 +17,7 @@ MAX_PAIRS = 20
 """Pairs of neighbouring blocks whose influence is computed."""
 
 
-def line_by_line(
+def weights_by_line(
     spectra_of: SpectraOfBlocks, block_count: int
 ) -> tuple[Complex[np.ndarray, "lines inputs"], Complex[np.ndarray, "lines inputs inputs"]]:
     """Weights of the inputs in the response at each line, and the inverse of the inputs' normal matrix.
@@ -27,64 +27,64 @@ def line_by_line(
 
     Raises RigError if the inputs are linearly dependent at a line.
     """
-    normal_matrix = np.zeros((0, 0, 0), dtype=complex)
+    normal_matrices = np.zeros((0, 0, 0), dtype=complex)
     for first_block in range(0, block_count, BLOCKS_PER_BATCH):
         block_spectra = spectra_of(range(first_block, min(first_block + BLOCKS_PER_BATCH, block_count)))
         channel_count, _, line_count = block_spectra.shape
         if first_block == 0:
-            normal_matrix = np.zeros((line_count, channel_count, channel_count), dtype=complex)
-        for chunk in _chunks(line_count):
-            channel_rows = _by_line(block_spectra, chunk)
-            normal_matrix[chunk] += channel_rows.conj().transpose(0, 2, 1) @ channel_rows
-    input_count = normal_matrix.shape[1] - 1
-    input_weights = np.empty((len(normal_matrix), input_count), dtype=complex)
-    inverse_normal = normal_matrix[:, :input_count, :input_count]
-    for chunk in _chunks(len(normal_matrix)):
-        input_scale = np.sqrt(np.einsum("lii->li", normal_matrix[chunk]).real[:, :input_count])
-        input_scale[input_scale == 0] = 1.0
-        scale_products = input_scale[:, :, None] * input_scale[:, None, :]
+            normal_matrices = np.zeros((line_count, channel_count, channel_count), dtype=complex)
+        for line_slice in _line_slices(line_count):
+            line_spectra = _lines_first(block_spectra, line_slice)
+            normal_matrices[line_slice] += line_spectra.conj().transpose(0, 2, 1) @ line_spectra
+    input_count = normal_matrices.shape[1] - 1
+    input_weights = np.empty((len(normal_matrices), input_count), dtype=complex)
+    inverse_normals = normal_matrices[:, :input_count, :input_count]
+    for line_slice in _line_slices(len(normal_matrices)):
+        input_norms = np.sqrt(np.einsum("lii->li", normal_matrices[line_slice]).real[:, :input_count])
+        input_norms[input_norms == 0] = 1.0
+        norm_products = input_norms[:, :, None] * input_norms[:, None, :]
         try:
-            scaled_inverse = np.linalg.inv(normal_matrix[chunk, :input_count, :input_count] / scale_products)
+            scaled_inverses = np.linalg.inv(normal_matrices[line_slice, :input_count, :input_count] / norm_products)
         except np.linalg.LinAlgError as error:
             raise RigError(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        input_weights[chunk] = (
-            scaled_inverse @ (normal_matrix[chunk, :input_count, input_count:] / input_scale[:, :, None])
-        )[:, :, 0] / input_scale
-        inverse_normal[chunk] = scaled_inverse / scale_products
-    return input_weights, inverse_normal
+        input_weights[line_slice] = (
+            scaled_inverses @ (normal_matrices[line_slice, :input_count, input_count:] / input_norms[:, :, None])
+        )[:, :, 0] / input_norms
+        inverse_normals[line_slice] = scaled_inverses / norm_products
+    return input_weights, inverse_normals
 
 
 def influences(
     spectra_of: SpectraOfBlocks,
     block_numbers: Sequence[int],
     input_weights: Complex[np.ndarray, "lines inputs"],
-    inverse_normal: Complex[np.ndarray, "lines inputs inputs"],
+    inverse_normals: Complex[np.ndarray, "lines inputs inputs"],
     quantities_of: Callable[[Complex[np.ndarray, "some blocks inputs"], slice], Float[np.ndarray, "blocks quantities"]],
 ) -> Float[np.ndarray, "chosen quantities"]:
     """Influence of each block on the estimate: the change if it is left out, to first order (jackknife).
 
     `quantities_of` maps the changes of the weights at some lines to those of the quantities of interest, linearly.
     """
-    batches = []
+    batch_influences = []
     for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
         block_spectra = spectra_of(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
-        chunk_sums = []
-        for chunk in _chunks(len(input_weights)):
-            spectra_by_line = _by_line(block_spectra, chunk)
-            inputs, response = spectra_by_line[:, :, :-1], spectra_by_line[:, :, -1]
-            weight_changes = inputs.conj() @ inverse_normal[chunk].transpose(0, 2, 1)
-            leverage = np.sum(inputs * weight_changes, axis=2).real
-            residual = response - (inputs @ input_weights[chunk, :, None])[:, :, 0]
+        influence_sums = []
+        for line_slice in _line_slices(len(input_weights)):
+            line_spectra = _lines_first(block_spectra, line_slice)
+            input_spectra, response_spectra = line_spectra[:, :, :-1], line_spectra[:, :, -1]
+            weight_changes = input_spectra.conj() @ inverse_normals[line_slice].transpose(0, 2, 1)
+            leverage = np.sum(input_spectra * weight_changes, axis=2).real
+            residual = response_spectra - (input_spectra @ input_weights[line_slice, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
-            chunk_sums.append(quantities_of(weight_changes, chunk))
-        batches.append(np.sum(chunk_sums, axis=0))
-    return np.concatenate(batches)
+            influence_sums.append(quantities_of(weight_changes, line_slice))
+        batch_influences.append(np.sum(influence_sums, axis=0))
+    return np.concatenate(batch_influences)
 
 
-def variance_of_sum(
+def jackknife_variance(
     influences_of: Callable[[Sequence[int]], Float[np.ndarray, "chosen quantities"]], block_count: int
 ) -> Float[np.ndarray, " quantities"]:
     """Jackknife variance of quantities that all blocks influence, where each block correlates with the next.
@@ -102,15 +102,15 @@ def variance_of_sum(
     return np.maximum(neighbour_variance, independent_variance / 4)
 
 
-def _chunks(line_count: int) -> list[slice]:
+def _line_slices(line_count: int) -> list[slice]:
     """Slices of the lines."""
     return [
         slice(first_line, min(first_line + CHUNK_LINES, line_count)) for first_line in range(0, line_count, CHUNK_LINES)
     ]
 
 
-def _by_line(
-    spectra_of: Complex[np.ndarray, "channels blocks lines"], chunk: slice
+def _lines_first(
+    spectra: Complex[np.ndarray, "channels blocks lines"], line_slice: slice
 ) -> Complex[np.ndarray, "some blocks channels"]:
     """Spectra on a slice of the lines, with the line as the first axis."""
-    return np.ascontiguousarray(spectra_of[:, :, chunk].transpose(2, 1, 0))
+    return np.ascontiguousarray(spectra[:, :, line_slice].transpose(2, 1, 0))

@@ -38,8 +38,7 @@ def modes_of_decay(
         if decimation > 1
         else signals
     )
-    rate_hz = sample_rate_hz / decimation
-    lag_count = min(MAX_LAGS, slow_signals.shape[1] // 3)
+    slow_rate_hz, lag_count = sample_rate_hz / decimation, min(MAX_LAGS, slow_signals.shape[1] // 3)
     if lag_count < 2 or not np.any(slow_signals):
         return []
     windows = np.lib.stride_tricks.sliding_window_view(slow_signals, slow_signals.shape[1] - lag_count + 1, axis=1)
@@ -47,16 +46,14 @@ def modes_of_decay(
     subspace = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * max_modes]
     shift_matrix = np.linalg.lstsq(subspace[: -len(slow_signals)], subspace[len(slow_signals) :], rcond=None)[0]
     eigenvalues = np.linalg.eigvals(shift_matrix)
-    poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * rate_hz
-    poles = poles[poles.imag > 0]
-    time_s = np.arange(slow_signals.shape[1]) / rate_hz
+    poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * slow_rate_hz
+    poles, time_s = poles[poles.imag > 0], np.arange(slow_signals.shape[1]) / slow_rate_hz
     unit_decays = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
-    basis = np.concatenate([unit_decays.real, unit_decays.imag])
-    amplitudes = np.linalg.lstsq(basis.T, slow_signals.T, rcond=1e-9)[0]
-    modes = []
+    decay_basis = np.concatenate([unit_decays.real, unit_decays.imag])
+    amplitudes, modes = np.linalg.lstsq(decay_basis.T, slow_signals.T, rcond=1e-9)[0], []
     for pole_index, pole in enumerate(poles):
         mode_signals = (
-            basis[[pole_index, pole_index + len(poles)]].T @ amplitudes[[pole_index, pole_index + len(poles)]]
+            decay_basis[[pole_index, pole_index + len(poles)]].T @ amplitudes[[pole_index, pole_index + len(poles)]]
         )
         damping_ratio = float(-pole.real / abs(pole))
         energy_share = float(np.sum(mode_signals**2) / np.sum(slow_signals**2))

@@ -11,7 +11,7 @@ from jaxtyping import Complex, Float
 
 from rig.errors import RigError
 
-WINDOW_POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
+WINDOW_EXPONENTS = {"hann": 2, "sin4": 4, "sin6": 6}
 """Exponent p of the window sin^p, by its name."""
 RAMP_SAMPLES = 512
 """Samples over which a resampled signal is led to zero at its ends."""
@@ -37,18 +37,18 @@ class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise RigError(f"the block is {self.block_s} s; give a value above zero")
         if not 0 <= self.overlap < 1:
             raise RigError(f"overlap is {self.overlap}; give a value from 0 to below 1")
-        if self.window not in WINDOW_POWERS:
-            raise RigError(f"no window {self.window!r}; there are {', '.join(WINDOW_POWERS)}")
+        if self.window not in WINDOW_EXPONENTS:
+            raise RigError(f"no window {self.window!r}; there are {', '.join(WINDOW_EXPONENTS)}")
         if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1] < np.inf:
             raise RigError(f"the band {self.band_hz[0]} to {self.band_hz[1]} Hz is empty; give 0 <= low < high")
 
 
 @dataclass(frozen=True)
-class Term:
+class WindowedTerm:
     """A signal under the window, or under its first or second time derivative, times a factor."""
 
     signal: Float[np.ndarray, " samples"]
-    derivative: int = 0
+    derivative_order: int = 0
     factor: float = 1.0
 
 
@@ -71,26 +71,26 @@ class Blocks:
         return self.sample_rate_hz / self.block_samples
 
     def spectra(
-        self, signal: Float[np.ndarray, " samples"], derivative: int = 0
+        self, signal: Float[np.ndarray, " samples"], derivative_order: int = 0
     ) -> Complex[np.ndarray, "blocks lines"]:
         """Fourier transforms of the blocks under the window, or under its first or second time derivative."""
-        return self.spectra_of_sums([[Term(signal, derivative)]], self.starts)[0]
+        return self.spectra_of_sums([[WindowedTerm(signal, derivative_order)]], self.starts)[0]
 
     def spectra_of_sums(
-        self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
+        self, channel_terms: Sequence[Sequence[WindowedTerm]], starts: Sequence[int]
     ) -> Complex[np.ndarray, "channels blocks lines"]:
         """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
         windows = window_derivatives(self.window, self.block_samples, self.sample_rate_hz)
-        weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
-        windowed = np.empty((len(channels), self.block_samples))
-        spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
-        for block, first_sample in enumerate(starts):
-            samples = slice(first_sample, first_sample + self.block_samples)
-            for row, channel_weights, terms in zip(windowed, weights, channels, strict=True):
-                np.multiply(channel_weights[0], terms[0].signal[samples], out=row)
+        window_weights = [[term.factor * windows[term.derivative_order] for term in terms] for terms in channel_terms]
+        windowed_channels = np.empty((len(channel_terms), self.block_samples))
+        spectra = np.empty((len(channel_terms), len(starts), self.lines.stop - self.lines.start), dtype=complex)
+        for block_index, first_sample in enumerate(starts):
+            block_samples = slice(first_sample, first_sample + self.block_samples)
+            for row, channel_weights, terms in zip(windowed_channels, window_weights, channel_terms, strict=True):
+                np.multiply(channel_weights[0], terms[0].signal[block_samples], out=row)
                 for weight, term in zip(channel_weights[1:], terms[1:], strict=True):
-                    np.add(row, weight * term.signal[samples], out=row)
-            spectra[:, block] = scipy.fft.rfft(windowed, axis=1)[:, self.lines]
+                    np.add(row, weight * term.signal[block_samples], out=row)
+            spectra[:, block_index] = scipy.fft.rfft(windowed_channels, axis=1)[:, self.lines]
         return spectra
 
 
@@ -129,8 +129,7 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
 
 def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
     """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
-    exponent = WINDOW_POWERS[window_name]
-    phase_rad = np.pi * np.arange(block_samples) / block_samples
+    exponent, phase_rad = WINDOW_EXPONENTS[window_name], np.pi * np.arange(block_samples) / block_samples
     rate_rad_per_s = np.pi * sample_rate_hz / block_samples
     sine, cosine = np.sin(phase_rad), np.cos(phase_rad)
     return np.stack(
@@ -145,8 +144,8 @@ def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: flo
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
     ramped = _ramped(signals, 1)
-    fine = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
-    return np.asarray(fine[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
+    fine_signals = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
+    return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
@@ -154,13 +153,13 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
     if factor == 1:
         return signals
     ramped = _ramped(signals, factor)
-    length = ramped.shape[-1] // factor
-    subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], length, factor), -1, -2)
-    low_spectra = np.einsum("pk,...pk->...k", _phase_factors(length, factor), scipy.fft.rfft(subsequences))
-    if length % 2 == 0:
+    new_length = ramped.shape[-1] // factor
+    subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], new_length, factor), -1, -2)
+    low_spectra = np.einsum("pk,...pk->...k", _phase_factors(new_length, factor), scipy.fft.rfft(subsequences))
+    if new_length % 2 == 0:
         low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
     new_count = -(-signals.shape[-1] // factor)
-    return np.asarray(scipy.fft.irfft(low_spectra / factor, length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
+    return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
 
 
 @lru_cache(maxsize=4)
@@ -203,10 +202,10 @@ def _band_of(
     force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, outside_share: float
 ) -> tuple[float, float]:
     """Band of one force, Hz."""
-    power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
-    if not power[-1] > 0:
+    power_to = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
+    if not power_to[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
-    low_line, high_line = np.searchsorted(power, [outside_share * power[-1], (1 - outside_share) * power[-1]])
+    low_line, high_line = np.searchsorted(power_to, [outside_share * power_to[-1], (1 - outside_share) * power_to[-1]])
     if not high_line:
         raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")
     resolution_hz = sample_rate_hz / force_n.size

@@ -64,7 +64,7 @@ def _record() -> tuple[ModalEquation, Float[np.ndarray, " samples"], Float[np.nd
     displacement = force_n - 0.1 * penetration_m.sum(axis=0) + 0.1 * rng.standard_normal(SAMPLES) * OWN
     equation = ModalEquation(
         body="b",
-        index=1,
+        mode_number=1,
         frequency_hz=50.0,
         damping_ratio=0.01,
         shape_at_force=1.0,

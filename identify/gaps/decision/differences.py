@@ -175,7 +175,7 @@ class _RecordSet:
             estimate = self.pooled_estimate(own_values)
             return own_values.at_estimate(estimate), estimate
 
-        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=FIT_ROUNDS - 1)
+        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), max_rounds=FIT_ROUNDS - 1)
 
     def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
         """Pooled estimate from all records, each linearised about its own values."""

@@ -12,7 +12,7 @@ from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating
 from identify.gaps.residual.shaken_base import body_sensors, read_quantity
 from identify.signals.beginning import QUIET_S, excitation_start
 from identify.signals.kinematics import CORNER_HZ, kinematics
-from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
+from identify.signals.noise import noise_density_and_certainty, rounding_noise_density
 from identify.signals.spectra import force_band
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
@@ -262,7 +262,7 @@ def sensor_densities(
             is_in_band = (line_hz > 0) & (line_hz < PASSBAND * rate_hz)
             noise_density = float(np.sqrt(np.median(power_density[is_in_band]) / np.log(2)))
         else:
-            noise_density, is_certain = spectrogram_noise_density(signal, rate_hz)
+            noise_density, is_certain = noise_density_and_certainty(signal, rate_hz)
             noise_density = noise_density if is_certain or is_free_decay else min(noise_density, sensor.noise_density)
         noise_densities.append(max(noise_density, rounding_noise_density(signal, rate_hz)))
     return np.array(noise_densities)

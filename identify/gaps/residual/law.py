@@ -46,7 +46,7 @@ def initial_unknowns(
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
     spline, first_law, (lower_m, upper_m) = observation.drift_spline, law.laws[0], law.clearances_m
-    unknowns = np.zeros(spline.knots + len(observation.law_prior_deviations) * len(law.laws))
+    unknowns = np.zeros(spline.knot_count + len(observation.law_prior_deviations) * len(law.laws))
     eta_m, velocity_m_per_s, time_s = (
         signal[:: contact_signals.decimation]
         for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)
@@ -76,9 +76,9 @@ def initial_unknowns(
         nuisance_m=np.zeros((0, elastic_n.size)),
         is_initial_state=np.zeros(0, dtype=bool),
     )
-    if spline.knots:
+    if spline.knot_count:
         with suppress(RigError):
-            unknowns[: spline.knots] = regressed_guess(contact_record)[1]
+            unknowns[: spline.knot_count] = regressed_guess(contact_record)[1]
     return unknowns
 
 
@@ -173,7 +173,8 @@ class ContactResidual:
     @property
     def drift_m(self) -> Float[np.ndarray, " times"]:
         """Slow part of the relative displacement that integration loses, m."""
-        return np.asarray(self.observation.drift_spline.value @ self.unknowns[: self.observation.drift_spline.knots])
+        spline = self.observation.drift_spline
+        return np.asarray(spline.value @ self.unknowns[: spline.knot_count])
 
     def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
         """Sides of the pulls, after a step of the unknowns."""
@@ -216,7 +217,7 @@ class ContactResidual:
     @cached_property
     def drift_columns(self) -> csr_matrix:
         """Columns of the drift's knots alone."""
-        return self.columns[:, : self.observation.drift_spline.knots]
+        return self.columns[:, : self.observation.drift_spline.knot_count]
 
     @cached_property
     def drift_solver(self) -> SuperLU:
@@ -232,7 +233,7 @@ def contact_motion(
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> FittedMotion:
     """Motion with the drift; added_force_n and added_eta_m come on top of force and relative displacement."""
-    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knot_count]
     drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
     return FittedMotion(
         signals.force_n + added_force_n,
@@ -249,7 +250,7 @@ def contact_residual(
     motion: FittedMotion,
 ) -> ContactResidual:
     """Residual at given unknowns and at the motion that they cause."""
-    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knot_count]
     pulls, deviations = unknowns[observation.tolerance_slice], observation.law_prior_deviations
     adjusted_laws, damping_increases = [], []
     for nominal, law_pulls in zip(law.laws, pulls.reshape(-1, len(deviations)), strict=True):
@@ -276,7 +277,7 @@ def contact_residual(
 
     law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
     residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
-    drift_rows = drift_spline.target - drift_spline.curvature @ knots_m
+    drift_rows = drift_spline.curvature_target - drift_spline.curvature @ knots_m
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     residual = np.concatenate([observation.weights * residual_n, drift_rows, prior_rows])
     return ContactResidual(observation, signals, law, adjusted_law, unknowns, motion, residual)

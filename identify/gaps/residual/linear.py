@@ -321,7 +321,7 @@ def _across_weights(
     rig: Rig, response: Response, stations: list[Station | None]
 ) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    weights = response.weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    weights = response.sensor_weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
     return weights[: len(rig.contacts)] - weights[len(rig.contacts) :]
 
 

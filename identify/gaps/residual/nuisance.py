@@ -135,7 +135,7 @@ def _projected_change(
 def _with_damper_feedback(record: Record, model: LinearModel, change: Change) -> Change:
     """Change of a body's modes with what its dampers do against it; any other change as it is."""
     response = next((response for response in model.responses if response.body.name == change.parameter.owner), None)
-    if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
+    if change.parameter.kind not in MODAL_KINDS or response is None or response.feedback is None:
         return change
     shapes, sensor_response = _shapes_at(record, response, change.sensors), model.sensor_response[change.sensors]
     count = min(shapes.shape)

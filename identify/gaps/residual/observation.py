@@ -12,7 +12,7 @@ from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
-from identify.signals.law_evaluation import evaluated_on, finer_batches
+from identify.signals.law_evaluation import evaluated_on_batches, finer_signal_batches
 from identify.signals.recent_values import RecentValues
 
 CLOSED_DEVIATIONS = 5.0
@@ -72,10 +72,10 @@ class ContactSignals:
 
         def finer_signals() -> list[Results]:
             signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if depends_on_time else [])]
-            return list(finer_batches(np.stack(signals), self.sample_rate_hz))
+            return list(finer_signal_batches(np.stack(signals), self.sample_rate_hz))
 
         batches = self.finer_motions.get((motion, depends_on_time), finer_signals)
-        results = evaluated_on(
+        results = evaluated_on_batches(
             law_function, batches, motion.eta_m.size, self.sample_rate_hz, self.decimation, rate_multiple
         )
         return results[..., : (self.force_n.size - 1) * rate_multiple + 1]
@@ -123,7 +123,7 @@ class ContactObservation:
     @property
     def tolerance_slice(self) -> slice:
         """Slice of the law's tolerances among a contact's unknowns, after the knots of the drift."""
-        return slice(self.drift_spline.knots, None)
+        return slice(self.drift_spline.knot_count, None)
 
     @property
     def prior_weight(self) -> float:
@@ -150,7 +150,7 @@ def contact_observations(
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES + 1)
         is_clear = envelope_n > CLOSED_DEVIATIONS * error_n
-        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_m
+        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_noise_m
         stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         deviation_n = np.sqrt(

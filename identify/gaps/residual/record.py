@@ -10,10 +10,10 @@ from scipy.fft import irfft, rfft
 from identify.gaps.residual.ringing import MeasuredMode
 from identify.gaps.residual.shaken_base import BaseSpectra
 from identify.linear.sampled_motion import Sampling
-from identify.signals.drift import Drift
-from identify.signals.kinematics import integrated
+from identify.signals.drift import DriftPrior
+from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import product_rate_multiple
-from identify.signals.scores import COUNTED_HZ
+from identify.signals.scores import INDEPENDENT_RATE_HZ
 from rig.model.description import Rig, Sensor
 from rig.model.tolerances import Tolerances
 
@@ -68,7 +68,7 @@ class Record:
     smoothed_power: Float[np.ndarray, "sensors lines"]
     corner_hz: float
     eta_above_band: Complex[np.ndarray, "contacts morelines"]
-    drifts: tuple[Drift | None, ...]
+    drifts: tuple[DriftPrior | None, ...]
     counts_from_blow: bool
     first_states: Float[np.ndarray, "sensors 2"]
     measured_modes: tuple[MeasuredMode, ...]
@@ -151,12 +151,12 @@ class Record:
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
         """Transfer from an acceleration to a displacement, high-passed."""
-        return integrated(self.omega, -2, self.corner_hz)
+        return omega_power(self.omega, -2, self.corner_hz)
 
     @property
     def sample_ratio(self) -> float:
         """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
-        return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
+        return max(1.0, len(self.sensors) * self.rate_hz / INDEPENDENT_RATE_HZ)
 
     @property
     def product_multiple(self) -> int:

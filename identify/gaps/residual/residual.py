@@ -250,7 +250,8 @@ def residual_of(
     if laws and nuisance_change.any() and not same_motion:
         eta_decrease_m = np.tensordot(nuisance_change[columns.moving_indices], columns.eta_m, 1)
         added_eta_m = record.sampled(-eta_decrease_m, upper_band=False)
-    drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
+    splines = [observation.drift_spline for observation in observations]
+    drift_m = [spline.value @ u[: spline.knot_count] for spline, u in zip(splines, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:

@@ -33,8 +33,8 @@ from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
 from identify.gaps.residual.transform import RecordTransform, transform_of
 from identify.linear.joined import group_rig_of
-from identify.signals.drift import Drift
-from identify.signals.kinematics import CORNER_HZ, integrated, kinematics
+from identify.signals.drift import DriftPrior
+from identify.signals.kinematics import CORNER_HZ, kinematics, omega_power
 from identify.signals.noise import acceleration_noise
 from rig.model.description import ON_GROUND, Rig, Sensor
 from rig.model.modes import modes_of
@@ -83,7 +83,7 @@ def record_of(
     if not (rig.contacts or beginning.zero_known):  # contacts have drifts for the slow motion
         corner_hz = noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line)
     to_acceleration, to_displacement = (
-        np.stack([integrated(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
+        np.stack([omega_power(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
         for order in (2, 0)
     )
     velocity_correction, accelerations = _window_corrections(recording, transform, sensors, omega, beginning.zero_known)
@@ -138,7 +138,7 @@ def _drifts(
     sensors: tuple[Sensor, ...],
     tolerances: Tolerances,
     beginning: RecordBeginning,
-) -> tuple[Drift | None, ...]:
+) -> tuple[DriftPrior | None, ...]:
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
         return (None,) * len(joined_rig.contacts)
@@ -232,7 +232,7 @@ def _base_spectra(
     signal, order = recording.values_of(sensor), sensor.measures.order
     spectrum = transform.spectrum(signal)[: omega.size]
     velocity_correction, acceleration_correction = transform.window_correction(signal)
-    sensed_acceleration = spectrum * integrated(omega, 2 - order, corner_hz)
+    sensed_acceleration = spectrum * omega_power(omega, 2 - order, corner_hz)
     (noise_density,) = sensor_densities(recording, (sensor,), beginning.quiet_samples)
     noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
     is_corrected = np.array([beginning.zero_known and is_free(rig, sensor.station.body) for sensor in sensors])
@@ -240,7 +240,7 @@ def _base_spectra(
         sensor,
         sensed_acceleration + beginning.zero_known * acceleration_correction,
         sensed_acceleration + np.outer(is_corrected, acceleration_correction),
-        spectrum * integrated(omega, -order, corner_hz),
+        spectrum * omega_power(omega, -order, corner_hz),
         noise_variance,
     )
     return base, np.outer(is_corrected, velocity_correction / sensor.gain)
@@ -279,7 +279,7 @@ def _add_eta_above_band(
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
     is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-    to_displacement = integrated(omega_above_band, -sensor.measures.order, CORNER_HZ)
+    to_displacement = omega_power(omega_above_band, -sensor.measures.order, CORNER_HZ)
     for k, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):

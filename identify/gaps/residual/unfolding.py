@@ -11,7 +11,7 @@ from dataclasses import replace as with_fields
 
 from msgspec.structs import replace
 
-from identify.contacts.space_contacts import counted_from_rest
+from identify.contacts.space_contacts import recording_from_rest
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Contact, Rig, Station
@@ -90,7 +90,7 @@ class Unfolding:
 
     def recording(self, space_recording: Recording) -> Recording:
         """Recording of the unfolded rig; displacements count from the rest position."""
-        return of_rig(counted_from_rest(space_recording), self.rig)
+        return of_rig(recording_from_rest(space_recording), self.rig)
 
     def folded(self, rig: Rig) -> Rig:
         """Rig in space of an unfolded rig with effects or drawn bodies; what twins share is that of the body in y."""

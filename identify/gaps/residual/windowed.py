@@ -18,7 +18,7 @@ from scipy.fft import irfft, rfft
 from identify.gaps.residual.extent import is_free
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, real_product
-from identify.signals.kinematics import integrated
+from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, StaticLoad, Station, contact_stations
 
@@ -134,7 +134,7 @@ def _windowed_accelerations(
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
     window = _window_fall(record)
-    per_acceleration = np.stack([integrated(record.omega, 2 - order, 0.0) for order in derivative_orders])
+    per_acceleration = np.stack([omega_power(record.omega, 2 - order, 0.0) for order in derivative_orders])
     return np.asarray(rfft(irfft(accelerations / per_acceleration, window.size) * window) * per_acceleration)
 
 
@@ -243,7 +243,7 @@ def displaced_at(
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    weights = np.sum([response.weights(stations, element_stations) for response in responses], axis=0)
+    weights = np.sum([response.sensor_weights(stations, element_stations) for response in responses], axis=0)
     return real_product(weights, displacements)
 
 

@@ -80,13 +80,13 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     record = residual.model.record
     motion = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
     modes = _station_modes_of(rig, residual, motion.stations)
-    slow_motion, slow_shapes = _slow_relative_motion(residual, motion.samples), modes.slow_motion_shapes()
+    slow_motion, slow_shapes = _slow_relative_motion(residual, motion.sample_count), modes.slow_motion_shapes()
     displacement_m = motion.displacement_m + slow_shapes @ slow_motion[0]
     velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]
     counted_start = record.counted_slice.start * record.decimation
     has_drift = any(drift is not None for drift in record.drifts)
     first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
-    stop_sample = min(motion.samples, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
+    stop_sample = min(motion.sample_count, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
     valid, by_force = slice(first_sample, stop_sample), modes.is_force_determined
 
     inverse_shapes = modes.inverse_shapes()
@@ -98,7 +98,7 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
     eta_errors_m = modes.contact_shapes @ coordinates_m
     for error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
-        fitted_eta_m = contact.motion.eta_m[: motion.samples - counted_start]
+        fitted_eta_m = contact.motion.eta_m[: motion.sample_count - counted_start]
         counted_stop = counted_start + fitted_eta_m.size
         error_m[:counted_start], error_m[counted_stop:] = 0.0, 0.0
         error_m[counted_start:counted_stop] -= fitted_eta_m
@@ -148,7 +148,7 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
     record, contacts = residual.model.record, group_rig_of(rig).contacts
     motions = {
-        response.body.name: (motion, response.dynamics.high_passed)
+        response.body.name: (motion, response.dynamics.high_passed_modes)
         for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
     }
     at_stations, against_stations = [contact.at for contact in contacts], [contact.against for contact in contacts]
@@ -210,7 +210,7 @@ def _slow_relative_motion(residual: Residual, sample_count: int) -> Float[np.nda
     for index, contact in enumerate(residual.contacts):
         spline = contact.observation.drift_spline
         for row, value_per_knot in zip(slow_motion[:, index], (spline.value, spline.rate), strict=True):
-            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knots])
+            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knot_count])
     return slow_motion
 
 

@@ -218,12 +218,12 @@ def relinearised(
         is_settled = scale_change < SCALE_TOLERANCE and abs(earlier.cost - later.cost) < COST_TOLERANCE
         return is_settled or later.cost > best_cost + MAX_EXCESS_COST
 
-    latest_fit = refit_until_settled(initial_fit, refit, settled, rounds=round_limit)
+    latest_fit = refit_until_settled(initial_fit, refit, settled, max_rounds=round_limit)
     if stated_scale_rounds and latest_fit.cost <= best_cost + MAX_EXCESS_COST:
         latest_fit = refit_until_settled(
-            likeliest, lambda earlier: refit_at(earlier, prior_scales(record)), rounds=stated_scale_rounds
+            likeliest, lambda earlier: refit_at(earlier, prior_scales(record)), max_rounds=stated_scale_rounds
         )
-        refit_until_settled(latest_fit, refit, settled, rounds=round_limit)
+        refit_until_settled(latest_fit, refit, settled, max_rounds=round_limit)
     return likeliest
 
 

@@ -42,11 +42,13 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_decrease > COST_TOLERANCE)
 
     nuisance_fit = refit_until_settled(
-        refit_until_settled(fit_in(initial_linearizations.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
+        refit_until_settled(
+            fit_in(initial_linearizations.pop(), None), relinearize, max_rounds=stated_scale_refits(rig)
+        ),
         refit,
         settled,
-        rounds=MAX_ROUNDS,
-        at_least=extra_relinearizations(rig),
+        max_rounds=MAX_ROUNDS,
+        min_rounds=extra_relinearizations(rig),
     )
     return nuisance_fit.linearization, nuisance_fit.residual
 

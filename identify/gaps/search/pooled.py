@@ -131,7 +131,7 @@ def without_drift(
     """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
     contact = residual.contacts[contact_index]
     normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact.residual
-    if not contact.observation.drift_spline.knots:
+    if not contact.observation.drift_spline.knot_count:
         return normal_matrix, gradient
     solver, drift_columns = contact.drift_solver, contact.drift_columns
     coupling = drift_columns.T @ unknown_columns
@@ -220,7 +220,7 @@ def fitted_together(
         return earlier if later.cost > earlier.cost else later
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=POOLING_ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, max_rounds=POOLING_ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

@@ -106,7 +106,7 @@ def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothes
         start_set,
         lambda fitted: refined_set(search, fitted),
         lambda before, after: before is after,
-        rounds=SELECTION_ROUNDS,
+        max_rounds=SELECTION_ROUNDS,
     )
 
 

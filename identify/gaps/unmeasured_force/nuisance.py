@@ -14,7 +14,7 @@ from identify.gaps.unmeasured_force.whitened_record import (
 from identify.linear.free_motion import state_changes
 from identify.linear.nuisance import Change, Nuisance, ObservedSignals, changes_of, crosstalk_of
 from identify.linear.observed_motion import BodyMotion
-from identify.signals.kinematics import integrated
+from identify.signals.kinematics import omega_power
 from rig.model.description import Rig
 
 
@@ -38,7 +38,7 @@ def nuisance_columns(
     motion = _measured_motion(whitened)
     parameters, columns, trace_terms = list[Nuisance](), list[Complex[np.ndarray, "lines rows"]](), list[float]()
     for changes in (
-        changes_of(motion, with_common=False),
+        changes_of(motion, with_common_tolerances=False),
         crosstalk_of(motion),
         state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
     ):
@@ -105,7 +105,7 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     relative_time = np.arange(sample_count) / (record.sample_count / record.decimation) - 0.5
     relative_time[relative_time > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
-    integration = integrated(record.omega, -2, record.corner_hz)
+    integration = omega_power(record.omega, -2, record.corner_hz)
     stations = [sensor.station for sensor in record.sensors]
     for response, modal_accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:

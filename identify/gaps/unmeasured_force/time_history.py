@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from identify.gaps.unmeasured_force.evidence import nuisance_equations, real_pairs, residual_squares
 from identify.gaps.unmeasured_force.location import LocatedForce
-from identify.signals.kinematics import integrated
+from identify.signals.kinematics import omega_power
 from rig.model.description import Station
 
 OVERSAMPLING = 4
@@ -140,7 +140,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
         unobserved_accelerance = _unobserved_accelerance(located, station)
         acceleration += sign * (whitened.acceleration_at(station) + sign * unobserved_accelerance * spectrum)
     displacement_m, velocity_m_per_s = (
-        _oversampled_history(acceleration * integrated(record.omega, order, record.corner_hz), sample_count)
+        _oversampled_history(acceleration * omega_power(record.omega, order, record.corner_hz), sample_count)
         / record.decimation
         for order in (-2, -1)
     )

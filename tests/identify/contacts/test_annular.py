@@ -179,7 +179,7 @@ def test_what_a_body_has_in_common_is_one_parameter_of_both_directions():
         "force gain of force_2",
         "frequency of barrel (z) 3",
     ]
-    assert record.columns[1].tolist() == [4, 1, 2, 5]
+    assert record.pull_indices[1].tolist() == [4, 1, 2, 5]
 
 
 def test_the_force_of_an_open_contact_is_where_forces_are_densest():

@@ -141,7 +141,7 @@ def test_accelerometers_alone_tell_the_play_but_not_its_sides(without_truth):
         assert contact.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=2e-3)
         assert contact.stiffness_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=1e-2)
     numbers = np.concatenate(
-        [result.eta_m.ravel(), result.weak_nifo.stiffness_n_per_m.ravel(), result.surface.fitted_force]
+        [result.eta_m.ravel(), result.weak_nifo.stiffness_n_per_m.ravel(), result.surface.fitted_modal_force]
     )
     assert np.isfinite(numbers).all()
     assert all(name == "force" or name.endswith("acceleration") for name in result.report.channels_used)

@@ -10,7 +10,7 @@ from identify.linear.modal import (
     correctable_samples,
     equivalent_force_n,
     modal_equations,
-    relative_motion,
+    signals_across_contacts,
     transformation,
 )
 from identify.signals.kinematics import Kinematics, kinematics
@@ -225,8 +225,8 @@ def test_relative_displacement_from_the_sensors_at_the_contact():
     rig = rig_of()
     motion = motion_at_sensors(rig, lambda _: tones(9, 1))  # more modes than could be fitted
     for rows, relative in (
-        (motion.displacement_m, relative_motion(rig, motion, motion.displacement_m)),
-        (motion.velocity_m_per_s, relative_motion(rig, motion, motion.velocity_m_per_s)),
+        (motion.displacement_m, signals_across_contacts(rig, motion, motion.displacement_m)),
+        (motion.velocity_m_per_s, signals_across_contacts(rig, motion, motion.velocity_m_per_s)),
     ):
         by_station = {s.station: row for s, row in zip(rig.sensors, rows, strict=True)}
         for contact, eta in zip(rig.contacts, relative, strict=True):
@@ -244,7 +244,7 @@ def test_relative_displacement_from_the_modes_where_no_sensor_stands():
     rig = msgspec.structs.replace(full, sensors=sensors)
     true = {body.name: tones(5, seed) for seed, body in enumerate(rig.bodies)}
     motion = motion_at_sensors(rig, lambda body: true[body.name])
-    eta = relative_motion(rig, motion, motion.displacement_m)
+    eta = signals_across_contacts(rig, motion, motion.displacement_m)
     for j in range(2):
         expected = sum(contact_shapes(rig, body, j, 5) @ true[body.name][0] for body in rig.bodies)
         np.testing.assert_allclose(eta[j], expected, atol=1e-9 * np.abs(expected).max())

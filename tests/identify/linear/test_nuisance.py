@@ -69,7 +69,7 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
             signals = {p: c.signals for p, c in changes.items() if (p.kind, p.owner) == (kind, body.name)}
             common = signals.pop(Nuisance(kind, body.name))
             np.testing.assert_allclose(sum(signals.values()), common, rtol=1e-9, atol=1e-12)
-    separate = {c.parameter for c in changes_of(observed(beams), with_common=False)}
+    separate = {c.parameter for c in changes_of(observed(beams), with_common_tolerances=False)}
     kinds = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     assert set(changes) - separate == {p for p in changes if p.mode_number is None and p.kind in kinds}
 
@@ -106,7 +106,7 @@ def test_of_two_sensors_at_a_station_each_changes_the_lines_that_it_gives(beams)
     single = observed(beams)
     displaced_by = tuple(replace(s, name=f"{s.name} 2", quantity="displacement") for s in beams.sensors)
     by_displacements = np.tile(np.arange(OMEGA.size) < 10, (len(beams.sensors), 1))
-    both = replace_fields(single, displaced_by=displaced_by, by_displacements=by_displacements)
+    both = replace_fields(single, displaced_by=displaced_by, is_from_displacement=by_displacements)
     changes, singles = ({c.parameter: c.signals for c in changes_of(o)} for o in (both, single))
     for kind in (NuisanceKind.GAIN, NuisanceKind.DELAY, NuisanceKind.POSITION):
         for sensor, other in zip(beams.sensors, displaced_by, strict=True):

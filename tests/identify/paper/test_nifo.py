@@ -11,7 +11,7 @@ from identify.paper.nifo import Nifo, fit_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
-from identify.signals.regression import line_by_line
+from identify.signals.regression import weights_by_line
 from identify.signals.spectra import Averaging, blocks
 from rig.errors import RigError
 from rig.recording import read
@@ -44,7 +44,7 @@ def transient(shapes=SHAPES):
     force = (linear + (np.array(shapes) * STIFFNESS_N_PER_M) @ depth) / SHAPE_AT_FORCE
     equation = ModalEquation(
         body="b",
-        index=1,
+        mode_number=1,
         frequency_hz=NATURAL_HZ,
         damping_ratio=ZETA,
         shape_at_force=SHAPE_AT_FORCE,
@@ -63,7 +63,7 @@ def cut_of(samples, band_hz=(2.0, 35.0), window="sin4", averages=20):
 
 def frf_error(result):
     """Total squared error over the band, as a share."""
-    true = result.true_frf()
+    true = result.described_frf()
     return float(np.sum(np.abs(result.frf - true) ** 2) / np.sum(np.abs(true) ** 2))
 
 
@@ -81,7 +81,7 @@ def test_the_weak_form_is_exact_where_the_papers_form_leaks(window, bound):
 def test_contacts_are_told_apart_only_where_they_are_seen():
     equation, force, depth = transient((0.6, 0.0))
     result = nifo(equation, force, depth, cut_of(force.size))
-    assert result.contacts == (0,)
+    assert result.contact_indices == (0,)
     assert result.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
 
 
@@ -89,16 +89,16 @@ def test_a_contact_that_never_closes_takes_no_part():
     equation, force, depth = transient()
     closed = force - SHAPES[1] * STIFFNESS_N_PER_M[1] / SHAPE_AT_FORCE * depth[1]  # without its force
     result = nifo(equation, closed, np.stack([depth[0], np.zeros_like(force)]), cut_of(force.size))
-    assert result.contacts == (0,)
+    assert result.contact_indices == (0,)
     assert result.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
 
 
 def test_without_contacts_there_remains_the_linear_frf():
     equation, force, depth = transient((0.0, 0.0))
     result = nifo(equation, force, depth, cut_of(force.size))
-    assert result.contacts == ()
+    assert result.contact_indices == ()
     assert result.stiffness_n_per_m.shape == (0, result.frequency_hz.size)
-    np.testing.assert_allclose(result.frf, result.true_frf(), rtol=1e-3)
+    np.testing.assert_allclose(result.frf, result.described_frf(), rtol=1e-3)
 
 
 @pytest.mark.parametrize(("form", "unknowns"), [("weak", 4), ("paper", 3)])
@@ -114,7 +114,7 @@ def test_more_blocks_than_unknowns_are_needed(form, unknowns):
 
 def test_inputs_that_are_copies_are_refused():
     with pytest.raises(RigError, match="the force and the contacts' displacements are the same at some frequency"):
-        line_by_line(lambda chosen: np.ones((3, len(chosen), 5), dtype=complex), 8)
+        weights_by_line(lambda chosen: np.ones((3, len(chosen), 5), dtype=complex), 8)
 
 
 def test_a_modes_frequency_and_damping_from_its_frf():
@@ -164,7 +164,7 @@ def test_one_mass_as_in_the_paper(measured):
     cut = blocks(force.size, rate_hz, Averaging(averages=40, overlap=0.5, window="hann"), (0.5, TRUE.high_hz))
     for form, frf_share in (("paper", 7e-3), ("weak", 2e-4)):
         result = nifo(equation, force, depth, cut, form)
-        assert result.averages == 40
+        assert result.average_count == 40
         assert result.mean_n_per_m[0] == pytest.approx(TRUE.stiffness_n_per_m, rel=4.8e-4)
         assert frf_error(result) <= frf_share
     assert fit_mode(result) == pytest.approx((TRUE.frequency_hz, TRUE.damping_ratio), rel=1e-3)

@@ -41,7 +41,7 @@ def equation_and_force(noise_n=0.0, seed=1, stops=STOPS_M, shapes=SHAPES):
     force = (acceleration + 2 * ZETA * NATURAL * rate + NATURAL**2 * q + sum(contact)) / shape_at_force
     equation = ModalEquation(
         body="b",
-        index=1,
+        mode_number=1,
         frequency_hz=NATURAL / (2 * np.pi),
         damping_ratio=ZETA,
         shape_at_force=shape_at_force,
@@ -62,23 +62,24 @@ def start(stops=STOPS_M, ratio=1.15):
 def test_unequal_stops_and_stiffnesses_are_recovered(factor):
     equation, force, eta = equation_and_force()
     surface = fit_surface(equation, force, eta, factor, start())
-    assert surface.measured_force.shape == surface.fitted_force.shape == (SAMPLES // factor,)
+    fitted, measured = surface.fitted_modal_force, surface.measured_modal_force
+    assert measured.shape == fitted.shape == (SAMPLES // factor,)
     for stops, (lower, upper) in zip(surface.stops, STOPS_M, strict=True):
         assert stops.lower_m == pytest.approx(lower, rel=1e-5)
         assert stops.upper_m == pytest.approx(upper, rel=1e-5)
         assert stops.clearance_m == pytest.approx((lower + upper) / 2, rel=1e-5)
     np.testing.assert_allclose(surface.stiffness_n_per_m, STIFFNESS_N_PER_M, rtol=1e-5)
-    np.testing.assert_allclose(surface.fitted_force, surface.measured_force, atol=1e-4 * np.std(surface.measured_force))
+    np.testing.assert_allclose(fitted, measured, atol=1e-4 * np.std(measured))
 
 
 def test_the_surface_is_the_contacts_share_on_the_linear_part():
     equation, force, eta = equation_and_force()
     surface = fit_surface(equation, force, eta, 1, start())
-    np.testing.assert_array_equal(surface.measured_force, restoring_force(equation, force))
+    np.testing.assert_array_equal(surface.measured_modal_force, restoring_force(equation, force))
     linear = 2 * ZETA * NATURAL * equation.velocity + NATURAL**2 * equation.displacement
-    size = np.std(surface.measured_force)
-    np.testing.assert_allclose(surface.fitted_force - surface.contact_forces.sum(axis=0), linear, atol=1e-4 * size)
-    for j, share in enumerate(surface.contact_forces):
+    size, parts = np.std(surface.measured_modal_force), surface.fitted_contact_parts
+    np.testing.assert_allclose(surface.fitted_modal_force - parts.sum(axis=0), linear, atol=1e-4 * size)
+    for j, share in enumerate(parts):
         expected = SHAPES[j] * STIFFNESS_N_PER_M[j] * penetration_m(eta[j], *STOPS_M[j])
         np.testing.assert_allclose(share, expected, atol=1e-4 * size)
 
@@ -108,7 +109,7 @@ def test_a_contact_that_the_equation_does_not_see_takes_no_part():
     assert surface.stops[0].lower_m == pytest.approx(STOPS_M[0][0], rel=1e-5)
     assert surface.stops[1] is None
     assert np.isnan(surface.stiffness_n_per_m[1])
-    assert not surface.contact_forces[1].any()
+    assert not surface.fitted_contact_parts[1].any()
 
 
 @pytest.mark.parametrize("started", [True, False])
@@ -119,7 +120,7 @@ def test_a_contact_that_never_closes_has_no_stops(started):
     surface = fit_surface(equation, force, eta, 1, (first, second if started else None))
     assert surface.stops[0].upper_m == pytest.approx(STOPS_M[0][1], rel=1e-4)
     assert surface.stops[1] is None
-    assert np.std(surface.contact_forces[1]) < 1e-3 * np.std(surface.contact_forces[0])
+    assert np.std(surface.fitted_contact_parts[1]) < 1e-3 * np.std(surface.fitted_contact_parts[0])
 
 
 def test_a_contact_that_hardly_closes_has_no_stops():

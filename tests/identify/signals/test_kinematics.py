@@ -188,8 +188,8 @@ def test_forces_begin_with_the_first_that_acts():
 def test_noise_of_the_force_channel_is_no_force(quiet_s, noise_n):
     rng = np.random.default_rng(3)
     motion = kinematics(recorded(sensor("displacement"), quiet_s=quiet_s))
-    noisy = replace(motion, forces_n=motion.forces_n * rng.standard_normal(motion.samples))
-    noisy = replace(noisy, forces_n=noisy.forces_n + noise_n * rng.standard_normal(noisy.samples))
+    noisy = replace(motion, forces_n=motion.forces_n * rng.standard_normal(motion.sample_count))
+    noisy = replace(noisy, forces_n=noisy.forces_n + noise_n * rng.standard_normal(noisy.sample_count))
     assert round(quiet_s * RATE_HZ) <= noisy.excited_from <= round(quiet_s * RATE_HZ) + 8 * (quiet_s > 0)
 
 

@@ -10,9 +10,9 @@ from identify.signals.kinematics import kinematics
 from identify.signals.noise import (
     acceleration_noise,
     displacement_noise,
+    noise_density_and_certainty,
     noise_source,
     rounding_noise_density,
-    spectrogram_noise_density,
 )
 from rig.recording import read
 from rig.simulation.reference import Sdof
@@ -67,14 +67,14 @@ def test_the_noise_beside_a_decay_is_heard(duration_s, density):
     signal = ringing(duration_s)
     rng = np.random.default_rng(402)
     noise = density * np.sqrt(RATE_HZ / 2) * rng.standard_normal(signal.size)
-    density_shown, _ = spectrogram_noise_density(signal + noise, RATE_HZ)
+    density_shown, _ = noise_density_and_certainty(signal + noise, RATE_HZ)
     assert density_shown == pytest.approx(density, rel=0.15)  # three of its deviations in the shortest record
 
 
 def test_motion_alone_is_not_surely_noise():
-    assert not spectrogram_noise_density(ringing(4.0), RATE_HZ)[1]
+    assert not noise_density_and_certainty(ringing(4.0), RATE_HZ)[1]
     walk = np.cumsum(np.random.default_rng(403).standard_normal(20_000))
-    assert not spectrogram_noise_density(walk, RATE_HZ)[1]
+    assert not noise_density_and_certainty(walk, RATE_HZ)[1]
 
 
 def test_no_channel_shows_less_than_24_bits():

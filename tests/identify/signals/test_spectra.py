@@ -5,13 +5,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identify.signals.spectra import WINDOW_POWERS, Averaging, blocks, decimated, force_band, window_derivatives
+from identify.signals.spectra import WINDOW_EXPONENTS, Averaging, blocks, decimated, force_band, window_derivatives
 from rig.errors import RigError
 
 RATE_HZ = 1000.0
 
 
-@pytest.mark.parametrize("name", WINDOW_POWERS)
+@pytest.mark.parametrize("name", WINDOW_EXPONENTS)
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_windows_derivatives_are_derivatives(name, order):
     errors = []
@@ -24,7 +24,7 @@ def test_the_windows_derivatives_are_derivatives(name, order):
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.02)  # central differences are of second order
 
 
-@pytest.mark.parametrize("name", WINDOW_POWERS)
+@pytest.mark.parametrize("name", WINDOW_EXPONENTS)
 def test_the_window_and_its_slope_vanish_where_a_block_begins(name):
     shape = window_derivatives(name, 64, RATE_HZ)
     assert shape[0, 0] == shape[1, 0] == 0

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import firwin, lfilter
 
 from identify.gaps.residual.tangent import MARGIN_SAMPLES, LawTangent
-from identify.signals.drift import Drift, spline
+from identify.signals.drift import DriftPrior, spline
 from identify.signals.law_evaluation import evaluated_law, product_rate_multiple
 from rig.model.contact_laws import penetration_m
 
@@ -63,10 +63,10 @@ def test_a_change_within_a_closure_is_low_passed_as_a_product(motion):
 
 def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     eta_m, tangent = motion
-    curve = spline(SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, Drift(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 0.0))
+    curve = spline(SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, DriftPrior(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 0.0))
     columns = tangent.spline_columns(curve.value)
     assert columns.shape == curve.value.shape
-    coefficients = np.random.default_rng(3).standard_normal(curve.knots)
+    coefficients = np.random.default_rng(3).standard_normal(curve.knot_count)
     drift_m = curve.value @ coefficients
     fine_m = np.interp(np.arange(SAMPLES), FACTOR * np.arange(drift_m.size), drift_m)
     assert relative_error(columns @ coefficients, force_change_n(eta_m, 1e-3 * fine_m) / 1e-3) < 0.02
