@@ -154,8 +154,10 @@ def _unmeasured_force(
     if swing is None:
         return force_attempt
     contacts = {contact.name: contact for contact in group_rig_of(rig).contacts}
-    contact_share = dict(zip(contacts, misfit.contact_shares, strict=True))[swing.contact_name]
-    force_size = force_attempt.result.explained * misfit.motion_share / matters.motion if force_attempt.result else 0.0
+    contact_share = dict(zip(contacts, misfit.unexplained_contact_shares, strict=True))[swing.contact_name]
+    force_size = (
+        force_attempt.result.explained * misfit.unexplained_share / matters.motion if force_attempt.result else 0.0
+    )
     if swing.variance_share * contact_share / matters.contact > force_size:
         return Attempt(swing.as_unmeasured_force(contacts[swing.contact_name]), force_attempt.notes)
     return force_attempt

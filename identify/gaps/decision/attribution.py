@@ -24,12 +24,12 @@ MAP_CELLS = 12
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:
     """Shares of the sum of squares of the residual in its nominal variances, less noise and tolerated model error."""
     record, contacts = linearization.record, linearization.model.rig.contacts
-    excess_levels = np.maximum(nominal_misfit.levels - 1, 0.0)
+    excess_levels = np.maximum(nominal_misfit.mean_squares - 1, 0.0)
     sensor_names = [sensor.name for sensor in record.sensors]
     channel_shares = _shares_of_sum(dict(zip(sensor_names, excess_levels.sum(axis=0), strict=True)))
     linear_squares = np.sum(residual.linear_residual**2, axis=0)
     contact_squares = [
-        contact_fit.residual[: observation.weights.size] ** 2
+        contact_fit.residual[: observation.force_weights.size] ** 2
         for contact_fit, observation in zip(residual.contacts, linearization.observations, strict=True)
     ]
     total_squares = linear_squares + np.sum(contact_squares, axis=0)

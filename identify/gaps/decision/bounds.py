@@ -72,12 +72,12 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
     squared_shares = misfit.squared_share_by_second
     # noise that is estimated too high puts them below zero, which bounds nothing
-    squared_shares = squared_shares + max(misfit.motion_share**2 - squared_shares.mean(), 0.0)
-    bounds = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
+    squared_shares = squared_shares + max(misfit.unexplained_share**2 - squared_shares.mean(), 0.0)
+    bounds = [_bounded_share("motion", misfit.unexplained_share, squared_shares, matters.motion)]
     for index, contact_name in enumerate(contact_names):
-        weights = misfit.nominal_variances.observations[index].weights
+        weights = misfit.nominal_variances.observations[index].force_weights
         noise_square_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        force_square_n2 = max(float(np.mean(misfit.force_n2[:, index])), 1e-300)
+        force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, index])), 1e-300)
         squared_shares = misfit.contact_excess_n2[:, index] / force_square_n2
         bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
     return tuple(bounds)

@@ -103,8 +103,8 @@ def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedS
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
     contact_names = [contact.name for contact in group_rig_of(rig).contacts]
     return UnexplainedShares(
-        share=misfit.motion_share,
-        contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),
+        share=misfit.unexplained_share,
+        contact_shares=dict(zip(contact_names, misfit.unexplained_contact_shares.tolist(), strict=True)),
         p_value=p_value,
         largest_pull=float(np.max(np.abs(misfit.pulls), initial=0.0)),
     )

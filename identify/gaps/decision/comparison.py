@@ -265,7 +265,7 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
 
 def mismatch_size(misfit: Misfit, matters: Matters) -> float:
     """Size of a mismatch in units of what matters."""
-    return matters.times(misfit.motion_share, misfit.contact_shares.tolist())
+    return matters.times(misfit.unexplained_share, misfit.unexplained_contact_shares.tolist())
 
 
 def explained_share(nominal_misfit: Misfit, corrected_misfit: Misfit, matters: Matters) -> float:

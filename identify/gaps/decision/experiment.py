@@ -22,7 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_simulations import phase_randomized
-from identify.gaps.residual.extent import BAND_REACH
+from identify.gaps.residual.extent import FORCE_BAND_RATIO
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
@@ -105,7 +105,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
     for factor in FORCE_FACTORS:
         yield Experiment(f"record with {factor:g} times the force", _unchanged_rig, factor * repeated_n)
-    split_hz = SPLIT_SHARE * (float(record.omega[-1] / (2 * np.pi)) / BAND_REACH)
+    split_hz = SPLIT_SHARE * (float(record.omega[-1] / (2 * np.pi)) / FORCE_BAND_RATIO)
     for half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
         band_n = sosfiltfilt(butter(FILTER_ORDER, split_hz, filter_kind, fs=rate_hz, output="sos"), repeated_n)
         band_n[:, :start] = 0.0

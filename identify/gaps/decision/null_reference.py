@@ -227,8 +227,8 @@ class _NullRun:
             nominal_misfit.contact_cost,
             nominal_misfit.peak_band_cost,
             tuple(nominal_misfit.share_by_band.tolist()),
-            nominal_misfit.motion_share,
-            tuple(nominal_misfit.contact_shares.tolist()),
+            nominal_misfit.unexplained_share,
+            tuple(nominal_misfit.unexplained_contact_shares.tolist()),
             _prediction_errors(recording, residual, self.predict),
         )
 

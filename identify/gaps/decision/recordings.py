@@ -18,7 +18,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.signal import butter, sosfiltfilt
 
-from identify.gaps.residual.extent import read_sensors, sensor_densities
+from identify.gaps.residual.extent import read_sensors, sensor_noise_densities
 from identify.gaps.residual.ringing import highest_ringing_hz
 from identify.gaps.residual.shaken_base import base_sensor, check_base, with_inertial_force
 from rig.errors import RigError
@@ -168,7 +168,7 @@ def check_decay(recording: Recording) -> None:
     rate_hz, sensors = recording.rig.sample_rate_hz, read_sensors(recording)
     derivative_order = sensors[0].measures.order
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    densities = sensor_densities(recording, sensors, 0)
+    densities = sensor_noise_densities(recording, sensors, 0)
     highest_hz = BAND_FACTOR * highest_ringing_hz(signals, rate_hz, derivative_order, densities)
     signals = _filtered_velocities(signals, rate_hz, derivative_order, highest_hz)
     interval_samples = round(min(1.0, recording.duration_s / MIN_INTERVALS) * rate_hz)

@@ -20,7 +20,7 @@ from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, n
 from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, fitted_contact_effects, with_contact_cost
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY
-from identify.gaps.residual.unfolding import IN_Z, Unfolding, of_rig
+from identify.gaps.residual.unfolding import IN_Z, Unfolding, with_rig
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes
 from rig.errors import RigError
@@ -54,7 +54,7 @@ class RingFit:
         folded_rig = with_numbers(folded_rig, contacts=tuple(contacts), tones=())
         key = id(recording), to_json(folded_rig)
         if key not in self.outcomes:
-            self.outcomes[key] = self._outcomes_of(of_rig(recording, folded_rig))
+            self.outcomes[key] = self._outcomes_of(with_rig(recording, folded_rig))
         return self.outcomes[key]
 
     def _outcomes_of(self, recording: Recording) -> LawOutcomes:

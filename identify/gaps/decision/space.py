@@ -33,7 +33,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import Decision, decide
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.residual import SearchCache
-from identify.gaps.residual.unfolding import IN_Z, Unfolding, across, check_unfolds, free_contact_tolerances
+from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances, transverse_index
 from identify.gaps.results import FailedAnalysis, Gap, Matters, UnexplainedShares
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fit_nuisance
@@ -57,7 +57,7 @@ class SpaceSimulator:
 
     def __call__(self, _: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
         simulated = self.simulate(self.unfolding.space_rig, self.unfolding.folded(actual_rig), forces_n, seed)
-        return self._with_motion_across(self.unfolding.recording(simulated), np.random.default_rng([seed, 80]))
+        return self._with_motion_across(self.unfolding.unfolded_recording(simulated), np.random.default_rng([seed, 80]))
 
     def _with_motion_across(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """Recording whose sensors show random shares, within `cross_axis`, of what those across show."""
@@ -65,7 +65,7 @@ class SpaceSimulator:
         for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors):
             sensors = [sensor for sensor in recording.rig.sensors if sensor.quantity == quantity]
             mixing = np.eye(len(sensors))
-            for row, other in across([sensor.station for sensor in sensors]).items():
+            for row, other in transverse_index([sensor.station for sensor in sensors]).items():
                 mixing[row, other] = self.tolerances.of_sensor(sensors[row].name).cross_axis * rng.standard_normal()
             signals[quantity] = replace(signals[quantity], values=mixing @ signals[quantity].values)
         return replace(recording, signals=signals)
@@ -94,10 +94,10 @@ def diagnose_in_space(
         raise RigError(f"rig {space_rig.name!r} moves in two directions: identify gap needs the measured force there")
     unfolding = Unfolding(space_rig)
     space_tolerances = tolerances or space_rig.tolerances or LABORATORY
-    unfolded = [unfolding.recording(recording) for recording in recordings]
+    unfolded = [unfolding.unfolded_recording(recording) for recording in recordings]
     held_back = next((u for u, r in zip(unfolded, recordings, strict=True) if r is validation), None)
     if validation is not None and held_back is None:
-        held_back = unfolding.recording(validation)
+        held_back = unfolding.unfolded_recording(validation)
     rig_key = hashlib.sha256(to_json(space_rig)).hexdigest()[:16]
     simulate = SpaceSimulator(unfolding, simulator.simulate, space_tolerances)
     prepared = prepare(

@@ -16,7 +16,7 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import residual_scale
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.spectra import SMOOTHED_HZ
+from identify.gaps.residual.spectra import SMOOTHING_BANDWIDTH_HZ
 from identify.gaps.search.candidates import Candidate
 from rig.model.description import BaseMotion
 
@@ -55,7 +55,7 @@ def fit_base_spectrum(
     contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", per_input[:contact_count], contact_forces)
     spectra = _windowed_spectra(linearization, residual)
-    smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
+    smoothing_lines = max(1, round(SMOOTHING_BANDWIDTH_HZ * record.transform_length / record.sample_rate_hz))
     sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
     pattern_power, pattern_size = _power_and_size(spectra / sensor_level, pattern / sensor_level)
     remaining_power = np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import LinearModel, delivered_by, sensor_stations_of
+from identify.gaps.residual.linear import LinearModel, sensor_stations_of, signals_by_forces
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, derivative
-from identify.gaps.residual.windowed import displaced_at, ground_forces
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, residual_decrease
+from identify.gaps.residual.windowed import displacements_at_elements, ground_forces
 from identify.linear.joined import contact_groups
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
@@ -197,7 +197,9 @@ def strength_columns(
         values = start_values.copy()
         values[index] = start_values[index] + candidate.step_sizes[index]
         rig = candidate.applied(linearization.rig, values)
-        decreases.append(attached_column(linearization, rig, residual) or derivative(linearization, rig, residual))
+        decreases.append(
+            attached_column(linearization, rig, residual) or residual_decrease(linearization, rig, residual)
+        )
     return decreases
 
 
@@ -218,7 +220,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
     forces = _attached_forces(record, model, attachments)
-    delivered = delivered_by(model, sensor_stations_of(record, model.rig), forces)
+    delivered = signals_by_forces(model, sensor_stations_of(record, model.rig), forces)
     linear_decrease, contact_decrease_n = model.projection.applied_to(delivered)
     eta_decrease_m = -model.unobserved_eta_m(forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
@@ -232,11 +234,11 @@ def _attached_forces(
     stations, responses = sensor_stations_of(record, model.rig), model.responses
     forces = ground_forces(record, attachments, responses, stations, model.motion)
     springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
-    displacements = displaced_at(responses, stations, springs, model.displacements)
+    displacements = displacements_at_elements(responses, stations, springs, model.displacements)
     for spring, displacement in zip(springs, displacements, strict=True):
         forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     base_acceleration = model.base.acceleration if model.base else 0.0
-    accelerations = displaced_at(responses, stations, attachments.masses, model.accelerations)
+    accelerations = displacements_at_elements(responses, stations, attachments.masses, model.accelerations)
     for mass, acceleration in zip(attachments.masses, accelerations, strict=True):
         forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]

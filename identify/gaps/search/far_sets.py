@@ -90,7 +90,7 @@ class _Landscape:
 def far_fits(search: Search) -> list[FittedHypothesis]:
     """Refined fits of the best sets, the likeliest first; none for rigs with contacts, single masses or free motion."""
     record, rig = search.linearization.record, search.linearization.rig
-    if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
+    if record.fits_initial_state or not stated_scale_refits(rig) or needs_every_line(rig):
         return []
     thin_record = thinned_record(record)
     shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from identify.gaps.residual.fit import MAX_STEPS, BuildRig, Values, fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
+from identify.gaps.residual.residual import Linearization, Residual, scales_at, with_estimated_scales
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
 from identify.gaps.search.base_spectrum import fit_base_spectrum
@@ -161,8 +161,8 @@ def fit_afresh(search: Search, candidates: tuple[Candidate, ...], start_values: 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
     build_rig = _rig_builder(search, candidates)
-    contact_scales = prior_scales(search.linearization.record).variances
-    initial_scales = replace(search.linearization.scales, variances=contact_scales)
+    contact_scales = prior_scales(search.linearization.record).contact_variances
+    initial_scales = replace(search.linearization.scales, contact_variances=contact_scales)
     linearization = search.linearization.relinearized(build_rig(start_values), None, initial_scales)
     return _gauss_newton(search, build_rig, candidates, start_values, linearization)
 
@@ -214,7 +214,7 @@ def relinearised(
         return later
 
     def settled(earlier: FittedHypothesis, later: FittedHypothesis) -> bool:
-        scale_change = earlier.linearization.scales.distance(later.linearization.scales)
+        scale_change = earlier.linearization.scales.log_share_distance(later.linearization.scales)
         is_settled = scale_change < SCALE_TOLERANCE and abs(earlier.cost - later.cost) < COST_TOLERANCE
         return is_settled or later.cost > best_cost + MAX_EXCESS_COST
 
@@ -281,7 +281,7 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
         return None
     scales = nominal_fit.linearization.scales
     linearization = search.linearization.relinearized(rig, nominal_fit.residual, scales)
-    linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
+    linearization = with_estimated_scales(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
     return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 

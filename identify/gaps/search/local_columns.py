@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
-from identify.gaps.residual.fit import contact_columns
+from identify.gaps.residual.fit import contact_residual_columns
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn
 from identify.gaps.residual.scales import band_means, segment_counts
@@ -42,11 +42,11 @@ class LocalColumns:
 
     def spectrum(self, linear_decrease: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, " values"]:
         record = self.linearization.record
-        return _spectra(record.rate_hz, linear_decrease[: len(record.sensors)], self.norms)
+        return _spectra(record.residual_rate_hz, linear_decrease[: len(record.sensors)], self.norms)
 
     def contact_rows(self, contact_index: int) -> Float[np.ndarray, "rows columns"]:
         """Columns of one contact's residual, those of its own tolerances among them."""
-        columns_of_contact = contact_columns(self.linearization, self.residual, contact_index, self.count)
+        columns_of_contact = contact_residual_columns(self.linearization, self.residual, contact_index, self.count)
         for column_index, contact_decreases in enumerate(self.contacts, self.residual.pulls.size):
             columns_of_contact[:, column_index] = contact_decreases[contact_index]
         return columns_of_contact
@@ -57,7 +57,7 @@ def _scales_and_cells(
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, lines_per_band, band_count = segment_counts(record.rate_hz, sample_count)
+    _, segment_count, lines_per_band, band_count = segment_counts(record.residual_rate_hz, sample_count)
     variances = band_means(record, linearization.model.error_deviation**2, band_count)
     spectrum_scales = np.sqrt((variances / nominal_variances.expected_variance).T / (segment_count * lines_per_band))
     row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)

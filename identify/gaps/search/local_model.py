@@ -29,7 +29,7 @@ from jaxtyping import Float, Int
 from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, derivative
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_decrease
 from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
 from identify.gaps.search.local_columns import LocalColumns
@@ -254,7 +254,7 @@ def _present_columns(
     signed_shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
     for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
         stepped_rig = build_rig(values + signed_share * step)
-        linear_decrease, contact_decreases = derivative(linearization, stepped_rig, residual)
+        linear_decrease, contact_decreases = residual_decrease(linearization, stepped_rig, residual)
         yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 
 
@@ -274,7 +274,7 @@ def _model_of(
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
     record, residual = columns.linearization.record, columns.residual
-    column_count, row_cell, pulls, sample_ratio = columns.count, columns.row_cell, residual.pulls, record.sample_ratio
+    column_count, row_cell, pulls, oversampling = columns.count, columns.row_cell, residual.pulls, record.oversampling
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
     input_rows, input_residual = columns.inputs[:column_count], residual.linear_residual[sensor_count:].ravel()
     contact_matrices, contact_gradients, contact_levels = [], [], []
@@ -282,7 +282,7 @@ def _model_of(
         contact_rows = columns.contact_rows(index)
         matrix, gradient = without_drift(residual, index, contact_rows)
         matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
-        sum_of_squares = float(np.sum(contact.residual[: contact.observation.weights.size] ** 2))
+        sum_of_squares = float(np.sum(contact.residual[: contact.observation.force_weights.size] ** 2))
         level = _contact_level(variances, residual, index)
         contact_matrices.append(matrix * level / sum_of_squares if sum_of_squares else matrix)
         contact_gradients.append(gradient * level / sum_of_squares if sum_of_squares else gradient)
@@ -294,7 +294,7 @@ def _model_of(
     for term in terms:
         theta_min[term.column_indices], theta_max[term.column_indices] = term.theta_min, term.theta_max
     band_count = int(row_cell.max()) // sensor_count + 1
-    independent_samples = time_count / sample_ratio
+    independent_samples = time_count / oversampling
     return LocalModel(
         column_spectra=columns.spectra[:column_count],
         residual_spectrum=columns.spectrum(residual.linear_without_lines),
@@ -302,8 +302,8 @@ def _model_of(
         contact_matrices=np.array(contact_matrices).reshape(len(contact_matrices), column_count, column_count),
         contact_gradients=np.array(contact_gradients).reshape(len(contact_gradients), column_count),
         contact_levels=np.array(contact_levels),
-        input_matrix=(input_rows @ input_rows.T).astype(float) / sample_ratio,
-        input_slope=(input_rows @ input_residual.astype(np.float32)).astype(float) / sample_ratio,
+        input_matrix=(input_rows @ input_rows.T).astype(float) / oversampling,
+        input_slope=(input_rows @ input_residual.astype(np.float32)).astype(float) / oversampling,
         pulls=pulls,
         theta_min=theta_min,
         theta_max=theta_max,
@@ -316,6 +316,6 @@ def _model_of(
 
 def _contact_level(nominal_variances: NominalVariances, residual: Residual, contact_index: int) -> float:
     """Mean square of a contact's residual relative to the nominal rig's variances."""
-    contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.weights
+    contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.force_weights
     residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
-    return float(np.mean((residual_n * nominal_variances.observations[contact_index].weights) ** 2))
+    return float(np.mean((residual_n * nominal_variances.observations[contact_index].force_weights) ** 2))

@@ -15,11 +15,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_columns
+from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_residual_columns
 from identify.gaps.residual.likelihood import NominalVariances, misfit
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, derivative
+from identify.gaps.residual.residual import Linearization, Residual, residual_decrease
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.refit import refit_until_settled
@@ -61,15 +61,15 @@ class LinearizedRecord:
         columns = []
         for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
             rig = build_rig(parameter_values + signed_share * step)
-            linear_decrease, contact_decreases = derivative(self.linearization, rig, self.residual)
+            linear_decrease, contact_decreases = residual_decrease(self.linearization, rig, self.residual)
             columns.append([decrease / signed_share for decrease in (linear_decrease, *contact_decreases)])
-        tolerance_count, sample_ratio = len(information.tolerance_names), self.linearization.record.sample_ratio
+        tolerance_count, oversampling = len(information.tolerance_names), self.linearization.record.oversampling
         nuisance_count = len(self.linearization.columns.parameters)
         unknown_count = tolerance_count + len(columns)
         normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
         if columns:
             linear_columns = np.array([column[0].ravel() for column in columns])
-            normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products(linear_columns)
+            normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products_with(linear_columns)
             normal_matrix[tolerance_count:, tolerance_count:] = linear_columns @ linear_columns.T
             gradient[tolerance_count:] = linear_columns @ self.residual.linear_without_lines.ravel()
         for index, tolerance_columns in enumerate(self.tolerance_columns, start=1):
@@ -80,7 +80,7 @@ class LinearizedRecord:
             normal_matrix[:, tolerance_count:] += contact_matrix[:, tolerance_count:]
             gradient[tolerance_count:] += contact_gradient[tolerance_count:]
         normal_matrix[tolerance_count:, :tolerance_count] = normal_matrix[:tolerance_count, tolerance_count:].T
-        normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
+        normal_matrix, gradient = normal_matrix / oversampling, gradient / oversampling
         normal_matrix[:tolerance_count, :tolerance_count] = information.normal_matrix
         gradient[:tolerance_count] = information.right_side - information.normal_matrix @ pulls
         expansion_point = np.append(pulls, parameter_values / steps)
@@ -90,7 +90,7 @@ class LinearizedRecord:
 def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
     linearization, residual = fit_nuisance(record, rig)
-    nuisance_count, sample_ratio = len(linearization.columns.parameters), record.sample_ratio
+    nuisance_count, oversampling = len(linearization.columns.parameters), record.oversampling
     names: list[Hashable] = [
         (id(record), index) if parameter.kind == "initial state" else parameter
         for index, parameter in enumerate(linearization.columns.parameters)
@@ -99,15 +99,15 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
         names += [(rig_contact.name, index) for index in range(contact.pulls.size)]
     normal_matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
-    gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
+    gradient[:nuisance_count] = linearization.columns.products_with(residual.linear_without_lines.ravel())
     columns_by_contact = []
     for contact_index in range(len(residual.contacts)):
-        columns = contact_columns(linearization, residual, contact_index, len(names))
+        columns = contact_residual_columns(linearization, residual, contact_index, len(names))
         contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
         columns_by_contact.append(columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
-    normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
+    normal_matrix, gradient = normal_matrix / oversampling, gradient / oversampling
     information = _information_at(tuple(names), normal_matrix, gradient, residual.pulls, cost)
     return LinearizedRecord(linearization, residual, information, tuple(columns_by_contact), cost)
 

@@ -83,7 +83,7 @@ def peak_frequencies_hz(
     """Frequencies of the lines that stand out most in the linear and the contact residuals."""
     linear_residual, record = residual.linear_residual, linearization.record
     contact_rows = (contact.residual[None, : linear_residual.shape[1]] for contact in residual.contacts)
-    rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.rate_hz
+    rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.residual_rate_hz
     return rate_hz * sharpest_frequencies(rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample)
 
 

@@ -132,7 +132,7 @@ def _worth_fitting(
     linearization: Linearization, ranked: Sequence[ScreenedCandidate], fit_count: int
 ) -> list[ScreenedCandidate]:
     """Best candidates of a screening, as far as they gain enough for a fit."""
-    least_gain = MIN_GAIN * linearization.record.sample_ratio
+    least_gain = MIN_GAIN * linearization.record.oversampling
     return [screened for screened in ranked[:fit_count] if screened.cost_decrease > least_gain]
 
 

@@ -69,7 +69,7 @@ def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulat
 
 def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
     """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
-    weights = contact.observation.weights
+    weights = contact.observation.force_weights
     tangent_n_per_m, signed_slope_n_per_m, *_ = contact.slopes.sum(axis=1)
     is_pressed = (weights > 0) & (tangent_n_per_m > PRESSED_SHARE * max(float(tangent_n_per_m.max()), 1e-300))
     if np.count_nonzero(is_pressed) < FEWEST_SAMPLES:
@@ -78,7 +78,7 @@ def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> 
     force_n = contact.residual[: weights.size][is_pressed] / weights[is_pressed]
     change_m = -force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
     resolution_hz = 1 / (times_s[-1] - times_s[0])
-    lines_hz, shares = _periodogram(change_m, is_pressed, record.rate_hz)
+    lines_hz, shares = _periodogram(change_m, is_pressed, record.residual_rate_hz)
     trial_hz = lines_hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
     share, amplitude_m, frequency_hz = max(
         _fitted_harmonic(times_s, change_m, frequency_hz) for frequency_hz in trial_hz if frequency_hz > 0

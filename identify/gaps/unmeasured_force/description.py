@@ -193,7 +193,7 @@ def _time_pattern(history: ForceHistory) -> _ForceTiming:
         is_any_closed |= is_closed(contact_n, error_n)
     closed_share = float(squares[is_any_closed].sum() / max(float(squares.sum()), 1e-300))
     before_ratio = 0.0
-    if np.mean(~is_excited) * squares.size >= QUIET_S * record.rate_hz:
+    if np.mean(~is_excited) * squares.size >= QUIET_S * record.residual_rate_hz:
         excited_square = max(float(np.mean(squares[is_excited])), 1e-300)
         before_ratio = float(np.sqrt(np.mean(squares[~is_excited]) / excited_square))
     intervals = np.array_split(squares[is_excited], TIME_INTERVALS)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.nuisance import MODE_REACH
+from identify.gaps.residual.nuisance import MODE_FREQUENCY_REACH
 from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.whitened_record import (
     WhitenedRecord,
@@ -55,7 +55,7 @@ def nuisance_columns(
 def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = whitened.record, whitened.model
-    highest_hz = MODE_REACH * record.omega[-1] / (2 * np.pi)
+    highest_hz = MODE_FREQUENCY_REACH * record.omega[-1] / (2 * np.pi)
     bodies = []
     for response, accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         natural_hz = response.dynamics.natural_hz
@@ -110,7 +110,7 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     for response, modal_accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
-            is_in_band = natural_omega < MODE_REACH * record.omega[-1]
+            is_in_band = natural_omega < MODE_FREQUENCY_REACH * record.omega[-1]
             stiffness_spectra = natural_omega[is_in_band, None] ** 2 * integration * modal_accelerations[is_in_band]
             modal_forces = np.zeros_like(modal_accelerations)
             modal_forces[is_in_band] = -np.fft.rfft(relative_time * np.fft.irfft(stiffness_spectra, sample_count))

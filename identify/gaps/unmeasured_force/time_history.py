@@ -44,7 +44,7 @@ class ForceHistory:
 
     @property
     def rate_hz(self) -> float:
-        return self.located_force.whitened_record.record.rate_hz
+        return self.located_force.whitened_record.record.residual_rate_hz
 
     @property
     def fine_times_s(self) -> Float[np.ndarray, " fine"]:

@@ -85,7 +85,7 @@ class WhitenedRecord:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
         counted, record = self.record.counted_slice, self.record
         gate = np.zeros(record.transform_length // record.decimation)
-        fade = taper(counted.stop - counted.start, round(GATE_FADE_S * record.rate_hz))
+        fade = taper(counted.stop - counted.start, round(GATE_FADE_S * record.residual_rate_hz))
         gate[counted] = fade if counted.start == 0 else fade * fade[::-1]
         return gate
 
@@ -253,9 +253,9 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     high_band_power = np.abs(record.force_spectra[:, record.omega.size // 2 :]) ** 2
     noise_variance = np.median(high_band_power, axis=1) / np.log(2)
     is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
-    if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
+    if np.count_nonzero(is_quiet) > 0.2 * record.residual_rate_hz:
         quiet_n = STD_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
-        quiet_variance = record.sample_count * quiet_n**2 * record.sample_rate_hz / record.rate_hz
+        quiet_variance = record.sample_count * quiet_n**2 * record.sample_rate_hz / record.residual_rate_hz
         noise_variance = np.minimum(noise_variance, quiet_variance)
     return np.asarray(noise_variance)
 

@@ -73,8 +73,8 @@ def test_a_rig_folds_back_to_itself():
         dampers=(PointDamper(station=Station("cradle", 0.7), damping_n_s_per_m=2.0),),
     )
     unfolding = Unfolding(rig)
-    assert not unfolding.rig.in_space
-    assert unfolding.folded(unfolding.rig) == rig
+    assert not unfolding.unfolded_rig.in_space
+    assert unfolding.folded(unfolding.unfolded_rig) == rig
 
 
 def test_twins_have_the_tolerances_of_their_bodies():
@@ -121,7 +121,7 @@ def observation():
     """Record of a machine with an added mass and a wider ring, unfolded."""
     recording = recorded(MASS_KG, CLEARANCE_FACTOR, 1, crossing=0.02)
     unfolding = Unfolding(recording.rig)
-    return unfolding, prepare_recording(unfolding.recording(recording), free_contact_tolerances(LABORATORY))
+    return unfolding, prepare_recording(unfolding.unfolded_recording(recording), free_contact_tolerances(LABORATORY))
 
 
 def test_effects_act_on_what_both_directions_share_or_in_one(observation):
