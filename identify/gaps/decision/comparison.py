@@ -36,7 +36,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import Hypothesis, steps_of, with_effects
+from identify.gaps.search.hypothesis import Hypothesis, step_sizes_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -161,7 +161,7 @@ def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
     for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
         start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
-    steps = steps_of(hypothesis.candidates)[columns]
+    steps = step_sizes_of(hypothesis.candidates)[columns]
     lower, upper = (bounds[columns] for bounds in hypothesis.parameters.bounds)
     return build(fit(linearization, build, hypothesis.values[columns], steps, (lower, upper), residual).values)
 

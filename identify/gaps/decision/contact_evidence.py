@@ -27,7 +27,7 @@ from identify.gaps.search.contact_laws import (
     LawEstimate,
     LawOutcomes,
     law_outcomes,
-    numbers_alone_differ,
+    parameters_alone_differ,
     with_contact_fit,
 )
 from identify.gaps.search.hypothesis import CHANCE_PULL, Hypothesis
@@ -80,7 +80,7 @@ def contact_minus_two_log(
     """-2 ln p of one contact in `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
     nominal_contact = _contact_of_estimate(nominal_rig, estimate)
     contact = _contact_of_estimate(hypothesis_rig, estimate)
-    if not numbers_alone_differ(contact.law, nominal_contact.law):
+    if not parameters_alone_differ(contact.law, nominal_contact.law):
         return 0.0
     return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.quantity_values.size
 

@@ -26,7 +26,7 @@ from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import parameters_of, steps_of, with_effects
+from identify.gaps.search.hypothesis import parameters_of, step_sizes_of, with_effects
 from identify.gaps.search.pooled import LinearizedRecord, PooledEstimate, RecordInformation, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
@@ -95,7 +95,7 @@ class VaryingParameters:
 
     @property
     def steps(self) -> Values:
-        return steps_of(self.effects.candidates)[self.columns]
+        return step_sizes_of(self.effects.candidates)[self.columns]
 
     @property
     def bounds(self) -> tuple[Values, Values]:
@@ -106,7 +106,7 @@ class VaryingParameters:
         def build(values: Values) -> Rig:
             return self.effects.with_values(record_index, self.columns, values).rig(record_index)
 
-        return linearized.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
+        return linearized.information_with(build, self.record_values[record_index], self.steps, self.bounds[1])
 
     def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
         return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)

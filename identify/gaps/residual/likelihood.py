@@ -24,7 +24,7 @@ from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.scales import band_indices, band_means, posterior_variance, power_variances, second_levels
+from identify.gaps.residual.scales import band_indices, band_means, error_variances, posterior_variance, second_levels
 
 NOISE_SHARE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
@@ -73,7 +73,7 @@ class Misfit:
     """Misfit of a rig to a record, second by second.
 
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
-    variance_correction accounts for variances that change within a band (`scales.power_variances`).
+    variance_correction accounts for variances that change within a band (`scales.error_variances`).
     contact_mean_square_by_second is the mean square of each contact's residual relative to the nominal variance,
     contact_excess_n2 that beyond noise and contact_force_n2 that of the contact force (N^2). line_cost is
     `lines.cost_of_lines`, independent_samples the number of independent samples.
@@ -224,7 +224,7 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     return Misfit(
         nominal_variances=nominal_variances,
         variance_by_second=mean_squares * expected_variance,
-        variance_correction=power_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
+        variance_correction=error_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
         contact_mean_square_by_second=contact_mean_squares[:, 0].T,
         contact_excess_n2=contact_mean_squares[:, 1].T,
         contact_force_n2=contact_mean_squares[:, 2].T,

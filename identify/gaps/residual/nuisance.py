@@ -46,8 +46,8 @@ class NuisanceColumns:
     """Decrease of the linear residual, the contact forces and the relative displacements per nuisance parameter.
 
     Each parameter is in its standard deviations. Relative displacements, of those at `eta_parameter_indices` alone, are
-    spectra and, as `Record.at_finer_rate`, over time. Arrays are in single precision, except for records of sharp modes,
-    where a nuisance parameter's shift and an effect's differ in the seventh digit.
+    spectra and, as `Record.at_finer_rate`, over time. Arrays are in single precision, except for records of sharp
+    modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
     """
 
     parameters: tuple[Nuisance, ...]

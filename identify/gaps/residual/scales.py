@@ -63,7 +63,7 @@ def second_levels(
     return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
 
 
-def power_variances(
+def error_variances(
     record: Record,
     residual: Float[np.ndarray, "rows times"],
     error_deviation: Float[np.ndarray, "sensors lines"],
@@ -103,9 +103,9 @@ def band_means(
     record: Record, line_values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band."""
-    band_indices = band_indices(record, band_count)
-    line_counts = np.maximum(np.bincount(band_indices, minlength=band_count), 1)
-    return np.array([np.bincount(band_indices, values, band_count) / line_counts for values in line_values]).T
+    indices = band_indices(record, band_count)
+    line_counts = np.maximum(np.bincount(indices, minlength=band_count), 1)
+    return np.array([np.bincount(indices, values, band_count) / line_counts for values in line_values]).T
 
 
 def posterior_variance(mean_square: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:

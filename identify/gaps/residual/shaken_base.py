@@ -74,8 +74,8 @@ def check_base(rig: Rig) -> None:
     if body_forces := [force for force in rig.forces if not rig.is_on_ground(force)]:
         raise RigError(
             f"identify gap takes a base that alone shakes a rig, and {rig.name!r} has a force on "
-            f"{body_forces[0].body!r} beside {rig.base_sensors[0].name!r} on the ground; record without that force and leave "
-            "force_at out, or record by the force with the base at rest and take the sensor off the ground"
+            f"{body_forces[0].body!r} beside {rig.base_sensors[0].name!r} on the ground; record without that force and "
+            "leave force_at out, or record by the force with the base at rest and take the sensor off the ground"
         )
     if read_quantity(rig) is None:
         raise RigError(

@@ -20,7 +20,7 @@ from identify.gaps.search.hypothesis import (
     reset_saturated_nuisance,
 )
 from identify.gaps.search.nominal import fitted_nuisance
-from identify.gaps.search.singles import single_effects
+from identify.gaps.search.singles import single_effect_fits
 from rig.model.description import Rig
 
 
@@ -47,7 +47,7 @@ def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     if not tone_candidates or is_stochastic(best_set.hypothesis) or best_set.hypothesis.misfit.line_cost <= MIN_GAIN:
         return best_set
     tone_search = search_about(search, best_set, tone_candidates)
-    tone_fits = single_effects(tone_search, tone_search.nominal_fit())
+    tone_fits = single_effect_fits(tone_search, tone_search.nominal_fit())
     if not tone_fits:
         return best_set
     joined_hypothesis = combined(best_set, tone_fits[0])

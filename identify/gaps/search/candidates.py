@@ -97,7 +97,7 @@ class Candidate:
                 trial_values.append(np.geomspace(parameter.low, parameter.high, PLACE_GRID_COUNT + 2)[1:-1])
             else:
                 trial_values.append(np.linspace(parameter.low, parameter.high, PLACE_GRID_COUNT))
-        return [np.array(values) for values in product(*trial_values)]
+        return [np.array(trial) for trial in product(*trial_values)]
 
     def trial_strengths(self, multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
@@ -220,8 +220,8 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
     forces = _attached_forces(record, model, attachments)
-    delivered = signals_by_forces(model, sensor_stations_of(record, model.rig), forces)
-    linear_decrease, contact_decrease_n = model.projection.applied_to(delivered)
+    attachment_signals = signals_by_forces(model, sensor_stations_of(record, model.rig), forces)
+    linear_decrease, contact_decrease_n = model.projection.applied_to(attachment_signals)
     eta_decrease_m = -model.unobserved_eta_m(forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
@@ -231,14 +231,14 @@ def _attached_forces(
     record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
-    stations, responses = sensor_stations_of(record, model.rig), model.responses
-    forces = ground_forces(record, attachments, responses, stations, model.motion)
+    sensor_stations, responses = sensor_stations_of(record, model.rig), model.responses
+    forces = ground_forces(record, attachments, responses, sensor_stations, model.motion)
     springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
-    displacements = displacements_at_elements(responses, stations, springs, model.displacements)
+    displacements = displacements_at_elements(responses, sensor_stations, springs, model.displacements)
     for spring, displacement in zip(springs, displacements, strict=True):
         forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     base_acceleration = model.base.acceleration if model.base else 0.0
-    accelerations = displacements_at_elements(responses, stations, attachments.masses, model.accelerations)
+    accelerations = displacements_at_elements(responses, sensor_stations, attachments.masses, model.accelerations)
     for mass, acceleration in zip(attachments.masses, accelerations, strict=True):
         forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]

@@ -60,15 +60,8 @@ class _NuisanceFit:
 
 def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
-    no_parameters = np.zeros(0)
-    return fit(
-        linearization,
-        lambda _: linearization.rig,
-        no_parameters,
-        no_parameters,
-        (no_parameters, no_parameters),
-        start_residual,
-    )
+    no_values = np.zeros(0)
+    return fit(linearization, lambda _: linearization.rig, no_values, no_values, (no_values, no_values), start_residual)
 
 
 def stated_scale_refits(rig: Rig) -> int:

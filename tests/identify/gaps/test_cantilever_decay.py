@@ -148,7 +148,7 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     context = Search(reference, *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
-    found = fit_effects(context, (modulus,), modulus.typical_values, context.residual).hypothesis
+    found = fit_effects(context, (modulus,), modulus.typical_values, context.nominal_residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
     assert context.nominal_fit().hypothesis.misfit.unexplained_share > 0.3
     assert not found.is_incomplete
@@ -190,7 +190,7 @@ def test_friction_is_found_from_a_decay_by_accelerometers_that_miss_its_first_ve
     context = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     friction = next(one for one in known if one.kind.name == "ground_friction")
-    estimate = fit_effects(context, (friction,), friction.typical_values, context.residual).hypothesis
+    estimate = fit_effects(context, (friction,), friction.typical_values, context.nominal_residual).hypothesis
     assert estimate.values == pytest.approx([0.6, 0.8], rel=0.02)
     assert estimate.misfit.unexplained_share < 0.2 * context.nominal_fit().hypothesis.misfit.unexplained_share
 

@@ -42,13 +42,13 @@ def model(pair):
     steady = [c for c in pair.candidates if not c.kind.stochastic]
     nothing = pair.nominal_fit().hypothesis
     return local_model(
-        pair.linearization, pair.residual, pair.nominal_variances, pair.linearization.rig, nothing, steady
+        pair.linearization, pair.nominal_residual, pair.nominal_variances, pair.linearization.rig, nothing, steady
     )
 
 
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
-    left = misfit(pair.linearization.record, pair.nominal_variances, pair.residual)
+    left = misfit(pair.linearization.record, pair.nominal_variances, pair.nominal_residual)
     cells, contacts = model.levels(np.zeros(len(model.column_spectra)))
     near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
     assert near.mean() > 0.9
