@@ -62,8 +62,8 @@ def with_contact_evidence(
         hypotheses += validate_hypotheses(
             record, variances, validation_residual, [contact_hypothesis], log_prior_by_effects
         )
-    with_costs = [with_contact_cost(validated, estimates, validation.record) for validated in hypotheses]
-    return sorted(with_costs, key=lambda validated: -validated.log_posterior)
+    hypotheses_with_costs = [with_contact_cost(validated, estimates, validation.record) for validated in hypotheses]
+    return sorted(hypotheses_with_costs, key=lambda validated: -validated.log_posterior)
 
 
 def with_contact_cost(
@@ -99,9 +99,9 @@ def _hypothesis_of_contact_fit(
     fitted = fitted_contact_effects(prepared, candidates, estimates, nominal_hypothesis)
     if fitted is None:
         return None
-    searched = prepared.searched_recording
-    residual = fit_nuisance(searched.record, fitted.applied_to(searched.record.rig))[1]
-    return replace(fitted, misfit=misfit(searched.record, searched.nominal_variances, residual))
+    searched_recording = prepared.searched_recording
+    residual = fit_nuisance(searched_recording.record, fitted.applied_to(searched_recording.record.rig))[1]
+    return replace(fitted, misfit=misfit(searched_recording.record, searched_recording.nominal_variances, residual))
 
 
 def fitted_contact_effects(
@@ -121,16 +121,16 @@ def fitted_contact_effects(
         distance = law_distance(estimate, contact, contact, record.tolerances)
         is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
         off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, is_off, strict=False) if off}
-    added = tuple(candidate for candidate in candidates if candidate.name in off_names)
-    if not added:
+    added_candidates = tuple(candidate for candidate in candidates if candidate.name in off_names)
+    if not added_candidates:
         return None
-    neutral_strengths = np.array([candidate.neutral_strength for candidate in added])
-    initial = Hypothesis(
-        (*hypothesis.candidates, *added),
+    neutral_strengths = np.array([candidate.neutral_strength for candidate in added_candidates])
+    initial_hypothesis = Hypothesis(
+        (*hypothesis.candidates, *added_candidates),
         np.append(hypothesis.values, neutral_strengths),
         block_diag(hypothesis.covariance, np.zeros((neutral_strengths.size, neutral_strengths.size))),
         hypothesis.misfit,
     )
     recordings = [observation.recording for observation in prepared.fitted_recordings]
-    fitted = with_contact_fit(initial, recordings, record.tolerances, outcomes_of)
-    return None if fitted is initial else fitted
+    fitted_hypothesis = with_contact_fit(initial_hypothesis, recordings, record.tolerances, outcomes_of)
+    return None if fitted_hypothesis is initial_hypothesis else fitted_hypothesis
