@@ -107,12 +107,12 @@ def bound_words(bound: Bounded) -> str:
 
 def bound_numbers(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm."""
-    scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
+    unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
 
     def words(value: float | None) -> str:
         if value is None:
             return "no bound"
-        return percent(value) if unit == "1" else f"{number(scale * value, 3)} {unit}"
+        return percent(value) if unit == "1" else f"{number(unit_scale * value, 3)} {unit}"
 
     return [words(bound.value), words(bound.upper), words(bound.threshold)]
 

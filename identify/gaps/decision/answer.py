@@ -18,7 +18,7 @@ from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, Weighted
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Attribution, Criteria, Diagnosis, Gap, Matters, NextExperiment, RecordDifferences
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.gaps.unmeasured_force import described
+from identify.gaps.unmeasured_force import described_force
 from identify.linear.joined import group_rig_of
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
@@ -150,7 +150,7 @@ def _unmeasured_force(
     its share of the unexplained force of its contact.
     """
     force_fit, clearance_swing = unmeasured.force_fit, unmeasured.clearance_swing
-    force_attempt = attempted("force_description", lambda: described(force_fit)) if force_fit else Attempt()
+    force_attempt = attempted("force_description", lambda: described_force(force_fit)) if force_fit else Attempt()
     if clearance_swing is None:
         return force_attempt
     contacts = {contact.name: contact for contact in group_rig_of(rig).contacts}

@@ -250,7 +250,7 @@ def _decide_with_force(
     if named_set and explained_share(named_set.nominal_misfit, named_set.misfit, matters) >= PARTLY_EXPLAINED_SHARE:
         companion_attempt, companion_cost = force_in(named_set.rig), None
         companion = companion_attempt.result
-        if companion and not acts_at_effects(companion.on_fit.force_place, record.rig, named_set.rig):
+        if companion and not acts_at_effects(companion.on_fit_record.force_place, record.rig, named_set.rig):
             companion_cost = minus_two_log_with_force(validation, named_set.rig, companion, named_set.misfit)
         decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
@@ -273,7 +273,7 @@ def minus_two_log_with_force(
     record, nominal_variances = validation_recording.record, validation_recording.nominal_variances
     cleared_record = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
     misfit_with = misfit(cleared_record, nominal_variances, fit_nuisance(cleared_record, rig)[1])
-    followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
+    followed_share = force_fit.free_direction_count / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
     )
