@@ -182,7 +182,7 @@ def contact_jacobian(
     return jacobian
 
 
-def contact_columns(
+def contact_residual_columns(
     linearization: Linearization, residual: Residual, contact_index: int, column_count: int
 ) -> Float[np.ndarray, "rows columns"]:
     """Columns of one contact's residual by the nuisance parameters and the tolerances of every contact; zero beyond."""
