@@ -55,10 +55,10 @@ def diagnose(
     """
 
     def causes_progress(start: float, stop: float) -> Callable[[float], None]:
-        return lambda share: progress("causes", start + (stop - start) * share)
+        return lambda done_share: progress("causes", start + (stop - start) * done_share)
 
-    def null_progress(share: float) -> None:
-        progress("null_reference", share)
+    def null_progress(done_share: float) -> None:
+        progress("null_reference", done_share)
 
     prepared = prepare(recordings, validation, simulator, null_reference_path, tolerances, null_progress)
     search_result = search(prepared, causes_progress(0.0, 0.7))

@@ -74,11 +74,11 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     # noise that is estimated too high puts them below zero, which bounds nothing
     squared_shares = squared_shares + max(misfit.unexplained_share**2 - squared_shares.mean(), 0.0)
     bounds = [_bounded_share("motion", misfit.unexplained_share, squared_shares, matters.motion)]
-    for index, contact_name in enumerate(contact_names):
-        weights = misfit.nominal_variances.observations[index].force_weights
-        noise_square_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, index])), 1e-300)
-        squared_shares = misfit.contact_excess_n2[:, index] / force_square_n2
+    for contact_index, contact_name in enumerate(contact_names):
+        force_weights = misfit.nominal_variances.observations[contact_index].force_weights
+        noise_square_n2 = float(np.sum(force_weights[force_weights > 0] ** -2.0)) / force_weights.size
+        force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, contact_index])), 1e-300)
+        squared_shares = misfit.contact_excess_n2[:, contact_index] / force_square_n2
         bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
     return tuple(bounds)
 
@@ -176,11 +176,11 @@ def _parameter_bounds(
     contact: Contact, estimate: LawEstimate, distance: LawDistance, tolerances: Tolerances
 ) -> list[Bounded]:
     names_and_units = ("clearance", "m"), ("stiffness", "N/m"), ("damping", "N s/m"), ("offset", "m")
-    deviations = stated_deviations(contact, tolerances)
+    prior_deviations = stated_deviations(contact, tolerances)
     distance_sizes, half_widths = np.abs(distance.parameter_distances), COVERED * np.sqrt(np.diag(estimate.covariance))
     bounds = []
     for index, size, half_width in zip(_parameter_indices(contact), distance_sizes, half_widths, strict=False):
-        (name, unit), threshold = names_and_units[index], PARAMETER_LIMIT_DEVIATIONS * deviations[index]
+        (name, unit), threshold = names_and_units[index], PARAMETER_LIMIT_DEVIATIONS * prior_deviations[index]
         bounds.append(Bounded(f"{name} of {contact.name}", unit, float(size), float(size + half_width), threshold))
     return bounds
 

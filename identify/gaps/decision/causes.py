@@ -92,11 +92,11 @@ LIMIT_MARGIN_SHARE = 1e-3
 """Distance from the end of its range, as a share of the range, within which a parameter is at its limit."""
 
 
-def is_at_limit(parameter: Parameter, value: float) -> bool:
+def is_at_limit(parameter: Parameter, parameter_value: float) -> bool:
     """True if the true value may lie beyond the range: at an end that is neither neutral nor the end of a body."""
     margin = LIMIT_MARGIN_SHARE * (parameter.high - parameter.low)
-    is_at_low_end = value < parameter.low + margin and parameter.low != parameter.neutral
-    return parameter.name != "relative_position" and (is_at_low_end or value > parameter.high - margin)
+    is_at_low_end = parameter_value < parameter.low + margin and parameter.low != parameter.neutral
+    return parameter.name != "relative_position" and (is_at_low_end or parameter_value > parameter.high - margin)
 
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
@@ -160,18 +160,18 @@ def cause_of(
 
 def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
-    shares = zip(
+    shares_by_band = zip(
         nominal_misfit.share_by_band, corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False
     )
     return tuple(
         Band(
-            low_hz=BAND_WIDTH_HZ * index,
-            high_hz=BAND_WIDTH_HZ * (index + 1),
+            low_hz=BAND_WIDTH_HZ * band_index,
+            high_hz=BAND_WIDTH_HZ * (band_index + 1),
             before=float(before),
             after=float(after),
             usual=float(usual),
         )
-        for index, (before, after, usual) in enumerate(shares)
+        for band_index, (before, after, usual) in enumerate(shares_by_band)
     )
 
 

@@ -258,9 +258,9 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     priors = np.array([validated.log_prior for validated in hypotheses_with_effects])
     fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
     validation_costs = np.array([validated.misfit.minus_two_log for validated in hypotheses_with_effects])
-    weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
+    mixture_weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
     cost_gains = nominal_of(ranked).misfit.minus_two_log - validation_costs
-    return float(min(1.0, np.exp(-logsumexp(cost_gains / (2 * TEMPERATURE), b=weights))))
+    return float(min(1.0, np.exp(-logsumexp(cost_gains / (2 * TEMPERATURE), b=mixture_weights))))
 
 
 def mismatch_size(misfit: Misfit, matters: Matters) -> float:
@@ -294,9 +294,9 @@ def explained_share_interval(nominal_misfit: Misfit, corrected_misfit: Misfit, m
     """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
     second_count = len(corrected_misfit.variance_by_second)
-    shares = [
+    drawn_shares = [
         explained_share(nominal_misfit.resampled(second_indices), corrected_misfit.resampled(second_indices), matters)
         for second_indices in rng.integers(0, second_count, (BOOTSTRAP_DRAW_COUNT, second_count))
     ]
-    lower, upper = np.quantile(shares, [0.025, 0.975])
+    lower, upper = np.quantile(drawn_shares, [0.025, 0.975])
     return float(lower), float(upper)

@@ -119,8 +119,8 @@ def fitted_contact_effects(
     for estimate in estimates:
         contact = _contact_of_estimate(record.rig, estimate)
         distance = law_distance(estimate, contact, contact, record.tolerances)
-        is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
-        off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, is_off, strict=False) if off}
+        are_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
+        off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, are_off, strict=False) if off}
     added_candidates = tuple(candidate for candidate in candidates if candidate.name in off_names)
     if not added_candidates:
         return None

@@ -295,8 +295,8 @@ def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], paramet
     record_count, parameter_count = shape
     parameter_rows = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
     contrasts = np.kron(np.diff(np.eye(record_count), axis=0), parameter_rows)
-    steps = contrasts @ estimate.values
-    chi_squared = steps @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, steps)
+    value_steps = contrasts @ estimate.values
+    chi_squared = value_steps @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, value_steps)
     return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrasts)))
 
 
@@ -315,7 +315,7 @@ def _parameters_by_record(
         candidate, parameter = labelled[column]
         places = np.arange(record_count) * parameter_count + index
         values, covariance = estimate.values[places], TEMPERATURE * estimate.covariance[np.ix_(places, places)]
-        errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
+        value_errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
         p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, index)))
         by_level: Trend = "none"
         if records_by_level is not None:
@@ -326,7 +326,7 @@ def _parameters_by_record(
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 values=tuple(
                     Value(float(value), float(error), parameter.unit)
-                    for value, error in zip(values, errors, strict=True)
+                    for value, error in zip(values, value_errors, strict=True)
                 ),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend_of(values, covariance) if comparison_count else "none",
@@ -338,9 +338,9 @@ def _parameters_by_record(
 
 def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
     """Trend over the records in their order, by steps of more than `TREND_STANDARD_ERRORS` standard errors."""
-    steps = np.diff(values)
+    value_steps = np.diff(values)
     step_errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    significant_steps = steps[np.abs(steps) > TREND_STANDARD_ERRORS * step_errors]
+    significant_steps = value_steps[np.abs(value_steps) > TREND_STANDARD_ERRORS * step_errors]
     if significant_steps.size and np.all(significant_steps > 0):
         return "grows"
     return "falls" if significant_steps.size and np.all(significant_steps < 0) else "differs"

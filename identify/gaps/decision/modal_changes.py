@@ -123,16 +123,16 @@ def _standard_error_of(
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
-    steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    parameter_steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
     def slope(step: Float[np.ndarray, " parameters"]) -> float:
         return (quantity_of(values + step) - quantity_of(values - step)) / (2 * step.sum()) if step.any() else 0.0
 
     try:
-        slopes = np.array([slope(step) for step in steps])
+        quantity_slopes = np.array([slope(step) for step in parameter_steps])
     except RigError:
         return 0.0  # at the end of what the rig can be
-    return float(np.sqrt(max(slopes @ covariance @ slopes, 0.0)))
+    return float(np.sqrt(max(quantity_slopes @ covariance @ quantity_slopes, 0.0)))
 
 
 def differ_in_level(force_levels_n: Sequence[float]) -> bool:

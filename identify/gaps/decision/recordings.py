@@ -154,8 +154,8 @@ def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()
     rig, sound_signals = replace(recording.rig, sensors=sensors), {}
     for quantity, channels in channel_groups(rig).items():
         signals = recording.signals[quantity]
-        rows = [signals.channels.names.index(name) for name in channels.names]
-        sound_signals[quantity] = Signals(channels, signals.start_s, signals.values[rows])
+        channel_rows = [signals.channels.names.index(name) for name in channels.names]
+        sound_signals[quantity] = Signals(channels, signals.start_s, signals.values[channel_rows])
     return Recording(rig, sound_signals, recording.provenance), faults
 
 

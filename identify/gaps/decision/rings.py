@@ -52,10 +52,10 @@ class RingFit:
         nominal_laws = [contact.law for contact in self.unfolding.space_rig.contacts]
         contacts = (with_numbers(c, law=law) for c, law in zip(folded_rig.contacts, nominal_laws, strict=True))
         folded_rig = with_numbers(folded_rig, contacts=tuple(contacts), tones=())
-        key = id(recording), to_json(folded_rig)
-        if key not in self.outcomes_by_rig:
-            self.outcomes_by_rig[key] = self._outcomes_of(with_rig(recording, folded_rig))
-        return self.outcomes_by_rig[key]
+        cache_key = id(recording), to_json(folded_rig)
+        if cache_key not in self.outcomes_by_rig:
+            self.outcomes_by_rig[cache_key] = self._outcomes_of(with_rig(recording, folded_rig))
+        return self.outcomes_by_rig[cache_key]
 
     def _outcomes_of(self, recording: Recording) -> LawOutcomes:
         try:

@@ -127,11 +127,11 @@ class ReducedEquations:
         unknown_solutions = []
         for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
-            products = contact.columns_by_unknown.T @ contact_columns
-            solved = eliminated.unknowns_solver.solve(products)
+            by_unknown = contact.columns_by_unknown.T @ contact_columns
+            solved = eliminated.unknowns_solver.solve(by_unknown)
             nuisance_products = eliminated.nuisance_columns.T @ contact_columns
             matrix[:nuisance_count, nuisance_count:] += nuisance_products - eliminated.unknowns_by_nuisance.T @ solved
-            matrix[nuisance_count:, nuisance_count:] += contact_columns.T @ contact_columns - products.T @ solved
+            matrix[nuisance_count:, nuisance_count:] += contact_columns.T @ contact_columns - by_unknown.T @ solved
             gradient[nuisance_count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
             all_solved = np.concatenate([eliminated.solved_by_nuisance, solved], axis=1)
             unknown_solutions.append((eliminated.unknowns_step, all_solved))
@@ -150,7 +150,7 @@ def reduced_equations(
     `pull_sides` are those of each contact's pulls, by default the present ones.
     """
     oversampling = linearization.record.oversampling
-    matrix = linearization.column_gram + oversampling * np.eye(len(linearization.columns.parameters))
+    normal_matrix = linearization.column_gram + oversampling * np.eye(len(linearization.columns.parameters))
     gradient = linearization.columns.products_with(residual.linear_without_lines.ravel())
     gradient = gradient - oversampling * residual.nuisance_pulls
     eliminated = []
@@ -160,24 +160,24 @@ def reduced_equations(
         solver, by_nuisance = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
         contact_gradient, products = columns.T @ straight_residual, columns.T @ by_nuisance
         solved = solver.solve(products)
-        matrix = matrix + by_nuisance.T @ by_nuisance - products.T @ solved
+        normal_matrix = normal_matrix + by_nuisance.T @ by_nuisance - products.T @ solved
         gradient = gradient + by_nuisance.T @ contact.residual - solved.T @ contact_gradient
         step, cost_fall = solver.solve(contact_gradient), contact.cost - float(straight_residual @ straight_residual)
         eliminated.append(EliminatedContact(solver, by_nuisance, products, solved, contact_gradient, step, cost_fall))
-    return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
+    return ReducedEquations(linearization, residual, normal_matrix, gradient, tuple(eliminated))
 
 
 def contact_jacobian(
     linearization: Linearization, residual: Residual, contact_index: int
 ) -> Float[np.ndarray, "_ nuisances"]:
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
-    weights, contact = linearization.observations[contact_index].force_weights, residual.contacts[contact_index]
+    weights, contact_fit = linearization.observations[contact_index].force_weights, residual.contacts[contact_index]
     columns = linearization.columns
     force_decreases_n = columns.contact_n[:, contact_index].astype(float)
     moves_contact = np.any(columns.eta_m[:, contact_index], axis=1)
     eta_changes_m = columns.finer_eta_m[moves_contact, contact_index]
-    force_decreases_n[columns.eta_parameter_indices[moves_contact]] -= contact.tangent.force_change_n(eta_changes_m)
-    jacobian = np.zeros((contact.residual.size, len(columns.parameters)))
+    force_decreases_n[columns.eta_parameter_indices[moves_contact]] -= contact_fit.tangent.force_change_n(eta_changes_m)
+    jacobian = np.zeros((contact_fit.residual.size, len(columns.parameters)))
     jacobian[: weights.size] = weights[:, None] * force_decreases_n.T
     return jacobian
 
@@ -186,26 +186,26 @@ def contact_residual_columns(
     linearization: Linearization, residual: Residual, contact_index: int, column_count: int
 ) -> Float[np.ndarray, "rows columns"]:
     """Columns of one contact's residual by the nuisance parameters and the tolerances of every contact; zero beyond."""
-    contact, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
-    columns = np.zeros((contact.residual.size, column_count))
+    contact_fit, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
+    columns = np.zeros((contact_fit.residual.size, column_count))
     columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
     first_tolerance = nuisance_count + sum(earlier.pulls.size for earlier in residual.contacts[:contact_index])
-    sample_count = contact.observation.force_weights.size
-    tolerance_columns = contact.columns_by_unknown[:sample_count, contact.observation.tolerance_slice]
-    columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = tolerance_columns.toarray()
+    sample_count = contact_fit.observation.force_weights.size
+    tolerance_columns = contact_fit.columns_by_unknown[:sample_count, contact_fit.observation.tolerance_slice]
+    columns[:sample_count, first_tolerance : first_tolerance + contact_fit.pulls.size] = tolerance_columns.toarray()
     return columns
 
 
 def fit(
     linearization: Linearization,
     build_rig: BuildRig,
-    values: Values,
-    steps: Values,
+    start_values: Values,
+    parameter_steps: Values,
     bounds: tuple[Values, Values],
     start_residual: Residual | None = None,
     max_steps: int = MAX_STEPS,
 ) -> ParameterFit:
-    """Minimise the cost over parameters within bounds, from `values`; `steps` scale the differences for derivatives.
+    """Minimise the cost over parameters within bounds, from `start_values`; `parameter_steps` scale derivatives' steps.
 
     `start_residual` gives the nuisance parameters and contact unknowns to start from.
     """
@@ -214,8 +214,8 @@ def fit(
         pulls, unknowns = start_residual.nuisance_pulls, tuple(contact.unknowns for contact in start_residual.contacts)
         if linearization.tuning.pulls and not pulls.any():
             pulls = None  # the modes' parameters start at the values that the record's modes give
-    start_point = _Point(values, residual_of(linearization, build_rig(values), pulls, unknowns))
-    step_from = partial(_step, linearization, build_rig, steps, bounds)
+    start_point = _Point(start_values, residual_of(linearization, build_rig(start_values), pulls, unknowns))
+    step_from = partial(_step, linearization, build_rig, parameter_steps, bounds)
     best_point, last_step = gauss_newton(start_point, step_from, _negligible_cost_decrease, max_steps, NEGLIGIBLE_SHARE)
     if linearization.record.measured_modes:  # within a sharp mode's width the nuisance columns change already
         last_step = step_from(start_point)
@@ -266,8 +266,8 @@ def _step(
         stepped_values = np.clip(values + step[nuisance_count:] * inward_steps, *bounds)
         step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
-            contact.unknowns + step_share * change
-            for contact, change in zip(residual.contacts, equations.unknown_steps(step / step_share), strict=True)
+            contact.unknowns + step_share * contact_step
+            for contact, contact_step in zip(residual.contacts, equations.unknown_steps(step / step_share), strict=True)
         ]
         try:
             rig, pulls = build_rig(stepped_values), residual.nuisance_pulls + step[:nuisance_count]
@@ -291,16 +291,16 @@ def _step_column(
     if not linearization.record.measured_modes:
         return linear_decrease, contact_decreases
     double_linear_decrease, double_decreases = residual_decrease(linearization, build_rig(values + 2 * step), residual)
-    pairs = zip(contact_decreases, double_decreases, strict=True)
-    return 2 * linear_decrease - double_linear_decrease / 2, [2 * single - double / 2 for single, double in pairs]
+    decreases = zip(contact_decreases, double_decreases, strict=True)
+    return 2 * linear_decrease - double_linear_decrease / 2, [2 * single - double / 2 for single, double in decreases]
 
 
-def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def scaled_inverse(normal_matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Pseudo-inverse of normal equations after scaling to a unit diagonal; zero for parameters without information."""
-    diagonal_root = np.sqrt(np.diag(matrix))
+    diagonal_root = np.sqrt(np.diag(normal_matrix))
     inverse_diagonal_root = np.divide(1.0, diagonal_root, out=np.zeros_like(diagonal_root), where=diagonal_root > 0)
     scaling = np.outer(inverse_diagonal_root, inverse_diagonal_root)
-    return np.asarray(np.linalg.pinv(matrix * scaling, hermitian=True) * scaling)
+    return np.asarray(np.linalg.pinv(normal_matrix * scaling, hermitian=True) * scaling)
 
 
 def bounded_minimum(

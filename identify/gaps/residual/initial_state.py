@@ -39,10 +39,10 @@ def free_motion_of(
     if not record.fits_initial_state:
         return ()
     sampling = None if floats_in_contacts(record.rig) else record.sampling
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    sensor_stations = [sensors[sensor.name].station for sensor in record.sensors]
-    modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
-    fitted_modes, mass_modes = _fitted_and_mass_modes(record, rig, modes, responses)
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    sensor_stations = [sensor_by_name[sensor.name].station for sensor in record.sensors]
+    unfitted_modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
+    fitted_modes, mass_modes = _fitted_and_mass_modes(record, rig, unfitted_modes, responses)
     if fitted_modes:
         mass_accelerations = sum((mode.sensed_acceleration for mode in mass_modes), np.zeros_like(unexplained_signals))
         unexplained_signals = unexplained_signals - scaled_response * mass_accelerations
@@ -71,15 +71,15 @@ def _fitted_and_mass_modes(
     """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one."""
     if not rig.contacts:
         return modes, ()
-    gains = {sensor.name: sensor.gain for sensor in rig.sensors}
+    gain_by_sensor = {sensor.name: sensor.gain for sensor in rig.sensors}
     fitted_modes, mass_modes = [], []
     for mode in modes:
         body = responses[mode.body_index].body
-        sensors = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
-        if body.is_mass and sensors:
-            gain = gains[record.sensors[sensors[0]].name]
-            modal_per_signal = record.sample_rate_hz / (gain * mode.shape[sensors[0]])
-            mass_modes.append(replace(mode, initial_state=record.initial_sensor_states[sensors[0]] * modal_per_signal))
+        sensed = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        if body.is_mass and sensed:
+            gain = gain_by_sensor[record.sensors[sensed[0]].name]
+            modal_per_signal = record.sample_rate_hz / (gain * mode.shape[sensed[0]])
+            mass_modes.append(replace(mode, initial_state=record.initial_sensor_states[sensed[0]] * modal_per_signal))
         else:
             fitted_modes.append(mode)
     return tuple(fitted_modes), tuple(mass_modes)

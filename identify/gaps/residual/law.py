@@ -192,7 +192,7 @@ class ContactResidual:
         return vstack([self._force_columns, prior_matrix], "csr")
 
     def residual_on_sides(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
-        """Residual with the same straight excess."""
+        """Residual where the pulls' excess is straight, as on given sides."""
         residual = self.residual.copy()
         straight_excess = np.where(sides != 0, self.pulls - sides * PULL_LIMIT, 0.0)
         residual[residual.size - sides.size :] = -self.observation.prior_weight * PULL_EXCESS_WEIGHT * straight_excess

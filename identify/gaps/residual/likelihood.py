@@ -93,12 +93,12 @@ class Misfit:
 
     @property
     def mean_squares(self) -> Float[np.ndarray, "bands sensors"]:
-        """Levels L_bi of the linear residual: 1 for noise and tolerated shares alone."""
+        """Mean squares L_bi of the linear residual: 1 for noise and tolerated shares alone."""
         return np.asarray(self.variance_by_second.mean(axis=0) / self.nominal_variances.expected_variance)
 
     @property
     def contact_mean_squares(self) -> Float[np.ndarray, " contacts"]:
-        """Levels L_j of the contacts' residuals."""
+        """Mean squares L_j of the contacts' residuals: 1 for noise and tolerated shares alone."""
         return np.asarray(self.contact_mean_square_by_second.mean(axis=0))
 
     @property
@@ -151,8 +151,8 @@ class Misfit:
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
-        power = np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
-        return np.asarray(np.sqrt(np.maximum(self.excess_variance, 0.0).sum(axis=1) / power))
+        power_by_band = np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
+        return np.asarray(np.sqrt(np.maximum(self.excess_variance, 0.0).sum(axis=1) / power_by_band))
 
     @property
     def unexplained_share(self) -> float:
@@ -206,13 +206,13 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     second_count, band_count = mean_squares.shape[:2]
     expected_variance = band_means(record, error_deviation**2, band_count)
     contact_misfits = [
-        _contact_mean_squares(observation, contact, second_count)
-        for contact, observation in zip(residual.contacts, nominal_variances.observations, strict=True)
+        _contact_mean_squares(observation, contact_fit, second_count)
+        for contact_fit, observation in zip(residual.contacts, nominal_variances.observations, strict=True)
     ]
     contact_mean_squares = np.array(contact_misfits).reshape(len(contact_misfits), 3, second_count)
     drift_cost = sum(
-        float(np.sum(contact.residual[contact.observation.force_weights.size : -contact.pulls.size] ** 2))
-        for contact in residual.contacts
+        float(np.sum(contact_fit.residual[contact_fit.observation.force_weights.size : -contact_fit.pulls.size] ** 2))
+        for contact_fit in residual.contacts
     )
     sensor_residual, input_residual = linear_residual[: len(record.sensors)], linear_residual[len(record.sensors) :]
     time_count, line_count = linear_residual.shape[1], error_deviation.shape[1]
@@ -246,4 +246,4 @@ def _contact_mean_squares(
     deviation_n = np.divide(1.0, nominal_weights, out=np.zeros(weights.size), where=is_moving)
     force_n = contact_fit.signals.force_n
     squares = ((residual_n * nominal_weights) ** 2, residual_n**2 - deviation_n**2, force_n**2)
-    return [[float(np.mean(second)) for second in np.array_split(square, second_count)] for square in squares]
+    return [[float(np.mean(segment)) for segment in np.array_split(square, second_count)] for square in squares]

@@ -173,8 +173,8 @@ class LinearModel:
         self, response: Response, sensor_stations: list[Station | None]
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        weights = _eta_weights(self.rig, response, sensor_stations)
-        return relative_shapes(self.rig, response) - weights @ response.shapes(sensor_stations)
+        sensor_weights = _eta_weights(self.rig, response, sensor_stations)
+        return relative_shapes(self.rig, response) - sensor_weights @ response.shapes(sensor_stations)
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -293,20 +293,20 @@ def _linear_model(
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    return np.stack([sensors[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return np.stack([sensor_by_name[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
 
 
 def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    return [sensors[sensor.name].station for sensor in record.sensors]
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return [sensor_by_name[sensor.name].station for sensor in record.sensors]
 
 
 def _eta_weights(rig: Rig, response: Response, stations: list[Station | None]) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    weights = response.weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
-    return weights[: len(rig.contacts)] - weights[len(rig.contacts) :]
+    place_weights = response.weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    return place_weights[: len(rig.contacts)] - place_weights[len(rig.contacts) :]
 
 
 def ground_spring_correction(

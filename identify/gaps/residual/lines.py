@@ -26,8 +26,8 @@ def cost_of_lines(residual: ResidualRows, direction_count: int, repeats_per_samp
     forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
     not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
-    ratios = np.maximum(_outstanding_ratio(residual, repeats_per_sample), 1.0)
-    return float(2 * direction_count / len(residual) * np.sum(np.log(ratios)))
+    outstanding_ratios = np.maximum(_outstanding_ratio(residual, repeats_per_sample), 1.0)
+    return float(2 * direction_count / len(residual) * np.sum(np.log(outstanding_ratios)))
 
 
 def outstanding_frequencies(residual: ResidualRows, repeats_per_sample: float = 0.0) -> tuple[float, ...]:
@@ -60,9 +60,9 @@ def sharpest_frequencies(
     of a repeating force are left out.
     """
     sample_count, grid_count = residual.shape[1], 4 * residual.shape[1]
-    power = np.sum(np.abs(np.fft.rfft(residual * hann(sample_count), grid_count)) ** 2, axis=0)
-    median_power = median_filter(power, max(3, round(bandwidth_per_sample * 4 * sample_count)))
-    power_ratio = power / np.maximum(median_power, 1e-12 * power.max())
+    line_power = np.sum(np.abs(np.fft.rfft(residual * hann(sample_count), grid_count)) ** 2, axis=0)
+    median_power = median_filter(line_power, max(3, round(bandwidth_per_sample * 4 * sample_count)))
+    power_ratio = line_power / np.maximum(median_power, 1e-12 * line_power.max())
     power_ratio[_is_force_line(np.arange(power_ratio.size) / 4, sample_count, repeats_per_sample)] = 0.0
     peak_indices, _ = find_peaks(power_ratio, distance=4)
     sharpest_indices = peak_indices[np.argsort(-power_ratio[peak_indices])[:line_count]]
@@ -82,16 +82,16 @@ def _is_force_line(
 def _outstanding_ratio(residual: ResidualRows, repeats_per_sample: float) -> Float[np.ndarray, "rows lines"]:
     """Power of each peak over OUTSTANDING_RATIO times its neighbours'; zero off peaks, at ends, on a force's lines."""
     nearest_neighbour, farthest_neighbour = NEIGHBOUR_LINES
-    power = np.abs(np.fft.rfft(residual * hann(residual.shape[1]))) ** 2
-    is_peak = power == maximum_filter1d(power, 2 * nearest_neighbour - 1, axis=1)
+    line_power = np.abs(np.fft.rfft(residual * hann(residual.shape[1]))) ** 2
+    is_peak = line_power == maximum_filter1d(line_power, 2 * nearest_neighbour - 1, axis=1)
     is_peak[:, :farthest_neighbour] = is_peak[:, -farthest_neighbour:] = False
     is_peak[:, _is_force_line(np.arange(float(is_peak.shape[1])), residual.shape[1], repeats_per_sample)] = False
     peak_rows, peak_lines = np.nonzero(is_peak)
     neighbour_offsets = np.arange(nearest_neighbour, farthest_neighbour + 1)
     neighbour_lines = peak_lines[:, None] + np.concatenate([-neighbour_offsets, neighbour_offsets])
-    neighbour_power = np.median(power[peak_rows[:, None], neighbour_lines], axis=1)
-    outstanding_ratio = np.zeros_like(power)
-    outstanding_ratio[is_peak] = power[is_peak] / np.maximum(OUTSTANDING_RATIO * neighbour_power, 1e-300)
+    neighbour_power = np.median(line_power[peak_rows[:, None], neighbour_lines], axis=1)
+    outstanding_ratio = np.zeros_like(line_power)
+    outstanding_ratio[is_peak] = line_power[is_peak] / np.maximum(OUTSTANDING_RATIO * neighbour_power, 1e-300)
     return outstanding_ratio
 
 

@@ -116,8 +116,8 @@ def _free_motion_change(record: Record, model: LinearModel, change: Change) -> C
             acceleration_change += tuning_derivative(mode, response, record.sampling, parameter.kind)
     stated = tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.owner, parameter.mode_number)
     relative_tolerance = stated.frequency if parameter.kind is NuisanceKind.FREQUENCY else stated.damping
-    signals = relative_tolerance * model.sensor_response * acceleration_change
-    return Change(parameter, list(range(len(signals))), signals)
+    signal_change = relative_tolerance * model.sensor_response * acceleration_change
+    return Change(parameter, list(range(len(signal_change))), signal_change)
 
 
 def _projected_change(
@@ -138,9 +138,9 @@ def _with_damper_feedback(record: Record, model: LinearModel, change: Change) ->
     if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
         return change
     shapes, sensor_response = _shapes_at(record, response, change.sensors), model.sensor_response[change.sensors]
-    count = min(shapes.shape)
+    fitted_count = min(shapes.shape)
     accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    accelerations[:count] = np.linalg.pinv(shapes[:, :count]) @ (change.signals / sensor_response)
+    accelerations[:fitted_count] = np.linalg.pinv(shapes[:, :fitted_count]) @ (change.signals / sensor_response)
     feedback_acceleration = shapes @ (response.with_damper_feedback(accelerations) - accelerations)
     return dataclasses.replace(change, signals=change.signals + sensor_response * feedback_acceleration)
 

@@ -140,13 +140,13 @@ def contact_observations(
     forces_n, errors_n = record.in_time(model.contact_n), model.contact_force_error_n(record)
     tolerances, observations = record.tolerances, []
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
-    for force_n, error_n, law, drift, contact_variance in zip(
+    for force_n, error_n, group_law, drift, contact_variance in zip(
         forces_n, errors_n, laws, record.drifts, contact_variances, strict=True
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES_EACH_SIDE + 1)
         is_clearly_closed = envelope_n > CLOSED_DEVIATIONS * error_n
         unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_m
-        stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
+        stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in group_law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         deviation_n = np.sqrt(
             error_n**2

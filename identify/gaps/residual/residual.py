@@ -90,7 +90,7 @@ class Linearization:
 
     @cached_property
     def column_gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
-        """Gram matrix of the linear residual's columns."""
+        """Gram matrix of the columns of the linear residual by the nuisance parameters."""
         return self.columns.products_with(self.columns.flat_residual)
 
     @cached_property
@@ -131,38 +131,38 @@ class Residual:
     @property
     def residual_count(self) -> int:
         """Number of residuals, which is the expected cost of noise alone."""
-        return int(self.linear_residual.size + sum(contact.residual.size for contact in self.contacts))
+        return int(self.linear_residual.size + sum(contact_fit.residual.size for contact_fit in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance_pulls, *(contact.pulls for contact in self.contacts)])
+        return np.concatenate([self.nuisance_pulls, *(contact_fit.pulls for contact_fit in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for group, fitted in zip(contact_groups(rig), self.contacts, strict=True):
-            for index, law in zip(group.contact_indices, fitted.fitted_laws, strict=True):
-                contacts[index] = replace(contacts[index], law=law)
+        for group, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
+            for contact_index, law in zip(group.contact_indices, contact_fit.fitted_laws, strict=True):
+                contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
 
     @property
     def contact_mean_squares(self) -> tuple[float, ...]:
         """Mean square of each contact's weighted residual while the rig moves."""
-        levels = []
-        for contact in self.contacts:
-            is_moving = contact.observation.force_weights > 0
-            residual = contact.residual[: is_moving.size][is_moving]
-            levels.append(float(np.mean(residual**2)) if residual.size else 0.0)
-        return tuple(levels)
+        mean_squares = []
+        for contact_fit in self.contacts:
+            is_moving = contact_fit.observation.force_weights > 0
+            moving_residual = contact_fit.residual[: is_moving.size][is_moving]
+            mean_squares.append(float(np.mean(moving_residual**2)) if moving_residual.size else 0.0)
+        return tuple(mean_squares)
 
     @property
     def cost(self) -> float:
         return (
             float(np.sum(self.linear_without_lines**2) + self.oversampling * self.nuisance_pulls @ self.nuisance_pulls)
-            + sum(contact.cost for contact in self.contacts)
+            + sum(contact_fit.cost for contact_fit in self.contacts)
             + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         )
 
@@ -289,7 +289,7 @@ def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: 
     """
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
-        unknowns = tuple(contact.unknowns for contact in residual.contacts)
+        unknowns = tuple(contact_fit.unknowns for contact_fit in residual.contacts)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, reusable=residual)
         contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         return residual.linear_residual - changed.linear_residual, contact_decreases
@@ -304,8 +304,8 @@ def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: 
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
     contact_force_decrease_n = record.in_time(contact_force_spectra) + static_decrease_n[:, None]
     stiffness_increase_n_per_m = changed_model.slow_stiffness_n_per_m - model.slow_stiffness_n_per_m
-    for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
-        contact_force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
+    for increase_n_per_m, contact_fit in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
+        contact_force_decrease_n += np.outer(increase_n_per_m, contact_fit.drift_m)
     contact_decreases = contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 

@@ -39,7 +39,7 @@ class Scales:
 
 
 def prior_scales(record: Record) -> Scales:
-    """Scales stated by the tolerances."""
+    """Scales stated by the tolerances: their unmodelled share, and variances of one."""
     return Scales(np.full(record.noise_variance.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
@@ -55,11 +55,11 @@ def second_levels(
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
     residuals = residual[: len(record.sensors)]
-    segment_sample_count, count, lines, band_count = segment_counts(record.residual_rate_hz, residuals.shape[1])
+    segment_sample_count, count, band_lines, band_count = segment_counts(record.residual_rate_hz, residuals.shape[1])
     segments = residuals[:, : count * segment_sample_count].reshape(len(residuals), count, segment_sample_count)
     window = hann(segment_sample_count, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    by_line = power[:, :, : band_count * lines].reshape(len(residuals), count, band_count, lines)
+    by_line = power[:, :, : band_count * band_lines].reshape(len(residuals), count, band_count, band_lines)
     return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
 
 
@@ -75,18 +75,18 @@ def error_variances(
     first mode of a held body, an unweighted mean would exaggerate a residual on the lowest lines.
     """
     residuals = residual[: len(record.sensors)]
-    power = np.abs(np.fft.rfft(residuals * hann(residuals.shape[1], sym=False))) ** 2
-    lines_hz = np.arange(power.shape[1]) * record.residual_rate_hz / residuals.shape[1]
+    residual_power = np.abs(np.fft.rfft(residuals * hann(residuals.shape[1], sym=False))) ** 2
+    lines_hz = np.arange(residual_power.shape[1]) * record.residual_rate_hz / residuals.shape[1]
     bands = np.minimum(lines_hz / BAND_WIDTH_HZ, band_count - 1).astype(int)
     line_counts = np.maximum(np.bincount(bands, minlength=band_count), 1)
-    levels = np.empty((band_count, len(residuals)))
-    for k, (sensor_power, deviation) in enumerate(zip(power, error_deviation, strict=True)):
+    weighted_variances = np.empty((band_count, len(residuals)))
+    for k, (sensor_power, deviation) in enumerate(zip(residual_power, error_deviation, strict=True)):
         variance = np.interp(lines_hz, record.omega / (2 * np.pi), deviation**2)
         band_power = np.bincount(bands, sensor_power, band_count)
         weighted_sum = np.bincount(bands, sensor_power * variance, band_count)
         unweighted = np.bincount(bands, variance, band_count) / line_counts
-        levels[:, k] = np.divide(weighted_sum, band_power, out=unweighted, where=band_power > 0)
-    return levels
+        weighted_variances[:, k] = np.divide(weighted_sum, band_power, out=unweighted, where=band_power > 0)
+    return weighted_variances
 
 
 def levels_by_band(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
@@ -102,10 +102,10 @@ def band_indices(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
 def band_means(
     record: Record, line_values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
-    """Mean over the lines of each band."""
+    """Mean over the lines of each band, for every sensor."""
     indices = band_indices(record, band_count)
     line_counts = np.maximum(np.bincount(indices, minlength=band_count), 1)
-    return np.array([np.bincount(indices, values, band_count) / line_counts for values in line_values]).T
+    return np.array([np.bincount(indices, sensor_values, band_count) / line_counts for sensor_values in line_values]).T
 
 
 def posterior_variance(mean_square: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:

@@ -142,10 +142,10 @@ def _drifts(
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
         return (None,) * len(joined_rig.contacts)
-    motion = kinematics(recording, sensors[0].quantity, least_order=2)
-    noise_deviations = acceleration_noise(motion, recording.rig)
+    sensor_kinematics = kinematics(recording, sensors[0].quantity, least_order=2)
+    noise_deviations = acceleration_noise(sensor_kinematics, recording.rig)
     return tuple(
-        drift_of(joined_rig, motion, contact_index, noise_deviations, tolerances, recording.samples)
+        drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples)
         for contact_index in range(len(joined_rig.contacts))
     )
 
@@ -229,18 +229,18 @@ def _base_and_velocity_corrections(
         return None, 0.0
     rig, omega, sensors = recording.rig, transform.omega, read_sensors(recording)
     sensor = base_sensor(rig)
-    base_signal, order = recording.values_of(sensor), sensor.measures.order
+    base_signal, base_order = recording.values_of(sensor), sensor.measures.order
     spectrum = transform.spectrum(base_signal)[: omega.size]
     velocity_correction, acceleration_correction = transform.window_correction(base_signal)
-    sensed_acceleration = spectrum * integrated(omega, 2 - order, corner_hz)
+    sensed_acceleration = spectrum * integrated(omega, 2 - base_order, corner_hz)
     (noise_density,) = sensor_noise_densities(recording, (sensor,), beginning.quiet_sample_count)
-    noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
+    noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - base_order))
     is_corrected = np.array([beginning.zero_known and is_free_mass(rig, sensor.station.body) for sensor in sensors])
     base = BaseSpectra(
         sensor,
         sensed_acceleration + beginning.zero_known * acceleration_correction,
         sensed_acceleration + np.outer(is_corrected, acceleration_correction),
-        spectrum * integrated(omega, -order, corner_hz),
+        spectrum * integrated(omega, -base_order, corner_hz),
         noise_variance,
     )
     return base, np.outer(is_corrected, velocity_correction / sensor.gain)

@@ -41,8 +41,8 @@ class RecordTransform:
     @property
     def omega_above_band(self) -> Float[np.ndarray, " morelines"]:
         """Circular frequencies from the last of the lines to half the sample rate, rad/s."""
-        lines = np.arange(self.line_count - 1, self.padded_length // 2 + 1)
-        return 2 * np.pi * self.sample_rate_hz / self.padded_length * lines
+        line_numbers = np.arange(self.line_count - 1, self.padded_length // 2 + 1)
+        return 2 * np.pi * self.sample_rate_hz / self.padded_length * line_numbers
 
     def spectrum(self, signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         """Spectrum of a signal under the window, up to half the sample rate."""
@@ -80,7 +80,7 @@ def _ring_down_s(rig: Rig) -> float:
         return RING_S
     decay_rates_per_s = []
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), body.max_modes
-        decay_rates_per_s += (2 * np.pi * modes.frequencies_hz(count) * modes.damping_ratios(count)).tolist()
+        modes, mode_count = modes_of(rig, body), body.max_modes
+        decay_rates_per_s += (2 * np.pi * modes.frequencies_hz(mode_count) * modes.damping_ratios(mode_count)).tolist()
     slowest_decay_per_s = min((rate for rate in decay_rates_per_s if rate > 0), default=np.inf)
     return float(np.clip(DECAY_TIMES / slowest_decay_per_s, RING_S, LONGEST_RING_S))

@@ -49,9 +49,9 @@ def matched_modes(modes_of_record: tuple[MeasuredMode, ...], rig: Rig) -> list[M
     """Assignment of measured modes to those of the rig with the least sum of |ln frequency ratio|."""
     body_names, mode_numbers, nominal_modes = [], [], []
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), body.max_modes
+        modes, mode_count = modes_of(rig, body), body.max_modes
         for number, natural_hz, damping_ratio in zip(
-            range(1, count + 1), modes.frequencies_hz(count), modes.damping_ratios(count), strict=True
+            range(1, mode_count + 1), modes.frequencies_hz(mode_count), modes.damping_ratios(mode_count), strict=True
         ):
             if natural_hz > 0:
                 body_names.append(body.name)

@@ -69,15 +69,15 @@ class Unfolding:
             replace(c, name=c.name + IN_Z, at=_twin(c.at), against=None if c.against is None else _twin(c.against))
             for c in z_rig.contacts
         )
-        sensors = {s.name: replace(s, station=_twin(s.station)) for s in z_rig.sensors}
-        sensors |= {s.name: s for s in y_rig.sensors}
-        forces = tuple(_twin(station_in_y(s)) if s.direction == "z" else s for s in self.space_rig.forces)
+        sensor_by_name = {s.name: replace(s, station=_twin(s.station)) for s in z_rig.sensors}
+        sensor_by_name |= {s.name: s for s in y_rig.sensors}
+        force_stations = tuple(_twin(station_in_y(s)) if s.direction == "z" else s for s in self.space_rig.forces)
         return replace(
             y_rig,
             bodies=(*y_rig.bodies, *(replace(b, name=b.name + IN_Z) for b in z_rig.bodies)),
             contacts=(*y_rig.contacts, *twin_contacts),
-            force_at=forces if len(forces) > 1 else forces[0],
-            sensors=tuple(sensors[s.name] for s in self.space_rig.sensors),
+            force_at=force_stations if len(force_stations) > 1 else force_stations[0],
+            sensors=tuple(sensor_by_name[s.name] for s in self.space_rig.sensors),
             masses=(*y_rig.masses, *(replace(m, station=_twin(m.station)) for m in y_rig.masses)),
             supports=(*y_rig.supports, *(replace(s, station=_twin(s.station)) for s in y_rig.supports)),
             clamps=(*y_rig.clamps, *(replace(c, body=c.body + IN_Z) for c in y_rig.clamps)),
@@ -129,8 +129,8 @@ class Unfolding:
 def transverse_index(stations: Sequence[Station]) -> dict[int, int]:
     """Index of the station of the other direction at the same place, by the index of each that has one."""
     index_by_place = {(station.body, station.position_m): k for k, station in enumerate(stations)}
-    pairs = [(k, index_by_place.get((s.body + IN_Z, s.position_m))) for k, s in enumerate(stations)]
-    return {i: j for k, twin in pairs if twin is not None for i, j in ((k, twin), (twin, k))}
+    index_pairs = [(k, index_by_place.get((s.body + IN_Z, s.position_m))) for k, s in enumerate(stations)]
+    return {i: j for k, twin in index_pairs if twin is not None for i, j in ((k, twin), (twin, k))}
 
 
 def with_rig(recording: Recording, rig: Rig) -> Recording:

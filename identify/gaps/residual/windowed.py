@@ -193,14 +193,14 @@ def ground_force_derivative(
         )
         padded_sample_count = record.transform_length // record.decimation
         force_stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
-        changes = []
+        changes_by_station = []
         for station, slope, motion_change in zip(force_stations, force_slopes, motion_changes, strict=True):
             if slope.size > 1:
                 fine_motion_change = _oversampled_signal(record, slope.size // padded_sample_count, motion_change)
-                changes.append((station, -_spectrum_on_lines(record, slope * fine_motion_change)))
+                changes_by_station.append((station, -_spectrum_on_lines(record, slope * fine_motion_change)))
             else:
-                changes.append((station, -slope * motion_change))
-        return changes
+                changes_by_station.append((station, -slope * motion_change))
+        return changes_by_station
 
     return force_changes
 
@@ -243,8 +243,8 @@ def displacements_at_elements(
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    weights = np.sum([response.weights(sensor_stations, element_stations) for response in responses], axis=0)
-    return real_product(weights, sensor_displacements)
+    sensor_weights = np.sum([response.weights(sensor_stations, element_stations) for response in responses], axis=0)
+    return real_product(sensor_weights, sensor_displacements)
 
 
 def _oversampling_factor(record: Record) -> int:

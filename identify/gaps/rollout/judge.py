@@ -248,13 +248,13 @@ def falls_short(ratios: BlockRatios) -> bool:
 
 
 def log_ratio_of(
-    recording: Recording, nominal_residual: Residual, corrected_residual: Residual, samples: int, predict: Predict
+    recording: Recording, nominal_residual: Residual, corrected_residual: Residual, horizon: int, predict: Predict
 ) -> float:
-    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon of `samples`."""
+    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon in samples."""
     motions = [measured_motion(recording, fit.corrected_rig, fit) for fit in (nominal_residual, corrected_residual)]
     first_sample, stop_sample = _common_samples(motions)
-    starts = disjoint_starts(first_sample, stop_sample - first_sample, samples, MAX_WINDOW_COUNT)
-    nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
+    starts = disjoint_starts(first_sample, stop_sample - first_sample, horizon, MAX_WINDOW_COUNT)
+    nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, horizon) for motion in motions)
     return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
 
@@ -286,10 +286,10 @@ def null_bounds(nulls: Sequence[NullErrors], horizon_samples: int) -> list[tuple
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
     rows = [(null, null.samples.index(horizon_samples)) for null in nulls if horizon_samples in null.samples]
-    medians, count = np.median([null.within[k] for null, k in rows], axis=0), len(rows)
+    medians, null_count = np.median([null.within[k] for null, k in rows], axis=0), len(rows)
     log_errors = np.log(np.maximum([null.nominal[k] for null, k in rows], 1e-300))
-    limit_deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
-    limits = np.exp(log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, count - 1)))
+    limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
+    limits = np.exp(log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, null_count - 1)))
     return list(zip(medians.tolist(), limits.tolist(), strict=True))
 
 

@@ -122,9 +122,9 @@ class Candidate:
         return changed_rig if self.twin_place is None else replace(effect, **self.twin_place).applied_to(changed_rig)
 
 
-def contains(container: Candidate, member: Candidate) -> bool:
+def contains(container: Candidate, contained: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return member.kind.name in container.kind.contains and member.place == container.place
+    return contained.kind.name in container.kind.contains and contained.place == container.place
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:
@@ -219,10 +219,10 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     attachments = attachments_of(rig, changed_rig)
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
-    forces = _attached_forces(record, model, attachments)
-    attachment_signals = signals_by_forces(model, sensor_stations_of(record, model.rig), forces)
+    attached_forces = _attached_forces(record, model, attachments)
+    attachment_signals = signals_by_forces(model, sensor_stations_of(record, model.rig), attached_forces)
     linear_decrease, contact_decrease_n = model.projection.applied_to(attachment_signals)
-    eta_decrease_m = -model.unobserved_eta_m(forces, -contact_decrease_n)
+    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 

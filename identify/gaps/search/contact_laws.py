@@ -71,8 +71,8 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     if unmodelled_part := _unmodelled_part(rig):
         refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
         return LawOutcomes((), dict.fromkeys(contact_names, refusal))
-    force = recording.signals["force"]
-    signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
+    force_data = recording.signals["force"]
+    signals = {**recording.signals, "force": replace(force_data, values=force_data.values / rig.force_sensor.gain)}
     # the diagnosis uses no strain gauges
     motion_sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates)
     separated_rig = msgspec.structs.replace(
@@ -231,9 +231,9 @@ def _solution_of_record(
         return None
     weighted_derivatives = np.linalg.solve(block_diag(*covariances), stacked_derivatives)
     covariance = np.linalg.inv(stacked_derivatives.T @ weighted_derivatives)
-    gain = covariance @ weighted_derivatives.T
-    values = free_values + gain @ np.concatenate(differences)
-    return values, covariance, gain @ block_diag(*tolerance_covariances) @ gain.T
+    quantity_gain = covariance @ weighted_derivatives.T
+    values = free_values + quantity_gain @ np.concatenate(differences)
+    return values, covariance, quantity_gain @ block_diag(*tolerance_covariances) @ quantity_gain.T
 
 
 def _pooled_values_and_covariance(

@@ -129,8 +129,8 @@ def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candi
         return
     present_values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
     members = (*present_candidates, candidate)
-    points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
-    trials = [(landscape.cost(members, point), point) for point in points]
+    grid_points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
+    trials = [(landscape.cost(members, point), point) for point in grid_points]
     cost, point = min(trials, key=itemgetter(0), default=(np.inf, present_values))
     if np.isfinite(cost):
         yield FarSet(members, point, cost)

@@ -76,7 +76,7 @@ class Hypothesis:
         return bool(np.any(np.abs(self.misfit.pulls) > PULL_LIMIT_SHARE * PULL_LIMIT))
 
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
-        """Values of each effect."""
+        """Fitted parameters of each effect."""
         return _values_by_candidate(self.candidates, self.values)
 
     @property

@@ -71,9 +71,9 @@ def _scaled_spectra(
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
     samples, segment_count, lines, band_count = segment_counts(rate_hz, signal.shape[1])
-    window = hann(samples, sym=False)
-    window = window / np.sqrt(np.sum(window**2))
-    segments = signal[:, : segment_count * samples].reshape(len(signal), segment_count, samples) * window
+    hann_window = hann(samples, sym=False)
+    hann_window = hann_window / np.sqrt(np.sum(hann_window**2))
+    segments = signal[:, : segment_count * samples].reshape(len(signal), segment_count, samples) * hann_window
     spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * lines]
     spectra = spectra.reshape(len(signal), segment_count, band_count, lines) * spectrum_scales[:, None, :, None]
     return np.stack([spectra.real, spectra.imag], axis=-1).astype(np.float32).ravel()

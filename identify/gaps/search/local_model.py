@@ -149,11 +149,11 @@ class LocalModel:
             weighted_spectra *= row_weights[row_slice]
             matrix += weighted_spectra @ weighted_spectra.T
             right_side += weighted_spectra @ (self.residual_spectrum[row_slice] * row_weights[row_slice])
-        for weight, contact_matrix, gradient in zip(
+        for contact_weight, contact_matrix, gradient in zip(
             self.samples_per_contact / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
-            matrix += weight * contact_matrix[np.ix_(column_indices, column_indices)]
-            right_side += weight * gradient[column_indices]
+            matrix += contact_weight * contact_matrix[np.ix_(column_indices, column_indices)]
+            right_side += contact_weight * gradient[column_indices]
         is_tolerance = column_indices < self.pulls.size
         matrix[is_tolerance, is_tolerance] += 1.0
         right_side[is_tolerance] -= self.pulls[column_indices[is_tolerance]]
@@ -167,15 +167,15 @@ class LocalModel:
             theta[column_indices] = start_theta[column_indices]
         best_solution = Solution(theta, self.statistic(theta))
         for _ in range(MAX_MAJORIZATIONS):
-            matrix, right_side = self.normal_equations(best_solution.theta, column_indices)
-            diagonal = np.diag(matrix)
+            normal_matrix, right_side = self.normal_equations(best_solution.theta, column_indices)
+            diagonal = np.diag(normal_matrix)
             diagonal_shift = RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max()
-            matrix += np.diag(diagonal_shift)  # what is not shown stays zero
+            normal_matrix += np.diag(diagonal_shift)  # what is not shown stays zero
             theta = np.zeros(len(self.column_spectra))
             current_theta = best_solution.theta[column_indices]
             least_step = self.theta_min[column_indices] - current_theta
             greatest_step = self.theta_max[column_indices] - current_theta
-            step = bounded_minimum(matrix, right_side - matrix @ current_theta, least_step, greatest_step)
+            step = bounded_minimum(normal_matrix, right_side - normal_matrix @ current_theta, least_step, greatest_step)
             theta[column_indices] = current_theta + step
             solution = Solution(theta, self.statistic(theta))
             statistic_decrease = best_solution.statistic - solution.statistic
@@ -279,11 +279,11 @@ def _model_of(
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
     input_rows, input_residual = columns.input_rows[:column_count], residual.linear_residual[sensor_count:].ravel()
     contact_matrices, contact_gradients, contact_levels = [], [], []
-    for contact_index, contact in enumerate(residual.contacts):
+    for contact_index, contact_fit in enumerate(residual.contacts):
         contact_rows = columns.contact_rows(contact_index)
         contact_matrix, gradient = equations_without_drift(residual, contact_index, contact_rows)
         contact_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
-        sum_of_squares = float(np.sum(contact.residual[: contact.observation.force_weights.size] ** 2))
+        sum_of_squares = float(np.sum(contact_fit.residual[: contact_fit.observation.force_weights.size] ** 2))
         contact_level = _contact_level(nominal_variances, residual, contact_index)
         contact_matrices.append(contact_matrix * contact_level / sum_of_squares if sum_of_squares else contact_matrix)
         contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
@@ -317,6 +317,6 @@ def _model_of(
 
 def _contact_level(nominal_variances: NominalVariances, residual: Residual, contact_index: int) -> float:
     """Mean square of a contact's residual relative to the nominal rig's variances."""
-    contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.force_weights
-    residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
+    contact_fit, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.force_weights
+    residual_n = np.divide(contact_fit.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
     return float(np.mean((residual_n * nominal_variances.observations[contact_index].force_weights) ** 2))

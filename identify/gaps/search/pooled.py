@@ -95,8 +95,8 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
         (id(record), index) if parameter.kind == "initial state" else parameter
         for index, parameter in enumerate(linearization.columns.parameters)
     ]
-    for rig_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True):
-        tolerance_names += [(rig_contact.name, index) for index in range(contact.pulls.size)]
+    for rig_contact, contact_fit in zip(residual.model.rig.contacts, residual.contacts, strict=True):
+        tolerance_names += [(rig_contact.name, index) for index in range(contact_fit.pulls.size)]
     normal_matrix, gradient = np.zeros((len(tolerance_names), len(tolerance_names))), np.zeros(len(tolerance_names))
     normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
     gradient[:nuisance_count] = linearization.columns.products_with(residual.linear_without_lines.ravel())
@@ -115,13 +115,13 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
 def _information_at(
     tolerance_names: tuple[Hashable, ...],
     normal_matrix: Float[np.ndarray, "unknowns unknowns"],
-    gradient: Float[np.ndarray, " unknowns"],
+    cost_gradient: Float[np.ndarray, " unknowns"],
     expansion_point: Float[np.ndarray, " unknowns"],
     cost_at_point: float,
 ) -> RecordInformation:
     """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
-    pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
-    constant_cost = cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + gradient))
+    pulls, right_side = expansion_point[: len(tolerance_names)], cost_gradient + normal_matrix @ expansion_point
+    constant_cost = cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + cost_gradient))
     return RecordInformation(tolerance_names, normal_matrix, right_side, constant_cost)
 
 
@@ -129,14 +129,14 @@ def equations_without_drift(
     residual: Residual, contact_index: int, unknown_columns: Float[np.ndarray, "_ unknowns"]
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
-    contact = residual.contacts[contact_index]
-    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact.residual
-    if not contact.observation.drift_spline.knots:
+    contact_fit = residual.contacts[contact_index]
+    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact_fit.residual
+    if not contact_fit.observation.drift_spline.knots:
         return normal_matrix, gradient
-    drift_solver, drift_columns = contact.drift_solver, contact.drift_columns
+    drift_solver, drift_columns = contact_fit.drift_solver, contact_fit.drift_columns
     coupling = drift_columns.T @ unknown_columns
     normal_matrix = normal_matrix - coupling.T @ drift_solver.solve(coupling)
-    return normal_matrix, gradient - coupling.T @ drift_solver.solve(drift_columns.T @ contact.residual)
+    return normal_matrix, gradient - coupling.T @ drift_solver.solve(drift_columns.T @ contact_fit.residual)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def pooled(
 
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
-    names = list(dict.fromkeys(name for record in information_by_record for name in record.tolerance_names))
+    names = list(dict.fromkeys(name for information in information_by_record for name in information.tolerance_names))
     tolerance_count, parameter_count = len(names), len(steps)
     copy_count = len(information_by_record) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
@@ -167,18 +167,18 @@ def pooled(
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, copy_count)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
-    for record_index, record in enumerate(information_by_record):
+    for record_index, information in enumerate(information_by_record):
         first = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
-        indices = [*(names.index(name) for name in record.tolerance_names), *range(first, first + parameter_count)]
-        normal_matrix[np.ix_(indices, indices)] += record.normal_matrix
-        right_side[indices] += record.right_side
+        indices = [*(names.index(name) for name in information.tolerance_names), *range(first, first + parameter_count)]
+        normal_matrix[np.ix_(indices, indices)] += information.normal_matrix
+        right_side[indices] += information.right_side
     lower_bounds, upper_bounds = (
         np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, copy_count)) - prior_means
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
     slope = right_side - normal_matrix @ prior_means
     unknowns = prior_means + bounded_minimum(normal_matrix, slope, lower_bounds, upper_bounds)
-    cost = sum(record.constant_cost for record in information_by_record) + float(
+    cost = sum(information.constant_cost for information in information_by_record) + float(
         unknowns @ normal_matrix @ unknowns - 2 * right_side @ unknowns + prior_means @ (prior_precisions * prior_means)
     )
     tiled_steps = np.tile(steps, copy_count)

@@ -185,14 +185,14 @@ def law_screening(
                 trial_residual = residual_of(
                     linearization, rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
                 )
-                trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
-                best_trial = max(best_trial, trial, key=attrgetter("cost_decrease"))
+                screened_trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
+                best_trial = max(best_trial, screened_trial, key=attrgetter("cost_decrease"))
         screened.append(best_trial)
     return _best_first(screened)
 
 
 def _log_scatter(residual: Residual) -> float:
-    return float(sum(contact.residual.size * np.log(contact.cost) for contact in residual.contacts))
+    return float(sum(contact_fit.residual.size * np.log(contact_fit.cost) for contact_fit in residual.contacts))
 
 
 def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
@@ -203,7 +203,7 @@ def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " paramet
 
 
 def thinned_record(record: Record) -> Record:
-    """Record on every `LINE_STRIDE`-th line."""
+    """Record on every `LINE_STRIDE`-th line of its spectra."""
     line_slice = slice(1, None, LINE_STRIDE)
     field_names = ["force_spectra", "acceleration_signals", "displacement_signals", "velocity_correction"]
     field_names += ["noise_variance", "smoothed_power"]
@@ -262,12 +262,12 @@ def _cost_minima(
     ranges = upper_bounds - lower_bounds
     best_by_place = []
     for place_values in candidate.start_values():
-        trials = []
+        strength_trials = []
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             values = np.append(strength, place_values[1:])
             with suppress(RigError):
-                trials.append((float(np.sum(mismatch_at(values) ** 2)), values))
-        best_by_place += [min(trials, key=itemgetter(0))] if trials else []
+                strength_trials.append((float(np.sum(mismatch_at(values) ** 2)), values))
+        best_by_place += [min(strength_trials, key=itemgetter(0))] if strength_trials else []
     minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
     options = {"method": "dogbox", "diff_step": RELATIVE_STEP, "x_scale": ranges, "max_nfev": MAX_EVALUATIONS}
     for cost, values in sorted(best_by_place, key=itemgetter(0))[:FOLLOWED_PLACES]:
@@ -276,6 +276,6 @@ def _cost_minima(
             start_values = np.clip(values, lower_bounds, upper_bounds)
             solution = least_squares(mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), **options)
             minimum = 2 * float(solution.cost), solution.x
-        if all(np.any(np.abs(minimum[1] - known) > DISTINCT_SHARE * ranges) for _, known in minima):
+        if all(np.any(np.abs(minimum[1] - found_values) > DISTINCT_SHARE * ranges) for _, found_values in minima):
             minima.append(minimum)
     return minima

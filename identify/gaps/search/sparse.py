@@ -193,7 +193,7 @@ def _brief_fit_with(
     kept_members = [
         (member, member_values)
         for member, member_values in values_by_member
-        if not any(contains(other, member) for other, _ in values_by_member)
+        if not any(contains(container, member) for container, _ in values_by_member)
     ]
     members, start_values = zip(*kept_members, strict=True)
     try:
@@ -256,7 +256,7 @@ def _promising_terms(
         candidate = term.candidate
         equal_count = sum(member.name == candidate.name for member in selected_candidates)
         max_equal_count = MAX_EQUAL_EFFECTS if len(candidate.parameters) > len(term.strength_indices) else 1
-        place_count = sum(other.candidate is candidate for other in promising)
+        place_count = sum(chosen_term.candidate is candidate for chosen_term in promising)
         is_contained = any(contains(member, candidate) for member in selected_candidates)
         if not is_contained and equal_count < max_equal_count and place_count < MAX_PLACES_PER_CANDIDATE:
             promising.append(term)

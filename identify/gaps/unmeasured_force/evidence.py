@@ -47,7 +47,7 @@ def _solve_positive_definite(
 
 
 def residual_squares(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
-    """|r - D theta|^2, summed over each band."""
+    """Squares |r - D theta|^2 of the residual without nuisance, summed over each band."""
     return np.maximum(
         whitened.residual_squares - 2 * whitened.cross_products @ theta + (whitened.column_gram @ theta) @ theta,
         VARIANCE_FLOOR_SHARE * whitened.residual_squares,

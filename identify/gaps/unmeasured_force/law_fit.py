@@ -255,8 +255,8 @@ class Descent:
         gradient, normal_matrix = right_side[:-1] - normal_matrix[:-1, -1], normal_matrix[:-1, :-1]
         normal_matrix[free_count:, free_count:] += self.knot_precision
         gradient[free_count:] -= self.knot_precision @ knots_m
-        covariance, scale = _scaled_inverse(normal_matrix)
-        covariance /= np.outer(scale, scale)
+        covariance, diagonal_scale = _scaled_inverse(normal_matrix)
+        covariance /= np.outer(diagonal_scale, diagonal_scale)
         full_step = covariance @ gradient
 
         def iterate_after(step_share: float) -> _Iterate | None:

@@ -160,8 +160,8 @@ def position_offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float
 
 
 def _shifted_place(place: ForcePlace, shift_m: float) -> ForcePlace:
-    stations = tuple(Station(station.body, station.position_m + shift_m) for station in place.stations)
-    return replace(place, stations=stations)
+    shifted_stations = tuple(Station(station.body, station.position_m + shift_m) for station in place.stations)
+    return replace(place, stations=shifted_stations)
 
 
 def _shift_range_m(rig: Rig, place: ForcePlace) -> tuple[float, float]:

@@ -81,8 +81,8 @@ class ForceHistory:
     def spectra_of_samples(self, forces_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
         """Projected residual spectra of forces (N) at the residual's rate, through the gate."""
         whitened = self.located_force.whitened_record
-        spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
-        return np.asarray(spectra * self.located_force.with_force.response_norm)
+        force_spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
+        return np.asarray(force_spectra * self.located_force.with_force.response_norm)
 
     def reduced_equations(
         self, force_columns: Complex[np.ndarray, "columns lines"]

@@ -85,8 +85,8 @@ class WhitenedRecord:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
         counted_slice, record = self.record.counted_slice, self.record
         gate = np.zeros(record.transform_length // record.decimation)
-        fade = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.residual_rate_hz))
-        gate[counted_slice] = fade if counted_slice.start == 0 else fade * fade[::-1]
+        faded_window = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.residual_rate_hz))
+        gate[counted_slice] = faded_window if counted_slice.start == 0 else faded_window * faded_window[::-1]
         return gate
 
     @property
@@ -218,10 +218,10 @@ def with_columns(
     """Record with columns of one or more sets, kept in single precision, and their sums over bands."""
     real_residual = np.ascontiguousarray(whitened.whitened_residual).view(float)
     residual_squares, cross_products, column_gram = [], [], []
-    for start, stop in pairwise(np.append(whitened.band_first_lines, real_residual.shape[0])):
-        band_sets = [columns[:, start:stop].astype(complex) for columns in column_sets]
+    for first_line, stop_line in pairwise(np.append(whitened.band_first_lines, real_residual.shape[0])):
+        band_sets = [columns[:, first_line:stop_line].astype(complex) for columns in column_sets]
         band_columns = np.concatenate(band_sets).view(float).reshape(len(parameters), -1)
-        band_residual = real_residual[start:stop].ravel()
+        band_residual = real_residual[first_line:stop_line].ravel()
         residual_squares.append(band_residual @ band_residual)
         cross_products.append(band_columns @ band_residual)
         column_gram.append(band_columns @ band_columns.T)
@@ -242,8 +242,8 @@ def capped_noise_variance(record: Record) -> Float[np.ndarray, "sensors lines"]:
     noise_variance = record.noise_variance.copy()
     for variance, sensor in zip(noise_variance, record.sensors, strict=True):
         if sensor.noise_density > 0:
-            density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
-            variance[:] = np.minimum(variance, record.sample_count * density**2 * record.sample_rate_hz / 2)
+            line_density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            variance[:] = np.minimum(variance, record.sample_count * line_density**2 * record.sample_rate_hz / 2)
     return noise_variance
 
 

@@ -50,9 +50,9 @@ def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
     left = misfit(pair.linearization.record, pair.nominal_variances, pair.nominal_residual)
     cells, contacts = model.levels(np.zeros(len(model.column_spectra)))
-    near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
+    near = np.isclose(cells.reshape(left.mean_squares.shape), left.mean_squares, rtol=1e-3)
     assert near.mean() > 0.9
-    assert contacts == pytest.approx(left.contact_levels, rel=1e-2)
+    assert contacts == pytest.approx(left.contact_mean_squares, rel=1e-2)
 
 
 def test_majorisation_never_raises_the_statistic(model):
