@@ -81,7 +81,7 @@ class ValidatedHypothesis:
 
     @property
     def log_posterior_of_both(self) -> float:
-        """Log posterior given the fitted record too."""
+        """Log posterior, up to a constant, given the fitted record too."""
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 

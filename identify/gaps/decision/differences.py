@@ -55,11 +55,11 @@ class EffectValues:
         return [candidate.name for candidate in self.candidates]
 
     def columns_of(self, name: str) -> list[int]:
-        """Columns of an effect's parameters."""
+        """Column indices of an effect's parameters among the values."""
         return parameters_of(self.candidates).places_of(name)
 
     def strength_columns(self, name: str) -> list[int]:
-        """Columns of an effect's strengths."""
+        """Column indices of an effect's strengths among the values."""
         return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
     def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":

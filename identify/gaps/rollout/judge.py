@@ -219,7 +219,7 @@ def block_ratios(
 def _means_by_block(
     values: Float[np.ndarray, " all"], block_numbers: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
-    """Mean of the values in each block."""
+    """Mean in each block of values whose blocks are numbered."""
     return np.array([values[block_numbers == block_number].mean() for block_number in np.unique(block_numbers)])
 
 

@@ -54,7 +54,7 @@ class ForcePlace:
 
 @dataclass(frozen=True)
 class LocatedForce:
-    """Candidate fitted to a record.
+    """Candidate of an unmeasured force fitted to a record.
 
     residual_per_force is g; position_error_m is the standard error by the curvature of J. modulus_growth is the
     relative change of the modulus of each body over the record, with its standard errors.
@@ -76,12 +76,12 @@ class LocatedForce:
 
     @property
     def noise_by_line(self) -> Float[np.ndarray, " lines"]:
-        """Variance s at each line."""
+        """Variance s of the unexplained rest at each line."""
         return self.whitened_record.at_each_line(self.with_force.noise_variance)
 
     @property
     def spectrum_by_line(self) -> Float[np.ndarray, " lines"]:
-        """Spectrum S at each line."""
+        """Spectrum S of the force at each line."""
         return self.whitened_record.at_each_line(self.with_force.force_spectrum)
 
 

@@ -90,7 +90,7 @@ def _trace_by_data(whitened: WhitenedRecord, change: Change) -> float:
 
 
 def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "lines rows"]:
-    """Gated residual of `drift_accelerations`."""
+    """Whitened residual, gated in time, by a modulus that drifts (`drift_accelerations`)."""
     accelerations = drift_accelerations(whitened, body_name)
     return whitened.gated_residual(whitened.model.sensor_response * accelerations / whitened.model.error_deviation)
 
