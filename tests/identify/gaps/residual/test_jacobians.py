@@ -67,7 +67,7 @@ def test_contact_unknowns_by_differences(believed, contact):
     The latter in newtons: the low-passed slope rings about each closure, where an open contact's weights are large.
     """
     linearization, residual = believed
-    columns, expected = residual.contacts[contact].columns.toarray(), []
+    columns, expected = residual.contacts[contact].columns_by_unknown.toarray(), []
     for k in range(columns.shape[1]):
         step = 1e-7 if k < columns.shape[1] - 3 else 1e-3
         residuals = []
