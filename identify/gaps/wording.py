@@ -246,14 +246,14 @@ def failed_analysis_sentences(gap: Gap) -> list[str]:
     return [f"Not computed: {ANALYSIS_WORDS[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
-def remaining_probabilities(gap: Gap, shown_causes: int) -> list[tuple[str, float]]:
+def remaining_probabilities(gap: Gap, shown_cause_count: int) -> list[tuple[str, float]]:
     """Probabilities of all but the first causes, each with its words: of further causes together, if there are any, of
     no effect, and of something unmeasured.
 
     Where the records certainly differ from rig.json, no effect is worded as that of no effect of the library, where
     they cannot tell, as that of none that stands out.
     """
-    further = gap.causes[shown_causes:]
+    further = gap.causes[shown_cause_count:]
     is_considered = gap.unknown is not None or gap.probability_unknown > 0
     unmeasured = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
     return [

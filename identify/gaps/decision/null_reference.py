@@ -86,7 +86,7 @@ class NullReference(msgspec.Struct, frozen=True):
     checksum: str = ""
 
     @property
-    def statistics(self) -> Float[np.ndarray, "simulations 3"]:
+    def cost_parts(self) -> Float[np.ndarray, "simulations 3"]:
         """-2 ln p without the contacts' part, the contacts' part, and that of the worst band, for every simulation."""
         return np.array([[null.minus_two_log - null.law, null.law, null.peak] for null in self.simulations])
 
@@ -125,7 +125,7 @@ def p_values(references: Sequence[NullReference], misfits: Sequence[Misfit]) -> 
     with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
     place of Student's, as no deviation is estimated.
     """
-    null_statistics = np.sum([reference.statistics for reference in references], axis=0)
+    null_statistics = np.sum([reference.cost_parts for reference in references], axis=0)
     measured = np.sum([[m.minus_two_log - m.contact_cost, m.contact_cost, m.peak_band_cost] for m in misfits], axis=0)
     is_used = [True, bool(np.any(null_statistics[:, 1])), True]
     null_statistics, measured = null_statistics[:, is_used], measured[is_used]

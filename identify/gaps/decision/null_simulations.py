@@ -287,8 +287,8 @@ def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarr
 def _largest_motion(sensor_signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
     magnitude = np.linalg.norm(sensor_signals, axis=0)
-    largest = max(float(magnitude.max()), 1e-300)
-    return largest * float(np.mean((magnitude / largest) ** LARGE_MOTION_EXPONENT)) ** (1 / LARGE_MOTION_EXPONENT)
+    peak = max(float(magnitude.max()), 1e-300)
+    return peak * float(np.mean((magnitude / peak) ** LARGE_MOTION_EXPONENT)) ** (1 / LARGE_MOTION_EXPONENT)
 
 
 def _octave_log_rms(

@@ -173,7 +173,7 @@ def contact_jacobian(
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
     weights, contact_fit = linearization.observations[contact_index].force_weights, residual.contacts[contact_index]
     columns = linearization.columns
-    force_decreases_n = columns.contact_n[:, contact_index].astype(float)
+    force_decreases_n = columns.contact_force_n[:, contact_index].astype(float)
     moves_contact = np.any(columns.eta_m[:, contact_index], axis=1)
     eta_changes_m = columns.finer_eta_m[moves_contact, contact_index]
     force_decreases_n[columns.eta_parameter_indices[moves_contact]] -= contact_fit.tangent.force_change_n(eta_changes_m)

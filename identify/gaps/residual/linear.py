@@ -24,6 +24,7 @@ from identify.gaps.residual.shaken_base import BaseSpectra, unmeasured_base_acce
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
+    SensorStations,
     ground_force_derivative,
     has_ground_forces,
     known_forces_of,
@@ -73,7 +74,7 @@ class LinearModel:
     error_deviation: Float[np.ndarray, "sensors lines"]
     signal_per_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
-    contact_n: Complex[np.ndarray, "contacts lines"]
+    contact_force_n: Complex[np.ndarray, "contacts lines"]
     acceleration_by_force: Complex[np.ndarray, "forces sensors lines"]
     known_forces: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
     free_modes: tuple[FreeMode, ...]
@@ -87,7 +88,7 @@ class LinearModel:
     @property
     def modal_accelerations(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """Modal accelerations of each body."""
-        forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
+        forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_force_n])
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
             modal_response(self.record, self.rig, r, real_product(input_shapes(self.rig, r, stations).T, forces_n))
@@ -146,7 +147,7 @@ class LinearModel:
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
         sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
-        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_n)
+        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
             eta_m += real_product(_eta_weights(self.rig, response, sensor_stations), displacements)
         for mode in self.free_modes:
@@ -157,11 +158,11 @@ class LinearModel:
     def unobserved_eta_m(
         self,
         known_forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
-        contact_n: Complex[np.ndarray, "contacts lines"],
+        contact_force_n: Complex[np.ndarray, "contacts lines"],
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
         sensor_stations = sensor_stations_of(self.record, self.rig)
-        forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
+        forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_force_n])
         accelerations = np.zeros((len(self.rig.contacts), forces_n.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
@@ -170,7 +171,7 @@ class LinearModel:
         return accelerations * self.record.displacement_per_acceleration
 
     def _unobserved_shapes(
-        self, response: Response, sensor_stations: list[Station | None]
+        self, response: Response, sensor_stations: SensorStations
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
         sensor_weights = _eta_weights(self.rig, response, sensor_stations)
@@ -189,7 +190,7 @@ class LinearModel:
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
+        sensor_stations: SensorStations = [sensor.station for sensor in self.record.sensors]
         rig = with_motion_following_dampers(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
 
@@ -283,7 +284,7 @@ def _linear_model(
         error_deviation=error_deviation,
         signal_per_input=signal_per_input,
         residual=np.concatenate([sensor_residual, unknown_inputs[contact_count:]]),
-        contact_n=unknown_inputs[:contact_count],
+        contact_force_n=unknown_inputs[:contact_count],
         acceleration_by_force=np.stack(by_known_force[:force_count]),
         known_forces=known_forces,
         free_modes=free_modes,
@@ -297,13 +298,13 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
     return np.stack([sensor_by_name[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
 
 
-def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
+def sensor_stations_of(record: Record, rig: Rig) -> SensorStations:
     """Stations of the record's sensors in the rig."""
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
     return [sensor_by_name[sensor.name].station for sensor in record.sensors]
 
 
-def _eta_weights(rig: Rig, response: Response, stations: list[Station | None]) -> Float[np.ndarray, "contacts sensors"]:
+def _eta_weights(rig: Rig, response: Response, stations: SensorStations) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
     place_weights = response.weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
     return place_weights[: len(rig.contacts)] - place_weights[len(rig.contacts) :]
@@ -313,18 +314,18 @@ def ground_spring_correction(
     record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    sensor_stations: list[Station | None] = [sensor.station for sensor in record.sensors]
+    sensor_stations: SensorStations = [sensor.station for sensor in record.sensors]
     return -signals_by_forces(model, sensor_stations, model.ground_force_changes(displacement_changes))
 
 
 def signals_by_forces(
-    model: LinearModel, stations: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+    model: LinearModel, sensor_stations: SensorStations, forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Signals of sensors at some stations by forces at others."""
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
             if response.body.name == station.body:
-                accelerance = response.transfer(response.shapes(stations), response.shapes([station]))[0]
+                accelerance = response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
                 signals += model.sensor_response * (accelerance * force_n)
     return signals

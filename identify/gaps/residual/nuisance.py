@@ -52,7 +52,7 @@ class NuisanceColumns:
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
-    contact_n: Float[np.ndarray, "nuisances contacts times"]
+    contact_force_n: Float[np.ndarray, "nuisances contacts times"]
     eta_parameter_indices: Int[np.ndarray, " moving"]
     eta_m: Complex[np.ndarray, "moving contacts lines"]
     finer_eta_m: Float[np.ndarray, "moving contacts finer"]
@@ -84,9 +84,9 @@ def columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     eta_parameter_indices, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
     projection = model.projection if record.measured_modes else model.projection.in_single_precision()
     for index, change in enumerate(changes):
-        residual_change, contact_n = _projected_change(record, model, projection, change)
+        residual_change, contact_change_n = _projected_change(record, model, projection, change)
         residual_columns[index] = residual_in_time(record, residual_change)
-        contact_columns_n[index] = record.in_time(contact_n)
+        contact_columns_n[index] = record.in_time(contact_change_n)
         if change.displacements is not None:
             eta_change_m = relative_displacements(record, model, change.displacements, change.sensors)
             if np.any(eta_change_m):

@@ -85,7 +85,7 @@ def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerM
     """Signals of every contact by a linear model: the data that its law has to explain."""
     eta_m, eta_rate_m_per_s = record.eta_at_sample_rate(model.eta_m), record.eta_at_sample_rate(model.eta_m, 1)
     time_s = record.counted_slice.start / record.residual_rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
-    forces_n = record.in_time(model.contact_n) + model.static_contact_n[:, None]
+    forces_n = record.in_time(model.contact_force_n) + model.static_contact_n[:, None]
     slow_stiffnesses = np.diag(model.slow_stiffness_n_per_m)
     return tuple(
         ContactSignals(
@@ -137,7 +137,7 @@ def contact_observations(
 
     contact_variances are the variances of the contact residuals relative to those by noise and the unmodelled share.
     """
-    forces_n, errors_n = record.in_time(model.contact_n), model.contact_force_error_n(record)
+    forces_n, errors_n = record.in_time(model.contact_force_n), model.contact_force_error_n(record)
     tolerances, observations = record.tolerances, []
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
     for force_n, error_n, group_law, drift, contact_variance in zip(

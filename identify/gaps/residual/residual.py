@@ -187,9 +187,8 @@ def linearized(
     else:
         expansion_rig, applied_pulls, tuning = rig, None, tuned_modes(record, rig)
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, tuning.factors)
-    observations = observations or contact_observations(
-        record, model, group_laws(expansion_rig), scales.contact_variances
-    )
+    if not observations:
+        observations = contact_observations(record, model, group_laws(expansion_rig), scales.contact_variances)
     return Linearization(record, rig, scales, model, observations, applied_pulls, tuning, cache)
 
 
@@ -261,7 +260,7 @@ def residual_of(
             return previous[j]
         if same_motion:
             return contact_residual(contact_signals[j], observations[j], law, unknowns[j], previous[j].motion)
-        added_force_n = -pull_change @ columns.contact_n[:, j]
+        added_force_n = -pull_change @ columns.contact_force_n[:, j]
         added_force_n -= sum(coupling_n_per_m[j, i] * drifts_m[i] for i in coupled_contacts)
         motion = force_and_motion(contact_signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
         return contact_residual(contact_signals[j], observations[j], law, unknowns[j], motion)
@@ -298,7 +297,8 @@ def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: 
     changed_model = model_of_rig(linearization, changed_rig)
     sensor_count = len(record.sensors)
     spectral_decrease = model.residual - changed_model.residual
-    input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, spectral_decrease[sensor_count:]])
+    separated_decrease_n = model.contact_force_n - changed_model.contact_force_n
+    input_decrease = np.concatenate([separated_decrease_n, spectral_decrease[sensor_count:]])
     sensor_decrease = spectral_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
     linear_decrease, contact_force_spectra = model.projection.applied_to(sensor_decrease * model.error_deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n

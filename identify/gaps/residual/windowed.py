@@ -27,6 +27,7 @@ LEAST_WINDOW = 1e-2
 
 Spectrum = Complex[np.ndarray, " lines"]
 MotionSpectra = Complex[np.ndarray, "sensors lines"]
+SensorStations = list[Station | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ GroundForceChanges = Callable[[MotionSpectra], list[tuple[Station, Spectrum]]]
 
 
 def known_forces_of(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> tuple[tuple[Station, Spectrum], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion
     (against a shaken base, whose inertial force on each kilogram is the measured one)."""
@@ -54,7 +55,7 @@ def known_forces_of(
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     ground_reactions, following_rig = [], with_motion_following_dampers(record, rig)
     if has_ground_forces(following_rig):
-        ground_reactions = ground_forces(record, following_rig, responses, stations, motion)
+        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
     measured_forces = zip(rig.forces, measured_forces_n, strict=True)
     return (*measured_forces, *tone_forces, *_loads_from_rest(record, rig), *ground_reactions)
 
@@ -133,9 +134,9 @@ def _windowed_accelerations(
     record: Record, accelerations: Complex[np.ndarray, "rows lines"], derivative_orders: Sequence[int]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
-    window = _window_fall(record)
+    window_fall = _window_fall(record)
     per_acceleration = np.stack([integrated(record.omega, 2 - order, 0.0) for order in derivative_orders])
-    return np.asarray(rfft(irfft(accelerations / per_acceleration, window.size) * window) * per_acceleration)
+    return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
 
 
 def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
@@ -147,12 +148,12 @@ def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
 
 
 def ground_forces(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displacements_at_elements(responses, stations, springs, motion.displacements)
-    damper_velocities = displacements_at_elements(responses, stations, dampers, motion.velocities)
+    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
     ground_reactions = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
@@ -169,12 +170,12 @@ def ground_forces(
 
 
 def ground_force_derivative(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> GroundForceChanges:
     """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displacements_at_elements(responses, stations, springs, motion.displacements)
-    damper_velocities = displacements_at_elements(responses, stations, dampers, motion.velocities)
+    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
     force_slopes: list[Float[np.ndarray, " fine"]] = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
@@ -188,8 +189,8 @@ def ground_force_derivative(
 
     def force_changes(displacement_changes: MotionSpectra) -> list[tuple[Station, Spectrum]]:
         motion_changes = (
-            *displacements_at_elements(responses, stations, springs, displacement_changes),
-            *displacements_at_elements(responses, stations, dampers, 1j * record.omega * displacement_changes),
+            *displacements_at_elements(responses, sensor_stations, springs, displacement_changes),
+            *displacements_at_elements(responses, sensor_stations, dampers, 1j * record.omega * displacement_changes),
         )
         padded_sample_count = record.transform_length // record.decimation
         force_stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
@@ -237,7 +238,7 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
 
 def displacements_at_elements(
     responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
+    sensor_stations: SensorStations,
     attached_elements: Sequence[PointSpring | PointDamper | PointMass],
     sensor_displacements: MotionSpectra,
 ) -> Complex[np.ndarray, "attached lines"]:

@@ -197,9 +197,8 @@ def strength_columns(
         values = start_values.copy()
         values[index] = start_values[index] + candidate.step_sizes[index]
         rig = candidate.applied(linearization.rig, values)
-        decreases.append(
-            attached_column(linearization, rig, residual) or residual_decrease(linearization, rig, residual)
-        )
+        column = attached_column(linearization, rig, residual)
+        decreases.append(column or residual_decrease(linearization, rig, residual))
     return decreases
 
 

@@ -63,19 +63,16 @@ def likeliest_force(fit_record: Record, rig: Rig, validation: Record) -> Unmeasu
     on_fit_record = locate_force(whitened_record(fit_record, rig))
     whitened_validation = whitened_record(validation, rig)
     on_validation_record = locate_force(whitened_validation)
-    return UnmeasuredForceFit(
-        on_fit_record, on_validation_record, _fit_at_place(on_fit_record, whitened_validation, on_validation_record)
-    )
+    at_fit_place = _fit_at_place(on_fit_record, whitened_validation, on_validation_record)
+    return UnmeasuredForceFit(on_fit_record, on_validation_record, at_fit_place)
 
 
-def _fit_at_place(
-    on_fit_record: LocatedForce, whitened: WhitenedRecord, on_validation_record: LocatedForce
-) -> LocatedForce:
+def _fit_at_place(on_fit_record: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
     """Fit of the validation record with the place and the spectrum's shape of the fit record, or a drift's bodies."""
-    place, without_force = on_fit_record.force_place, on_validation_record.without_force
+    place, without_force = on_fit_record.force_place, on_validation.without_force
     if place.kind == "distributed":
-        is_same_drift = on_validation_record.force_place == place
-        return on_validation_record if is_same_drift else locate_force(whitened, expected_place=place)
+        is_same_drift = on_validation.force_place == place
+        return on_validation if is_same_drift else locate_force(whitened, expected_place=place)
     spectrum_shape = np.zeros(whitened.band_first_lines.size)
     band_count = min(spectrum_shape.size, on_fit_record.with_force.force_spectrum.size)
     spectrum_shape[:band_count] = on_fit_record.with_force.force_spectrum[:band_count]
