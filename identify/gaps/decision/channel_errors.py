@@ -43,12 +43,12 @@ def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, see
 
 
 def with_force_noise(
-    recording: Recording, force_noise_n: Float[np.ndarray, " forces"], force_gain: float, rng: np.random.Generator
+    recording: Recording, force_noise_n: Float[np.ndarray, " forces"], gain_tolerance: float, rng: np.random.Generator
 ) -> Recording:
     """Recording with noise and gain errors of the force channels, which the simulator does not know."""
     signals = recording.signals["force"]
     forces_n = signals.values + force_noise_n[:, None] * rng.standard_normal(signals.values.shape)
-    forces_n = forces_n * (1 + force_gain * rng.standard_normal((len(forces_n), 1)))
+    forces_n = forces_n * (1 + gain_tolerance * rng.standard_normal((len(forces_n), 1)))
     return with_fields(recording, signals={**recording.signals, "force": with_fields(signals, values=forces_n)})
 
 

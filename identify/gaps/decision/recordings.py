@@ -56,8 +56,8 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
     """
     faults: dict[str, str] = {}
     for recording in recordings:
-        faults |= sound_channels(recording, excluded_channels=tuple(faults))[1]
-    sound_recordings = [with_inertial_force(sound_channels(recording, tuple(faults))[0]) for recording in recordings]
+        faults |= sound_recording(recording, excluded_channels=tuple(faults))[1]
+    sound_recordings = [with_inertial_force(sound_recording(recording, tuple(faults))[0]) for recording in recordings]
     for recording in sound_recordings:
         if not np.any(recording.forces_n):
             check_decay(recording)
@@ -125,7 +125,7 @@ def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
     return Recording(recording.rig, cut_signals, recording.provenance)
 
 
-def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
+def sound_recording(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
     """Recording without its faulty channels and those of `excluded_channels`, and the fault of each of the former.
 
     Raises RigError if the force channel or the sensor on a shaken base is faulty, or no sensor is left.

@@ -112,13 +112,13 @@ def diagnose_in_space(
     judgement = _judge(prepared, search_result, RingFit(unfolding, space_tolerances), matters)
     progress("causes", 0.9)
     decision = judgement.decision
-    gap = _in_space(describe(prepared, search_result, judgement, matters))
+    gap = _answer_in_space(describe(prepared, search_result, judgement, matters))
     progress("causes", 1.0)
     corrected = decision.corrects_rig and decision.named_hypothesis
     return gap, unfolding.folded(corrected.rig) if corrected else space_rig
 
 
-def _in_space(gap: Gap) -> Gap:
+def _answer_in_space(gap: Gap) -> Gap:
     """Answer of an unfolded rig as one of the rig in space: stations by its bodies, and no unexplained shares of the
     contact forces, which no law was asked for."""
 

@@ -24,7 +24,7 @@ from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.scales import band_indices, band_means, error_variances, posterior_variance, second_levels
+from identify.gaps.residual.scales import band_index, band_means, band_variances, levels_by_second, posterior_variance
 
 NOISE_SHARE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
@@ -58,12 +58,12 @@ def nominal_variances_of(linearization: Linearization) -> NominalVariances:
     """Variances from a linearisation at the scales of the tolerances."""
     record, error_variance = linearization.record, linearization.model.error_deviation**2
     sample_count = record.counted_slice.stop - record.counted_slice.start
-    band_count = second_levels(record, np.zeros((len(record.sensors), sample_count))).shape[1]
+    band_count = levels_by_second(record, np.zeros((len(record.sensors), sample_count))).shape[1]
     return NominalVariances(
         band_means(record, error_variance, band_count),
         band_means(record, record.noise_variance, band_count),
         band_means(record, record.smoothed_power, band_count),
-        np.bincount(band_indices(record, band_count), minlength=band_count).astype(float),
+        np.bincount(band_index(record, band_count), minlength=band_count).astype(float),
         linearization.observations,
     )
 
@@ -73,7 +73,7 @@ class Misfit:
     """Misfit of a rig to a record, second by second.
 
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
-    variance_correction accounts for variances that change within a band (`scales.error_variances`).
+    variance_correction accounts for variances that change within a band (`scales.band_variances`).
     contact_mean_square_by_second is the mean square of each contact's residual relative to the nominal variance,
     contact_excess_n2 that beyond noise and contact_force_n2 that of the contact force (N^2). line_cost is
     `lines.cost_of_lines`, independent_samples the number of independent samples.
@@ -202,7 +202,7 @@ class Misfit:
 def misfit(record: Record, nominal_variances: NominalVariances, residual: Residual) -> Misfit:
     """Misfit of a fitted residual, in the nominal variances whatever the scales of the fit."""
     linear_residual, error_deviation = residual.linear_residual, residual.model.error_deviation
-    mean_squares, oversampling = second_levels(record, linear_residual), record.oversampling
+    mean_squares, oversampling = levels_by_second(record, linear_residual), record.oversampling
     second_count, band_count = mean_squares.shape[:2]
     expected_variance = band_means(record, error_deviation**2, band_count)
     contact_misfits = [
@@ -224,7 +224,7 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     return Misfit(
         nominal_variances=nominal_variances,
         variance_by_second=mean_squares * expected_variance,
-        variance_correction=error_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
+        variance_correction=band_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
         contact_mean_square_by_second=contact_mean_squares[:, 0].T,
         contact_excess_n2=contact_mean_squares[:, 1].T,
         contact_force_n2=contact_mean_squares[:, 2].T,

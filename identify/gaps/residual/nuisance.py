@@ -71,7 +71,7 @@ class NuisanceColumns:
         return (self.flat_residual @ flat_residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
-def columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
+def nuisance_columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     """Columns of all parameters whose tolerance is above zero."""
     body_names = [response.body.name for response in model.responses]
     motion, signal_norm = _observed_motion(record, model), float(np.linalg.norm(record.acceleration_signals))

@@ -16,7 +16,7 @@ from identify.gaps.residual.lines import outstanding_frequencies, without_lines
 from identify.gaps.residual.nuisance import (
     NuisanceColumns,
     apply_nuisance,
-    columns_of,
+    nuisance_columns_of,
     relative_displacements,
     residual_in_time,
     with_nuisance,
@@ -51,7 +51,7 @@ class SearchCache:
         self.finer_motions = FinerMotions(len(record.rig.contacts))
 
     def columns(self, model: LinearModel) -> NuisanceColumns:
-        return self._columns.get(model, lambda: columns_of(model.record, model))
+        return self._columns.get(model, lambda: nuisance_columns_of(model.record, model))
 
 
 @dataclass(frozen=True)

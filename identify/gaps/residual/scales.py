@@ -50,7 +50,7 @@ def segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, in
     return samples, sample_count // samples, lines_per_band, (samples // 2 + 1) // lines_per_band
 
 
-def second_levels(
+def levels_by_second(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
@@ -63,7 +63,7 @@ def second_levels(
     return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
 
 
-def error_variances(
+def band_variances(
     record: Record,
     residual: Float[np.ndarray, "rows times"],
     error_deviation: Float[np.ndarray, "sensors lines"],
@@ -91,10 +91,10 @@ def error_variances(
 
 def levels_by_band(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
     """Mean square of a linear residual by band over the whole record."""
-    return np.asarray(second_levels(record, residual).mean(axis=0))
+    return np.asarray(levels_by_second(record, residual).mean(axis=0))
 
 
-def band_indices(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
+def band_index(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
     """Index of the band of each line."""
     return np.minimum(record.omega / (2 * np.pi * BAND_WIDTH_HZ), band_count - 1).astype(int)
 
@@ -103,7 +103,7 @@ def band_means(
     record: Record, line_values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band, for every sensor."""
-    indices = band_indices(record, band_count)
+    indices = band_index(record, band_count)
     line_counts = np.maximum(np.bincount(indices, minlength=band_count), 1)
     return np.array([np.bincount(indices, sensor_values, band_count) / line_counts for sensor_values in line_values]).T
 
@@ -142,4 +142,4 @@ def estimated_scales(
     fit_share = band_means(record, fit_scales.unmodelled_shares, band_count)
     variance_ratio = np.maximum(mean_square_by_band - noise_share, 0.0) / np.maximum(1.0 - noise_share, 1e-6)
     new_shares = np.maximum(fit_share * np.sqrt(variance_ratio), record.tolerances.unmodelled)
-    return Scales(np.ascontiguousarray(new_shares[band_indices(record, band_count)].T), contact_variances)
+    return Scales(np.ascontiguousarray(new_shares[band_index(record, band_count)].T), contact_variances)

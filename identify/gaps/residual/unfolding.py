@@ -24,7 +24,7 @@ IN_Z = " in z"
 FREE_CONTACT_SHARE = 1e3
 """Share of a contact force that no law explains, in the residual of a rig in space: its weight is next to nothing.
 Numerical."""
-PLACES = ("springs", "loads", "dampers", "tones")
+ELEMENTS = ("springs", "loads", "dampers", "tones")
 """Fields of a rig for what acts in one direction."""
 
 
@@ -84,7 +84,7 @@ class Unfolding:
             gravity_m_per_s2=0.0,
             **{
                 field: (*getattr(y_rig, field), *(replace(x, station=_twin(x.station)) for x in getattr(z_rig, field)))
-                for field in PLACES
+                for field in ELEMENTS
             },
         )
 
@@ -122,7 +122,7 @@ class Unfolding:
             supports=tuple(s for s in rig.supports if not s.station.body.endswith(IN_Z)),
             clamps=tuple(c for c in rig.clamps if not c.body.endswith(IN_Z)),
             gravity_m_per_s2=self.space_rig.gravity_m_per_s2,
-            **{field: tuple(replace(x, station=station(x.station)) for x in getattr(rig, field)) for field in PLACES},
+            **{field: tuple(replace(x, station=station(x.station)) for x in getattr(rig, field)) for field in ELEMENTS},
         )
 
 

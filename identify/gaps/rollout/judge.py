@@ -70,17 +70,17 @@ def judge_correction(
         measured_motion(recording, corrected_fit.corrected_rig, corrected_fit),
     ]
     nominal, _, corrected = motions
-    start, stop = _common_samples(motions)
+    first_sample, stop = _common_samples(motions)
     rate_hz = recording.rig.sample_rate_hz
-    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
+    if stop - first_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
-    window_starts = disjoint_starts(start, stop - start, horizon_samples, MAX_WINDOW_COUNT)
+    window_starts = disjoint_starts(first_sample, stop - first_sample, horizon_samples, MAX_WINDOW_COUNT)
     record = nominal_fit.model.record
     try:
         nominal_errors, fitted_errors, corrected_errors = (
             prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motions
         )
-        decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, start, stop)
+        decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, first_sample, stop)
     except RigError:
         return Rollout(code="not_simulated")
     ratios_by_block = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
@@ -152,13 +152,13 @@ def _example(
 
 
 def _decay_modes(
-    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, start: int, stop: int
+    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, first_sample: int, stop: int
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
     rig, rate_hz, highest_hz = nominal.rig, nominal.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     max_mode_count = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
-    decays = _measured_and_both_predicted(nominal, corrected, predict, np.array([start]), stop - start)
+    decays = _measured_and_both_predicted(nominal, corrected, predict, np.array([first_sample]), stop - first_sample)
     return compared_modes(
         *(modes_of_decay(np.nan_to_num(decay[0]), rate_hz, highest_hz, max_mode_count) for decay in decays)
     )

@@ -13,7 +13,7 @@ from identify.gaps.search.hypothesis import (
     FittedHypothesis,
     Hypothesis,
     Search,
-    combined,
+    combined_hypothesis,
     fit_briefly,
     fit_spectrum,
     refined,
@@ -50,7 +50,7 @@ def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     tone_fits = single_effect_fits(tone_search, tone_search.nominal_fit())
     if not tone_fits:
         return best_set
-    joined_hypothesis = combined(best_set, tone_fits[0])
+    joined_hypothesis = combined_hypothesis(best_set, tone_fits[0])
     start_residual = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(
         search, joined_hypothesis.candidates, joined_hypothesis.values, start_residual, best_set.linearization
@@ -68,6 +68,6 @@ def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypoth
     for candidate in base_candidates:
         base_motion_fit = fit_spectrum(base_search, base_search.nominal_fit(), candidate)
         if base_motion_fit and best_set.cost - base_motion_fit.cost > MIN_GAIN:
-            joined_hypothesis = combined(best_set, base_motion_fit)
+            joined_hypothesis = combined_hypothesis(best_set, base_motion_fit)
             return FittedHypothesis(joined_hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
     return best_set

@@ -306,7 +306,7 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
     return replace(residual, nuisance_pulls=np.where(is_mode_parameter, 0.0, residual.nuisance_pulls))
 
 
-def combined(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
+def combined_hypothesis(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
     """Union of two hypotheses, of which the second was fitted with the first held."""
     base, added = base_fit.hypothesis, added_fit.hypothesis
     values, covariance = np.concatenate([base.values, added.values]), block_diag(base.covariance, added.covariance)

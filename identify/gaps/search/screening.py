@@ -70,10 +70,10 @@ def score_screening(
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
         screened_starts = _screened_strengths(linearization, candidate_equations, candidate, peaks_hz)
         screened.append(max(screened_starts, key=attrgetter("cost_decrease")))
-    return _best_first(screened)
+    return _by_cost_decrease(screened)
 
 
-def _best_first(screened: list[ScreenedCandidate]) -> list[ScreenedCandidate]:
+def _by_cost_decrease(screened: list[ScreenedCandidate]) -> list[ScreenedCandidate]:
     return sorted(screened, key=lambda start: -start.cost_decrease)
 
 
@@ -153,7 +153,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         if trials:
             least_cost, grid_values = min(trials, key=itemgetter(0))
             screened.append(ScreenedCandidate(candidate, nominal_cost - least_cost, grid_values))
-    return _best_first(screened)
+    return _by_cost_decrease(screened)
 
 
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -188,7 +188,7 @@ def law_screening(
                 screened_trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
                 best_trial = max(best_trial, screened_trial, key=attrgetter("cost_decrease"))
         screened.append(best_trial)
-    return _best_first(screened)
+    return _by_cost_decrease(screened)
 
 
 def _log_scatter(residual: Residual) -> float:
@@ -221,7 +221,7 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
     if not record.measured_modes:
         return []
     nominal_cost = float(np.sum(mode_mismatch(record, rig) ** 2))
-    return _best_first(
+    return _by_cost_decrease(
         [
             ScreenedCandidate(candidate, nominal_cost - least_cost, best_values)
             for candidate in candidates

@@ -1,8 +1,8 @@
 """Search for any number of effects: joint sparse selection in the local model, refined by fits of the set.
 
 Notes for maintainers
-1. Select (`selected`): from the local model about the fitted rig, candidates enter one at a time, the six that promise
-   most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
+1. Select (`best_selection`): from the local model about the fitted rig, candidates enter one at a time, the six that
+   promise most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
    candidate may stand at two places of a body (two cables are two masses).
 2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
    selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing is selected,
@@ -36,7 +36,7 @@ from identify.gaps.search.hypothesis import (
     FittedHypothesis,
     Hypothesis,
     Search,
-    combined,
+    combined_hypothesis,
     fit_briefly,
     refined,
     reset_saturated_nuisance,
@@ -142,7 +142,7 @@ def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> Fitt
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
-    return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
+    return FittedHypothesis(combined_hypothesis(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
 def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
@@ -150,7 +150,7 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     if not best_set.hypothesis.is_incomplete:
         return best_set
     linearization, residual, model = _linearized_local_model(search, best_set)
-    selection = selected(model, best_set.hypothesis)
+    selection = best_selection(model, best_set.hypothesis)
     del model  # it is large, and so are the fits
     hint_additions = [((candidate,), (values,)) for candidate, values in selection.hint_candidates]
     additions = [(selection.candidates, selection.values_by_candidate)] if selection.candidates else hint_additions
@@ -204,7 +204,7 @@ def _brief_fit_with(
         return None
 
 
-def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
+def best_selection(model: LocalModel, present_set: Hypothesis) -> Selection:
     """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
     chosen_terms: list[CandidateTerm] = []
     solution = model.minimum(chosen_terms)

@@ -11,7 +11,7 @@ import identify
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.decision.rings import RingFit, linear_candidates, ring_candidates, ring_distances
 from identify.gaps.residual.likelihood import misfit
-from identify.gaps.residual.nuisance import columns_of
+from identify.gaps.residual.nuisance import nuisance_columns_of
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances
 from identify.gaps.search.candidates import candidates, scale_of
@@ -165,7 +165,7 @@ def test_the_mass_shows_in_the_motion_and_the_clearance_in_the_fit_of_the_rings_
 
 def test_sensors_show_motion_across_which_is_fitted(observation):
     _, prepared = observation
-    columns = columns_of(prepared.record, linearized(prepared.record, prepared.record.rig).model)
+    columns = nuisance_columns_of(prepared.record, linearized(prepared.record, prepared.record.rig).model)
     across = [p.owner for p in columns.parameters if p.kind is NuisanceKind.CROSS_AXIS]
     assert sorted(across) == sorted(sensor.name for sensor in prepared.record.sensors)
     residual = fit_nuisance(prepared.record, prepared.record.rig)[1]

@@ -9,7 +9,7 @@ from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.sparse import ranked_hypotheses, selected
+from identify.gaps.search.sparse import best_selection, ranked_hypotheses
 from rig.effects.added_mass import AddedMass
 from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
@@ -64,7 +64,7 @@ def test_majorisation_never_raises_the_statistic(model):
 
 def test_an_effect_that_dominates_is_selected_alone(pair, model):
     """It bends the model of the others."""
-    selection = selected(model, pair.nominal_fit().hypothesis)
+    selection = best_selection(model, pair.nominal_fit().hypothesis)
     assert [part.name for part in selection.candidates] == ["added_mass:barrel"]
 
 
