@@ -53,9 +53,9 @@ PREDICTION_WORDS = {
 """Result of the prediction in words, by its code."""
 RATIO_WORDS = {"relative_position": "of the length of the body", "factor": "times the value in rig.json"}
 """What a parameter without a unit is a ratio to, by its name."""
-HINT_EXPLAINED = 0.1
+MIN_HINT_SHARE = 0.1
 """Explained share below which an unmeasured force is no hint: null simulations explain as much."""
-DESCRIPTION_EXPLAINED = 0.5
+MIN_DESCRIPTION_SHARE = 0.5
 """Explained share below which a description of an unmeasured force is a hint only."""
 LARGEST_PROBABILITY = 1 - 1e-9
 """Largest probability that is written: none is one. Display."""
@@ -146,7 +146,7 @@ def findings_heading(gap: Diagnosis) -> str:
         for effect, words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
-    if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
+    if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= MIN_DESCRIPTION_SHARE:
         unmeasured.append("the unmeasured force described above")
     reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
     cause_words = ", perhaps because of the difference above" * gap.evidence.difference_matters
@@ -175,7 +175,7 @@ def cause_name(cause: Cause) -> str:
 
 def removed_share_words(cause: Cause) -> str:
     """Removed share of the mismatch with its 95 % interval: "97.0 % (95.1 to 98.2 %)"; "nothing" if negligible."""
-    if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < DESCRIPTION_EXPLAINED:
+    if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < MIN_DESCRIPTION_SHARE:
         return "nothing"
     lower, upper = (percent(share).removesuffix(" %") for share in cause.interval_95)
     return f"{percent(cause.explained)} ({lower} to {upper} %)"

@@ -54,8 +54,8 @@ def diagnose(
     Raises RigError if the records do not fit together or allow no diagnosis.
     """
 
-    def causes_progress(start: float, stop: float) -> Callable[[float], None]:
-        return lambda done_share: progress("causes", start + (stop - start) * done_share)
+    def causes_progress(start_share: float, stop_share: float) -> Callable[[float], None]:
+        return lambda done_share: progress("causes", start_share + (stop_share - start_share) * done_share)
 
     def null_progress(done_share: float) -> None:
         progress("null_reference", done_share)

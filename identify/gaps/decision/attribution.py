@@ -15,7 +15,7 @@ from identify.gaps.results import Attribution, ResidualMap, Share
 
 BAND_EDGES_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 """Edges of the bands in which the mismatch is shown. Display."""
-TIME_INTERVALS = 10
+INTERVAL_COUNT = 10
 """Intervals of the time in which the mismatch is shown. Display."""
 MAP_CELLS = 12
 """Cells along either axis of the map of the contact force. Display."""
@@ -43,7 +43,7 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
         body_shares, position_m = station_shares.setdefault(sensor.station.body, {}), sensor.station.position_m
         body_shares[position_m] = body_shares.get(position_m, 0.0) + channel_shares[sensor.name]
     intervals = zip(
-        *(np.array_split(series, TIME_INTERVALS) for series in (record.residual_times_s, total_squares)), strict=True
+        *(np.array_split(series, INTERVAL_COUNT) for series in (record.residual_times_s, total_squares)), strict=True
     )
     return Attribution(
         channels=channel_shares,

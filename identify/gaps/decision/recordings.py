@@ -145,10 +145,10 @@ def sound_recording(recording: Recording, excluded_channels: tuple[str, ...] = (
                 )
             if channel not in excluded_channels:
                 faults[channel] = fault
-    dropped = {*faults, *excluded_channels}
-    if not dropped:
+    dropped_names = {*faults, *excluded_channels}
+    if not dropped_names:
         return recording, faults
-    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped)
+    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped_names)
     if not sensors:
         raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
     rig, sound_signals = replace(recording.rig, sensors=sensors), {}

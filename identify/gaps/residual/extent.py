@@ -246,7 +246,7 @@ def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Toleranc
 
 
 def sensor_noise_densities(
-    recording: Recording, sensors: tuple[Sensor, ...], quiet_samples: int
+    recording: Recording, sensors: tuple[Sensor, ...], quiet_sample_count: int
 ) -> Float[np.ndarray, " sensors"]:
     """One-sided noise density of each sensor in its own unit per sqrt(Hz), from the quiet start, else from the record.
 
@@ -257,8 +257,8 @@ def sensor_noise_densities(
     rate_hz, is_free_decay, noise_densities = recording.rig.sample_rate_hz, not np.any(recording.forces_n), []
     for sensor in sensors:
         signal = recording.values_of(sensor)
-        if quiet_samples:
-            line_hz, power_density = periodogram(signal[:quiet_samples], rate_hz, "hann")
+        if quiet_sample_count:
+            line_hz, power_density = periodogram(signal[:quiet_sample_count], rate_hz, "hann")
             is_in_band = (line_hz > 0) & (line_hz < PASSBAND * rate_hz)
             noise_density = float(np.sqrt(np.median(power_density[is_in_band]) / np.log(2)))
         else:

@@ -145,8 +145,8 @@ class Misfit:
     @cached_property
     def excess_variance(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
-        nominal = self.nominal_variances
-        return np.asarray((self.measured_variance - nominal.noise_variance) * nominal.has_signal)
+        nominal_variances = self.nominal_variances
+        return np.asarray((self.measured_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
 
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:

@@ -227,24 +227,24 @@ def with_nuisance(
     """
     pull_by_parameter = dict(zip(parameters, pulls.tolist(), strict=True))
 
-    def change(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+    def change_of(kind: NuisanceKind, owner: str, tolerance: float) -> float:
         return tolerance * float(pull_by_parameter.get(Nuisance(kind, owner), 0.0))
 
-    def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
-        return max(0.1, 1 + change(kind, owner, tolerance))
+    def factor_of(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+        return max(0.1, 1 + change_of(kind, owner, tolerance))
 
     def body_with_pulls(body: Body) -> Body:
         name = body.name
-        body = body.scale_mass(factor(NuisanceKind.MASS, name, tolerances.mass))
-        body = body.scale_frequencies(factor(NuisanceKind.FREQUENCY, name, tolerances.frequency))
-        return body.scale_damping(factor(NuisanceKind.DAMPING, name, tolerances.damping))
+        body = body.scale_mass(factor_of(NuisanceKind.MASS, name, tolerances.mass))
+        body = body.scale_frequencies(factor_of(NuisanceKind.FREQUENCY, name, tolerances.frequency))
+        return body.scale_damping(factor_of(NuisanceKind.DAMPING, name, tolerances.damping))
 
     def sensor_with_pulls(sensor: Sensor) -> Sensor:
         name, stated = sensor.name, tolerances.of_sensor(sensor.name)
-        gain = sensor.gain * factor(NuisanceKind.GAIN, name, stated.gain)
-        return replace(sensor, gain=gain, delay_s=sensor.delay_s + change(NuisanceKind.DELAY, name, stated.delay_s))
+        gain = sensor.gain * factor_of(NuisanceKind.GAIN, name, stated.gain)
+        return replace(sensor, gain=gain, delay_s=sensor.delay_s + change_of(NuisanceKind.DELAY, name, stated.delay_s))
 
-    force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
+    force_gain = rig.force_sensor.gain * factor_of(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
         bodies=tuple(map(body_with_pulls, rig.bodies)),

@@ -59,8 +59,8 @@ def levels_by_second(
     segments = residuals[:, : count * segment_sample_count].reshape(len(residuals), count, segment_sample_count)
     window = hann(segment_sample_count, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    by_line = power[:, :, : band_count * band_lines].reshape(len(residuals), count, band_count, band_lines)
-    return np.asarray(by_line.mean(axis=3).transpose(1, 2, 0))
+    power_by_line = power[:, :, : band_count * band_lines].reshape(len(residuals), count, band_count, band_lines)
+    return np.asarray(power_by_line.mean(axis=3).transpose(1, 2, 0))
 
 
 def band_variances(

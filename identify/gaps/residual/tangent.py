@@ -17,7 +17,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 from identify.signals.spectra import decimated
 
-MARGIN_SAMPLES = 32
+MARGIN_SAMPLE_COUNT = 32
 """Samples of the force on either side of a spline's support that its column keeps; the low-pass rings on beyond, as
 1/n. Set by hand: the changes are then right within 2 % (`test_tangent`)."""
 
@@ -53,11 +53,11 @@ class LawTangent:
 
 
 def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
-    """First sample of each spline's window, which reaches MARGIN_SAMPLES beyond its support, and its values there."""
+    """First sample of each spline's window, MARGIN_SAMPLE_COUNT before its support, and the spline's values in it."""
     columns = spline_values.tocsc()
     support = np.diff(columns.indptr)
-    first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLES
-    splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLES, real=True)))
+    first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLE_COUNT
+    splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLE_COUNT, real=True)))
     spline_of_entry = np.repeat(np.arange(len(support)), support)
     splines[spline_of_entry, columns.indices - first_samples[spline_of_entry]] = columns.data
     return first_samples, splines

@@ -153,7 +153,7 @@ def candidates(scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_
     force where several act or the base alone shakes, and on a base's motion where it is measured; those that change
     nothing, or that separate contacts between the same places.
     """
-    possible, rig = [], scale.rig
+    possible_candidates, rig = [], scale.rig
     for kind in effects().values():
         if (kind.needs_zero and not zero_known) or (kind.stochastic and rig.base_sensors):
             continue
@@ -169,8 +169,8 @@ def candidates(scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_
             if not has_force:
                 changed_rig = replace(changed_rig, sensors=rig.sensors, force_at=rig.force_at)
             if changed_rig != rig and len(contact_groups(changed_rig)) == len(contact_groups(rig)):
-                possible.append(candidate)
-    return possible
+                possible_candidates.append(candidate)
+    return possible_candidates
 
 
 def is_possible(candidate: Candidate, rig: Rig) -> bool:

@@ -53,13 +53,13 @@ class LinearizedRecord:
     cost: float
 
     def information_with(
-        self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
+        self, build_rig: Callable[[Values], Rig], parameter_values: Values, step_sizes: Values, upper_bounds: Values
     ) -> RecordInformation:
         """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
         information, pulls = self.tolerance_information, self.residual.pulls
-        signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
+        signed_shares = np.where(parameter_values + step_sizes > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
         parameter_decreases = []
-        for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
+        for signed_share, step in zip(signed_shares, np.diag(step_sizes), strict=True):
             rig = build_rig(parameter_values + signed_share * step)
             linear_decrease, contact_decreases = residual_decrease(self.linearization, rig, self.residual)
             parameter_decreases.append([decrease / signed_share for decrease in (linear_decrease, *contact_decreases)])
@@ -83,7 +83,7 @@ class LinearizedRecord:
         normal_matrix, gradient = normal_matrix / oversampling, gradient / oversampling
         normal_matrix[:tolerance_count, :tolerance_count] = information.normal_matrix
         gradient[:tolerance_count] = information.right_side - information.normal_matrix @ pulls
-        expansion_point = np.append(pulls, parameter_values / steps)
+        expansion_point = np.append(pulls, parameter_values / step_sizes)
         return _information_at(information.tolerance_names, normal_matrix, gradient, expansion_point, self.cost)
 
 
@@ -150,7 +150,7 @@ class PooledEstimate:
 
 def pooled(
     information_by_record: Sequence[RecordInformation],
-    steps: Values,
+    step_sizes: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
     differs_by_record: bool = False,
@@ -160,11 +160,11 @@ def pooled(
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
     names = list(dict.fromkeys(name for information in information_by_record for name in information.tolerance_names))
-    tolerance_count, parameter_count = len(names), len(steps)
+    tolerance_count, parameter_count = len(names), len(step_sizes)
     copy_count = len(information_by_record) if differs_by_record else 1
-    bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
+    bounds_in_steps = np.sort(np.stack(bounds) / step_sizes, axis=0)
     prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], copy_count)
-    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, copy_count)])
+    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / step_sizes, copy_count)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
     for record_index, information in enumerate(information_by_record):
@@ -181,7 +181,7 @@ def pooled(
     cost = sum(information.constant_cost for information in information_by_record) + float(
         unknowns @ normal_matrix @ unknowns - 2 * right_side @ unknowns + prior_means @ (prior_precisions * prior_means)
     )
-    tiled_steps = np.tile(steps, copy_count)
+    tiled_steps = np.tile(step_sizes, copy_count)
     covariance = np.linalg.inv(normal_matrix)[tolerance_count:, tolerance_count:] * np.outer(tiled_steps, tiled_steps)
     # the bounds of `bounded_minimum` have slack
     values = np.clip(unknowns[tolerance_count:] * tiled_steps, *(np.tile(bound, copy_count) for bound in bounds))
@@ -199,7 +199,7 @@ def fitted_together(
     candidates = hypothesis.candidates
     if not candidates or any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         return hypothesis
-    rig, steps, bounds = records[0].rig, step_sizes_of(candidates), parameters_of(candidates).bounds
+    rig, step_sizes, bounds = records[0].rig, step_sizes_of(candidates), parameters_of(candidates).bounds
     build_rig = partial(with_effects, rig, candidates)
 
     def pooled_about(values: Values) -> _PooledFit:
@@ -207,8 +207,8 @@ def fitted_together(
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
             record_fit = linearized_record(record, nominal_variances, build_rig(values))
             cost += record_fit.cost
-            information_by_record.append(record_fit.information_with(build_rig, values, steps, bounds[1]))
-        return _PooledFit(values, pooled(information_by_record, steps, bounds, values), cost)
+            information_by_record.append(record_fit.information_with(build_rig, values, step_sizes, bounds[1]))
+        return _PooledFit(values, pooled(information_by_record, step_sizes, bounds, values), cost)
 
     def refit(earlier: _PooledFit) -> _PooledFit:
         if earlier.has_settled:

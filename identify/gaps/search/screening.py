@@ -103,7 +103,7 @@ def _screened_strengths(
     matrix, gradient, nuisance_count = normal_equations.matrix, normal_equations.gradient, len(equations.gradient)
     free = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
     nuisance_response = np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, nuisance_count:])
-    steps = candidate.step_sizes[strengths]
+    strength_steps = candidate.step_sizes[strengths]
     lower_bounds, upper_bounds = (bound[strengths] for bound in candidate.parameters.bounds)
     for start_index, start_values in enumerate(possible_starts):
         first_column = start_index * len(strengths)
@@ -113,11 +113,11 @@ def _screened_strengths(
         slope = gradient[column_slice] - response.T @ gradient[free]
         if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(matrix)[column_slice], 1.0)):
             continue  # without influence, such as a force on a clamp
-        newton_strengths = start_values[strengths] + np.linalg.solve(curvature, slope) * steps
-        scaled_step = (np.clip(newton_strengths, lower_bounds, upper_bounds) - start_values[strengths]) / steps
+        newton_strengths = start_values[strengths] + np.linalg.solve(curvature, slope) * strength_steps
+        scaled_step = (np.clip(newton_strengths, lower_bounds, upper_bounds) - start_values[strengths]) / strength_steps
         gain = float(2 * slope @ scaled_step - scaled_step @ curvature @ scaled_step)
         best_values = start_values.copy()
-        best_values[strengths] = start_values[strengths] + scaled_step * steps
+        best_values[strengths] = start_values[strengths] + scaled_step * strength_steps
         screened.append(ScreenedCandidate(candidate, gain, best_values))
     return screened
 

@@ -239,14 +239,14 @@ class Descent:
         free_count = coefficient_count + bool(form.parameter_name)
         unit_forces = self.unit_forces(parameter, knots_m)
         force_n = coefficients @ unit_forces
-        derivatives = [*unit_forces]
+        force_derivatives = [*unit_forces]
         if form.parameter_name:
-            derivatives.append((coefficients @ self.unit_forces(parameter + step_m, knots_m) - force_n) / step_m)
+            force_derivatives.append((coefficients @ self.unit_forces(parameter + step_m, knots_m) - force_n) / step_m)
         tangents_n_per_m = (coefficients @ self.unit_forces(parameter, knots_m, step_m) - force_n) / step_m
         mean_tangents = tangents_n_per_m.reshape(len(history.slow_basis), -1).mean(axis=1)
         force_columns = np.concatenate(
             [
-                history.gated_spectra(np.stack(derivatives)),
+                history.gated_spectra(np.stack(force_derivatives)),
                 history.spectra_of_samples((history.slow_basis * mean_tangents[:, None]).T),
                 history.gated_spectra(force_n)[None],
             ]
