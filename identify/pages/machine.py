@@ -31,8 +31,8 @@ LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 84.0, 15.0, (120.0, 46
 """Left and right margin, thickness of a beam, width and height of a mass, px."""
 ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
-HELD_WORDS = "held, as its modes say"
-"""Words below a body without rigid-body motion that is given by its modes: where it is held they do not tell."""
+HELD_WORDS = "held: no rigid-body mode"
+"""Words below a body that is given by its modes and held somewhere: they do not tell where."""
 
 
 @dataclass(frozen=True)
@@ -149,16 +149,22 @@ def _height_px(body: Body) -> float:
 
 
 def _clamp_or_spring(layout: _Layout, body: Body) -> Iterator[str]:
-    """Wall of a clamped beam; spring of a mass."""
+    """Wall of a clamped beam; spring of a mass, from its left side down to the ground."""
     x_px, middle_px = layout.x_px(Station(body.name)), layout.tops_px[body.name] + _height_px(body) / 2
     if body.clamped:
         yield _path_element("ink", f"M{x_px:g},{middle_px - 26:g}v52")
         yield _path_element("thin", "".join(f"M{x_px:g},{middle_px - 22 + 9 * k:g}l-10,9" for k in range(6)))
     if body.is_mass and body.frequencies_hz(1)[0] > 0:
-        left_px = x_px - MASS_SIZE[0] / 2
-        coil_path = "l-3,-6" + "l-6,12l-6,-12" * 3 + "l-3,6"
-        yield _path_element("thin", f"M{left_px:g},{middle_px:g}h-10{coil_path}h-10")
-        yield _path_element("ink", f"M{left_px - 62:g},{middle_px - 20:g}v40")
+        spring_px, foot_px = x_px - MASS_SIZE[0] / 2 - 26, layout.bottom_px(body) + 16
+        coil = "l-7,2.5" + "l14,5l-14,5" * 2 + "l7,2.5"
+        yield _path_element("thin", f"M{spring_px + 26:g},{middle_px:g}h-26v7{coil}V{foot_px:g}")
+        yield from _ground(spring_px, foot_px)
+
+
+def _ground(x_px: float, y_px: float) -> Iterator[str]:
+    """Hatched ground about x."""
+    yield _path_element("ink", f"M{x_px - 20:g},{y_px:g}h40")
+    yield _path_element("thin", "".join(f"M{x_px - 16 + 8 * k:g},{y_px:g}l-6,8" for k in range(5)))
 
 
 def _body(layout: _Layout, body: Body) -> Iterator[str]:
@@ -194,8 +200,7 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
         coil = f"l16,{step_px:g}l-16,{step_px:g}" * 2 + f"l16,{step_px:g}l-8,{step_px / 2:g}"
         yield _path_element(css_class, f"M{post_px:g},{bottom_px:g}v{step_px:g}l-8,{step_px / 2:g}{coil}V{foot_px:g}")
     if not carriers:
-        yield _path_element("ink", f"M{post_px - 20:g},{foot_px:g}h40")
-        yield _path_element("thin", "".join(f"M{post_px - 16 + 8 * k:g},{foot_px:g}l-6,8" for k in range(5)))
+        yield from _ground(post_px, foot_px)
     for k, line in enumerate(text.lines):
         y_px = bottom_px + 30 + LINE_HEIGHT * (text.first_line + k)
         yield _text_element(text.x_px, y_px, text.anchor, line, "value" if k else "name")

@@ -12,6 +12,7 @@ from identify.gaps.wording import (
     joined,
     look_alikes_of,
     p_value_words,
+    probability,
     stays_unexplained_words,
     unexplained_words,
 )
@@ -80,9 +81,9 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
     bounds = _upper_bound_words(gap.evidence.quantities)
     if cause := _named_cause(gap):
         return [f"{_subject(cause)} {_inflected(cause, 'is', 'are')} there, too small to matter: {bounds}."]
+    clause = f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter"
     return [
-        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
-        "No effect of the library is named for it.",
+        f"{clause}: {bounds}. {_unnamed_sentence(gap)}",
         *([_force_description(gap, "The difference")] if gap.unknown else []),
     ]
 
@@ -154,7 +155,7 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
         are, removal = _inflected(cause, "is", "are"), _removal_words(gap, " of the difference")
         verdict_sentences += [f"{_subject(cause)} {are} likely, and {removal}.", *_veto_sentence(gap)]
     else:
-        verdict_sentences.append("No effect of the library is named for it.")
+        verdict_sentences.append(_unnamed_sentence(gap))
     return [*verdict_sentences, *_parameters_beyond(gap), _force_description(gap, "The difference")]
 
 
@@ -177,6 +178,14 @@ _VERDICTS = {
 def _named_cause(gap: Diagnosis) -> Cause | None:
     """First cause, if an effect of it is named."""
     return gap.causes[0] if gap.causes and gap.causes[0].named else None
+
+
+def _unnamed_sentence(gap: Diagnosis) -> str:
+    """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
+    if gap.causes and gap.causes[0].probability > 0.5:
+        likeliest = f"the likeliest is {joined(gap.causes[0].words)} ({probability(gap.causes[0].probability)})"
+        return f"No effect of the library is certain enough to be named; {likeliest}."
+    return "No effect of the library is named for it."
 
 
 def _pronoun(cause: Cause) -> str:

@@ -9,7 +9,14 @@ import numpy as np
 from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Gap, ResidualMap, Share
 from identify.gaps.rollout.results import PredictionExample
-from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
+from identify.gaps.wording import (
+    bound_numbers,
+    cause_name,
+    is_effective,
+    probability,
+    remaining_probabilities,
+    removed_share_words,
+)
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from identify.pages.wording import percent
 
@@ -105,7 +112,9 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="what matters")
     axes.set_xscale("log")
     axes.set_xlim(0.7 * LEAST_PERCENT, right_percent)
-    axes.set_yticks(np.arange(len(quantities)), [_shortened_name(quantity.name) for quantity in quantities])
+    limits = [f" ({bound_numbers(quantity)[-1]})" if quantity.threshold else "" for quantity in quantities]
+    names = [f"{_shortened_name(quantity.name)}{limit}" for quantity, limit in zip(quantities, limits, strict=True)]
+    axes.set_yticks(np.arange(len(quantities)), names)
     axes.set_ylim(len(quantities) - 0.5, -0.5)
     axes.set(xlabel="difference relative to the least that matters, %")
     figure.legend(loc="outside upper center", ncols=3)

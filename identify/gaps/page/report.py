@@ -39,17 +39,16 @@ CAPTION_BY_FIGURE = {
     "whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
     "decided_quantities": "What decides: the difference in the motion, the contact forces and the contact parameters. "
     "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. A quantity is settled "
-    "as too small to matter if its line ends left of the dashed one.",
+    "as too small to matter if its line ends left of the dashed one, at the size in brackets.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
     "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "
-    "assuming a law (mean values). Line: the law found; if it is not linear, with the linear part that tolerances take "
-    "up.",
+    "assuming a law (mean values); unless the law is linear, less a part that is linear in the motion, which "
+    "tolerances may take up. Line: the law that the sentence names.",
 }
 """Captions of the wide pictures; the others carry their titles."""
-DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("large_bands",)) | {
-    Verdict.CONSISTENT: ("decided_quantities", "large_bands"),
-    Verdict.SMALL: ("decided_quantities", "large_bands"),
+DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("decided_quantities", "large_bands")) | {
+    Verdict.EXPLAINED: ("large_bands",),
     Verdict.UNEXPLAINED: ("unknown_law", "large_bands"),
 }
 """Figures beside the drawing of the rig, by verdict: the first that there is."""

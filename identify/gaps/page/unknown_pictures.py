@@ -58,30 +58,26 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis: int, 
     cell_motion = np.stack([displacements_m[rows], velocities_m_per_s[columns]])
     drawn_motion = (1e3 * cell_motion[0], cell_motion[1])
     axis_names = ("displacement there, mm", "velocity there, m/s")
+    if law_values := _law_values(unknown_force, cell_motion, axis) if cell_forces_n.size >= MIN_CELLS else None:
+        line_motion, line_forces_n, cell_law_n = law_values
+        cell_forces_n = cell_forces_n - _linear_difference_n(cell_motion, cell_forces_n, cell_law_n)
     axes = figure.subplots()
     points = axes.scatter(drawn_motion[axis], cell_forces_n, c=drawn_motion[1 - axis], s=10, cmap="viridis")
     figure.colorbar(points, label=axis_names[1 - axis])
-    if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis):
-        line_motion, line_forces_n = law_line
+    if law_values:
         axes.plot((1e3, 1.0)[axis] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")
         figure.legend(loc="outside lower center")
     axes.set(xlabel=axis_names[axis], ylabel="mean force against the motion, N")
     figure.suptitle("How it follows the motion", fontsize=10)
 
 
-def _law_line(
-    unknown_force: UnmeasuredForce,
-    cell_motion: Float[np.ndarray, "2 cells"],
-    cell_forces_n: Float[np.ndarray, " cells"],
-    axis: int,
-) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]] | None:
-    """Motion along the axis and the law there, N, with the other motion zero, or nothing without a law.
-
-    Tolerances take up much of a force that is linear in the motion, so that the free force of the cells lacks such a
-    part: F = law(w, v) + a w + b v + c by least squares over the cells. A law that is linear itself is drawn as it is.
-    """
+def _law_values(
+    unknown_force: UnmeasuredForce, cell_motion: Float[np.ndarray, "2 cells"], axis: int
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"], Float[np.ndarray, " cells"]] | None:
+    """Motion along the axis and the law there, N, with the other motion zero, and the law in each cell, N; nothing
+    without a law."""
     law_form = next((form for form in LAW_FORMS if form.name == unknown_force.law_name), None)
-    if law_form is None or cell_forces_n.size < MIN_CELLS:
+    if law_form is None:
         return None
     values = {name: value.value for name, value in unknown_force.law_parameters.items()}
     coefficients = [values[name] for name in ("coefficient", "cubic")[: len(law_form.coefficient_units)]]
@@ -94,14 +90,27 @@ def _law_line(
 
     line_motion = np.zeros((2, LINE_POINTS))
     line_motion[axis] = np.linspace(cell_motion[axis].min(), cell_motion[axis].max(), LINE_POINTS)
-    line_forces_n, cell_law_n = law_n(line_motion), law_n(cell_motion)
+    return line_motion[axis], law_n(line_motion), law_n(cell_motion)
+
+
+def _linear_difference_n(
+    cell_motion: Float[np.ndarray, "2 cells"],
+    cell_forces_n: Float[np.ndarray, " cells"],
+    cell_law_n: Float[np.ndarray, " cells"],
+) -> Float[np.ndarray, " cells"]:
+    """Part a w + b v + c by which the free force of the cells differs from the law, by least squares, N.
+
+    Tolerances take up much of a force that is linear in the motion, so that the free force lacks such a part. Zero for
+    a law that is linear itself.
+    """
     linear_columns = np.vstack([cell_motion, np.ones(cell_forces_n.size)]).T
-    cell_law_part, free_force_part = (
-        np.linalg.lstsq(linear_columns, forces_n, rcond=None)[0] for forces_n in (cell_law_n, cell_forces_n)
-    )
-    if not np.allclose(linear_columns @ cell_law_part, cell_law_n, rtol=0, atol=1e-6 * np.abs(cell_law_n).max()):
-        line_forces_n += (free_force_part - cell_law_part) @ np.vstack([line_motion, np.ones(LINE_POINTS)])
-    return line_motion[axis], line_forces_n
+
+    def linear_part_n(forces_n: Float[np.ndarray, " cells"]) -> Float[np.ndarray, " cells"]:
+        return linear_columns @ np.linalg.lstsq(linear_columns, forces_n, rcond=None)[0]
+
+    if np.allclose(linear_part_n(cell_law_n), cell_law_n, rtol=0, atol=1e-6 * np.abs(cell_law_n).max()):
+        return np.zeros(cell_forces_n.size)
+    return linear_part_n(cell_forces_n - cell_law_n)
 
 
 def _draw_motion_map(figure: Any, mean_force: MeanForce) -> None:

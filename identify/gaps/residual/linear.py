@@ -8,7 +8,7 @@ with the accelerances G of measured forces F, tones T, cubic springs and frictio
 there), contact forces f and an unmeasured base motion. G holds the viscous dampers to the ground (those of free motion
 follow the measured v, too). f is a least-squares estimate, and so is a_base under the prior of its spectrum. The rest,
 in standard deviations of the error, is the linear residual. Where a sensor measures the base (`shaken_base`), w, v and
-relative displacements are those against it.
+relative displacements are those against it; relative displacements are those against the estimated base, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,11 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.initial_state import free_motion_of
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.shaken_base import BaseSpectra, unmeasured_base_accelerations
+from identify.gaps.residual.shaken_base import (
+    BaseSpectra,
+    unmeasured_base_accelerations,
+    unmeasured_base_deviation,
+)
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
@@ -122,6 +126,15 @@ class LinearModel:
         base, by_base = self.base, self.acceleration_by_force[0] - self.base.acceleration_at_sensors
         return ObservedBase(base.sensor, base.sensor, base.acceleration, base.displacement, by_base)
 
+    @property
+    def unmeasured_base_m(self) -> Complex[np.ndarray, " lines"] | float:
+        """Estimated displacement of an unmeasured base, m; 0 without one."""
+        record, base_motion = self.record, self.rig.base_motion
+        if base_motion is None or self.base:
+            return 0.0
+        deviation = unmeasured_base_deviation(base_motion, record.omega, record.sample_count, self.rig.sample_rate_hz)
+        return np.asarray(self.residual[len(record.sensors)] * deviation * record.displacement_per_acceleration)
+
     @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations at the sensors, against a measured base: measured and missed ones."""
@@ -146,7 +159,8 @@ class LinearModel:
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
+        sensor_stations = sensor_stations_of(self.record, self.rig)
+        displacements = self.displacements - self.unmeasured_base_m
         eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
             eta_m += real_product(_eta_weights(self.rig, response, sensor_stations), displacements)

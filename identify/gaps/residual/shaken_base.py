@@ -137,8 +137,14 @@ def unmeasured_base_accelerations(
     for response in responses:
         modal_load = participation(rig, response.body, response.modes, response.mode_count)
         accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
+    return np.asarray(accelerations * unmeasured_base_deviation(base_motion, omega, sample_count, rig.sample_rate_hz))
+
+
+def unmeasured_base_deviation(
+    base_motion: BaseMotion, omega: Float[np.ndarray, " lines"], sample_count: int, rate_hz: float
+) -> Float[np.ndarray, " lines"]:
+    """Standard deviation of each line of an unmeasured base's acceleration, zero outside its band."""
     lines_hz = omega / (2 * np.pi)
     power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)
-    line_deviation = np.sqrt(power_density * sample_count * rig.sample_rate_hz / 2)
     is_in_band = (lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz)
-    return np.asarray(accelerations * line_deviation * is_in_band)
+    return np.asarray(np.sqrt(power_density * sample_count * rate_hz / 2) * is_in_band)

@@ -130,6 +130,7 @@ def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
 
 def test_the_force_over_the_motion_is_the_right_way_round(gaps):
     gap = gaps["unexplained"]
+    gap = replace(gap, unknown=replace(gap.unknown, law_name=""))
     seen = gap.unknown.over_motion
     _, figures = drawn(gap)
     mesh = figures["unknown_motion"].axes[0].collections[0]

@@ -398,8 +398,9 @@ def test_what_explains_little_is_marked_as_a_hint_or_not_at_all(gaps, rig_of):
         assert [mark.words.partition(",")[0] for mark in drawn] == begin
 
 
-def test_the_law_of_an_unmeasured_force_is_drawn_up_to_a_linear_part(gaps):
-    """The force of the law's own formula over the cells, less what is linear in the motion, gives back the law."""
+def test_the_law_of_an_unmeasured_force_is_drawn_as_named_and_its_dots_less_a_linear_part(gaps):
+    """The force of the law's own formula over the cells, with a part that is linear in the motion, gives back the law;
+    of a law that is linear itself the dots stay."""
     unknown = gaps["unexplained"].unknown
     edges_m, edges_m_per_s = np.linspace(-0.05, 0.05, 41), np.linspace(-1.0, 1.0, 41)
     middle_m, middle_m_per_s = (np.convolve(edges, [0.5, 0.5], "valid") for edges in (edges_m, edges_m_per_s))
@@ -409,12 +410,14 @@ def test_the_law_of_an_unmeasured_force_is_drawn_up_to_a_linear_part(gaps):
     over_motion = MeanForce(tuple(edges_m), tuple(edges_m_per_s), tuple(map(tuple, cells_n)))
     gap = replace(gaps["unexplained"], unknown=replace(unknown, over_motion=over_motion))
     axes = pictures(gap)["unknown_law"].figure.axes[0]
-    (line,) = axes.lines
-    w_m = 1e-3 * line.get_xdata()
-    np.testing.assert_allclose(line.get_ydata(), stiffness * w0 * np.tanh(w_m / w0) - 20.0 * w_m + 0.01, atol=1e-9)
+    (line,), dots = axes.lines, axes.collections[0].get_offsets()
+    for w_mm, force_n in (line.get_data(), np.transpose(dots)):
+        np.testing.assert_allclose(force_n, stiffness * w0 * np.tanh(1e-3 * w_mm / w0), atol=1e-9)
     spring = replace(gap.unknown, law_name="linear spring", law_parameters={"coefficient": Value(50.0, 1.0, "N/m")})
-    (line,) = pictures(replace(gap, unknown=spring))["unknown_law"].figure.axes[0].lines
+    axes = pictures(replace(gap, unknown=spring))["unknown_law"].figure.axes[0]
+    (line,), dots = axes.lines, axes.collections[0].get_offsets()
     np.testing.assert_allclose(line.get_ydata(), 50.0 * 1e-3 * line.get_xdata(), atol=1e-9)
+    np.testing.assert_array_equal(dots[:, 1], cells_n.ravel())
 
 
 def test_the_exported_curves_are_those_of_the_page(diagnosis):

@@ -62,15 +62,24 @@ def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
 
 
 def test_a_small_difference_without_a_name_is_described(gaps):
-    causes = tuple(
-        replace(cause, strengths=tuple(replace(one, inclusion_probability=0.5) for one in cause.strengths))
-        for cause in gaps["small"].causes
-    )
-    evidence = replace(gaps["small"].evidence, strengths=causes[0].strengths)
     drag = gaps["unexplained"].unknown
     assert drag is not None
-    said = sentence(replace(gaps["small"], causes=causes, evidence=evidence, unknown=drag))
-    assert "No effect of the library is named for it. The difference looks like" in said
+    for chance, reason in (
+        (0.4, "named for it"),
+        (0.8, f"the likeliest is {gaps['small'].causes[0].words[0]} (80.0 %)"),
+    ):
+        causes = tuple(
+            replace(
+                cause,
+                probability=chance if rank == 0 else 0.0,
+                strengths=tuple(replace(one, inclusion_probability=chance) for one in cause.strengths),
+            )
+            for rank, cause in enumerate(gaps["small"].causes)
+        )
+        evidence = replace(gaps["small"].evidence, strengths=causes[0].strengths)
+        said = sentence(replace(gaps["small"], causes=causes, evidence=evidence, unknown=drag))
+        assert "No effect of the library is " in said
+        assert f"{reason}. The difference looks like" in said
 
 
 def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
