@@ -116,7 +116,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def differs(self) -> bool:
-        """Criterion D."""
+        """Criterion D: a difference between rig.json and the records is certain."""
         return self.p_value < DIFFERENCE_P_VALUE
 
     @property
@@ -136,7 +136,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def enough(self) -> bool:
-        """Criterion R."""
+        """Criterion R: what the named set leaves is bounded, or usual for tolerances and noise."""
         return all_hold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
 
     @property
@@ -157,5 +157,5 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def all_hold(quantities: tuple[Bounded, ...]) -> bool:
-    """Criterion B of some quantities."""
+    """Criterion B: there are quantities, and all are certainly below their thresholds."""
     return bool(quantities) and all(quantity.holds for quantity in quantities)

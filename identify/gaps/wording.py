@@ -53,9 +53,9 @@ PREDICTION_WORDS = {
 """Result of the prediction in words, by its code."""
 RATIO_WORDS = {"relative_position": "of the length of the body", "factor": "times the value in rig.json"}
 """What a parameter without a unit is a ratio to, by its name."""
-HINT_EXPLAINED = 0.1
+MIN_HINT_SHARE = 0.1
 """Explained share below which an unmeasured force is no hint: null simulations explain as much."""
-DESCRIPTION_EXPLAINED = 0.5
+MIN_DESCRIPTION_SHARE = 0.5
 """Explained share below which a description of an unmeasured force is a hint only."""
 LARGEST_PROBABILITY = 1 - 1e-9
 """Largest probability that is written: none is one. Display."""
@@ -107,12 +107,12 @@ def bound_words(bound: Bounded) -> str:
 
 def bound_numbers(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm."""
-    scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
+    unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
 
     def words(value: float | None) -> str:
         if value is None:
             return "no bound"
-        return percent(value) if unit == "1" else f"{number(scale * value, 3)} {unit}"
+        return percent(value) if unit == "1" else f"{number(unit_scale * value, 3)} {unit}"
 
     return [words(bound.value), words(bound.upper), words(bound.threshold)]
 
@@ -146,7 +146,7 @@ def findings_heading(gap: Diagnosis) -> str:
         for effect, words, strength in zip(cause.effects, cause.words, cause.strengths, strict=True)
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
-    if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= DESCRIPTION_EXPLAINED:
+    if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= MIN_DESCRIPTION_SHARE:
         unmeasured.append("the unmeasured force described above")
     reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
     cause_words = ", perhaps because of the difference above" * gap.evidence.difference_matters
@@ -175,7 +175,7 @@ def cause_name(cause: Cause) -> str:
 
 def removed_share_words(cause: Cause) -> str:
     """Removed share of the mismatch with its 95 % interval: "97.0 % (95.1 to 98.2 %)"; "nothing" if negligible."""
-    if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < DESCRIPTION_EXPLAINED:
+    if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < MIN_DESCRIPTION_SHARE:
         return "nothing"
     lower, upper = (percent(share).removesuffix(" %") for share in cause.interval_95)
     return f"{percent(cause.explained)} ({lower} to {upper} %)"
@@ -246,14 +246,14 @@ def failed_analysis_sentences(gap: Gap) -> list[str]:
     return [f"Not computed: {ANALYSIS_WORDS[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
-def remaining_probabilities(gap: Gap, shown_causes: int) -> list[tuple[str, float]]:
+def remaining_probabilities(gap: Gap, shown_cause_count: int) -> list[tuple[str, float]]:
     """Probabilities of all but the first causes, each with its words: of further causes together, if there are any, of
     no effect, and of something unmeasured.
 
     Where the records certainly differ from rig.json, no effect is worded as that of no effect of the library, where
     they cannot tell, as that of none that stands out.
     """
-    further = gap.causes[shown_causes:]
+    further = gap.causes[shown_cause_count:]
     is_considered = gap.unknown is not None or gap.probability_unknown > 0
     unmeasured = "something unmeasured" if is_considered else "something unmeasured (not looked for)"
     return [

@@ -36,7 +36,7 @@ from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.shaken_base import check_base, with_inertial_force
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
-from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, numbers_alone_differ
+from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, parameters_alone_differ
 from identify.gaps.search.hypothesis import MIN_GAIN, Search
 from identify.gaps.search.local_model import MIN_REMAINING_SHARE, CandidateTerm, LocalModel, local_model
 from identify.gaps.search.nominal import fit_nuisance
@@ -112,7 +112,7 @@ def _contact_information(
         if changed_contact == contact:
             continue
         estimate = estimates.get(contact.name)
-        if estimate is None or not numbers_alone_differ(changed_contact.law, contact.law):
+        if estimate is None or not parameters_alone_differ(changed_contact.law, contact.law):
             return 0.0
         quantity_difference = estimate.quantity_weights @ (
             parameters_of_law(changed_contact.law) - parameters_of_law(contact.law)

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, kstest
 
 from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
-from identify.gaps.decision.verdict import UNMEASURED_FORCE_PLACES
+from identify.gaps.decision.verdict import FORCE_PLACE_COUNT
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Cause, Gap
 from tests.campaigns.score_names import classes_of, effects_of, likeliest_set
@@ -98,7 +98,7 @@ def hypotheses_of(c: ScoredCase, gap: Gap) -> Hypotheses:
     costs = [cause.minus_two_log for cause in gap.causes] + [gap.nothing_minus_two_log]
     right = [set_right(c, cause) for cause in gap.causes] + [nothing_right(c)]
     if gap.unknown_gain is not None:
-        prior.append(np.log(PRIOR_UNKNOWN / UNMEASURED_FORCE_PLACES))
+        prior.append(np.log(PRIOR_UNKNOWN / FORCE_PLACE_COUNT))
         costs.append(gap.nothing_minus_two_log - gap.unknown_gain)
         right.append(unmeasured_right(c))
     return Hypotheses(np.array(prior), np.array(costs), np.array(right))

@@ -246,7 +246,7 @@ def _fitted(record: Record, name: str) -> Hypothesis:
         return _best(begun, nothing)
     if not parts:
         raise RigError(f"no candidate is named {name!r}; there are {', '.join(c.name for c in known)}")
-    linearization, at = begun[0].linearization, begun[0].residual
+    linearization, at = begun[0].linearization, begun[0].nominal_residual
     offered = [
         s.start_values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))
     ]
@@ -258,7 +258,7 @@ def _begun(record: Record) -> tuple[Search, ...]:
     """Two places to begin a fit: at the believed rig fitted to the record, and with nothing fitted."""
     fitted = initial_search(record, record.rig)
     linearization = linearized(record, record.rig)
-    return fitted, fields(fitted, linearization=linearization, residual=residual_of(linearization, record.rig))
+    return fitted, fields(fitted, linearization=linearization, nominal_residual=residual_of(linearization, record.rig))
 
 
 def _best(begun: Sequence[Search], one: Hypothesis, held: bool = False) -> Hypothesis:

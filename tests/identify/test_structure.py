@@ -9,7 +9,7 @@ import pytest
 from identify.contacts import identify_contact
 from identify.contacts.report import write_results
 from identify.gaps.residual.linear import linear_model
-from identify.gaps.residual.nuisance import columns_of
+from identify.gaps.residual.nuisance import nuisance_columns_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates
 from rig.effects.base import Scale
@@ -83,7 +83,7 @@ def test_the_diagnosis_sees_the_same_residual_and_the_same_nuisance_columns(reco
     for recording in recordings:
         record = record_of(recording)
         model = linear_model(record, recording.rig, LABORATORY.unmodelled)
-        both.append((model, columns_of(record, model)))
+        both.append((model, nuisance_columns_of(record, model)))
     (beam, of_beam), (data, of_data) = both
     for one, other in (
         (data.residual, beam.residual),

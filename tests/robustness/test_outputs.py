@@ -95,7 +95,7 @@ def test_a_standard_output_that_takes_nothing_is_said(sound, words, output):
 @pytest.mark.parametrize("spelling", ["dots", "hard link", "symbolic folder", "relative"])
 @pytest.mark.parametrize("command_name", [n for n in FILES if n not in ("record",)])
 def test_a_source_is_never_written_over_however_it_is_spelt(command, sound, in_folder, command_name, spelling):
-    tmp_path, words_of = in_folder, FILES[command_name]
+    tmp_path, effect_phrases = in_folder, FILES[command_name]
     source = tmp_path / "r.mcap"
     source.write_bytes(sound.recording.read_bytes())
     (tmp_path / "sub").mkdir()
@@ -110,7 +110,7 @@ def test_a_source_is_never_written_over_however_it_is_spelt(command, sound, in_f
     if spelling == "hard link":
         os.link(source, out)
     read_from = type(sound)(tmp_path)
-    words = words_of(read_from, out)
+    words = effect_phrases(read_from, out)
     if command_name == "import":
         words = ("rig", "import", source, "--map", sound.map, "--out", out)
     forced = () if command_name == "null reference" else ("--force",)

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN
-from identify.gaps.decision.verdict import UNMEASURED_FORCE_PLACES
+from identify.gaps.decision.verdict import FORCE_PLACE_COUNT
 from tests.campaigns.calibration import (
     Hypotheses,
     brier,
@@ -119,7 +119,7 @@ def test_hypotheses_hold_what_probabilities_are_made_of():
     )
     of = hypotheses_of(compared(GAIN, one), one)
     np.testing.assert_allclose(
-        of.log_prior, [-5.0, -4.0, np.log(PRIOR_NOTHING), np.log(PRIOR_UNKNOWN / UNMEASURED_FORCE_PLACES)]
+        of.log_prior, [-5.0, -4.0, np.log(PRIOR_NOTHING), np.log(PRIOR_UNKNOWN / FORCE_PLACE_COUNT)]
     )
     np.testing.assert_allclose(of.minus_two_log, [10.0, 30.0, 50.0, 30.0])
     assert of.right.tolist() == [True, False, False, False]

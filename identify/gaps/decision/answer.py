@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from identify.gaps.decision.attribution import attribution
-from identify.gaps.decision.causes import bands_of, cause_of, confirming_tests, unexplained_shares, words_of
+from identify.gaps.decision.causes import bands_of, cause_of, confirming_tests, effect_phrases, unexplained_shares
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, judge
@@ -18,7 +18,7 @@ from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, Weighted
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Attribution, Criteria, Diagnosis, Gap, Matters, NextExperiment, RecordDifferences
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.gaps.unmeasured_force import described
+from identify.gaps.unmeasured_force import described_force
 from identify.linear.joined import group_rig_of
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
@@ -54,11 +54,11 @@ def diagnose(
     Raises RigError if the records do not fit together or allow no diagnosis.
     """
 
-    def causes_progress(start: float, stop: float) -> Callable[[float], None]:
-        return lambda share: progress("causes", start + (stop - start) * share)
+    def causes_progress(start_share: float, stop_share: float) -> Callable[[float], None]:
+        return lambda done_share: progress("causes", start_share + (stop_share - start_share) * done_share)
 
-    def null_progress(share: float) -> None:
-        progress("null_reference", share)
+    def null_progress(done_share: float) -> None:
+        progress("null_reference", done_share)
 
     prepared = prepare(recordings, validation, simulator, null_reference_path, tolerances, null_progress)
     search_result = search(prepared, causes_progress(0.0, 0.7))
@@ -80,14 +80,14 @@ def describe(
     record, null_reference = prepared.validation_recording.record, prepared.null_reference
     evidence, rig = decision.evidence, record.rig
     nominal_misfit, named_misfit = decision.nominal_hypothesis.misfit, decision.named_misfit
-    between = _record_differences(prepared, search_result, decision, lambda share: progress(0.5 * share))
-    force = _unmeasured_force(rig, unmeasured, decision.misfit_to_describe, matters)
+    differences_attempt = _record_differences(prepared, search_result, decision, lambda share: progress(0.5 * share))
+    force_attempt = _unmeasured_force(rig, unmeasured, decision.misfit_to_describe, matters)
     rival_pair = _rival_hypotheses(decision) if ask_next and record.has_force else None
     experiments = _next_experiments(prepared, rival_pair)
     attributed = attempted(
         "attribution", lambda: attribution(judgement.linearization, judgement.nominal_residual, nominal_misfit)
     )
-    side_analyses = (prediction.rollout_attempt, unmeasured, force, between, experiments, attributed)
+    side_analyses = prediction.rollout_attempt, unmeasured, force_attempt, differences_attempt, experiments, attributed
     progress(1.0)
     with_effects = [weighted for weighted in decision.weighted_hypotheses if weighted.validated.hypothesis.candidates]
     with_effects.sort(key=lambda weighted: weighted.validated is not decision.named_hypothesis)
@@ -100,7 +100,7 @@ def describe(
         evidence=evidence,
         not_seen=evidence.not_seen,
         rollout=prediction.rollout_attempt.result,
-        ruled_out=tuple(words_of(validated.hypothesis, rig) for validated in prediction.ruled_out),
+        ruled_out=tuple(effect_phrases(validated.hypothesis, rig) for validated in prediction.ruled_out),
         free_decay=not any(observation.record.has_force for observation in prepared.observations),
         before=unexplained_shares(nominal_misfit, rig, evidence.p_value),
         after=unexplained_shares(named_misfit, rig, evidence.p_value_after),
@@ -110,13 +110,13 @@ def describe(
         probability_unknown=decision.probability_unmeasured,
         nothing_minus_two_log=nominal_misfit.minus_two_log,
         unknown_gain=unmeasured.cost_decrease,
-        unknown=force.result,
+        unknown=force_attempt.result,
         bands=bands_of(nominal_misfit, named_misfit, null_reference),
         separate_by=confirming_tests(causes, [weighted.validated for weighted in with_effects]),
         next_experiments=experiments.result or (),
         next_between=tuple(" + ".join(rival.effects) or "nothing" for rival in rival_pair or ()),
         attribution=attributed.result or Attribution(),
-        between=between.result,
+        between=differences_attempt.result,
         channel_faults=prepared.channel_faults,
         notes=tuple(note for analysis in side_analyses for note in analysis.notes),
     )
@@ -127,17 +127,17 @@ def _record_differences(
     prepared: PreparedRecordings, search_result: SearchResult, decision: Decision, progress: Callable[[float], None]
 ) -> Attempt[RecordDifferences]:
     """Differences between the records, where more than one was fitted."""
-    if not prepared.fits_several:
+    if not prepared.fits_several_records:
         return Attempt()
     observations = prepared.observations
     records = [observation.record for observation in observations]
     variances = [observation.nominal_variances for observation in observations]
     cause = decision.named_hypothesis if decision.corrects_rig else None
     forces_n = (observation.recording.forces_n for observation in observations)
-    levels_n = [float(np.sqrt(np.mean(np.sum(record_forces_n**2, axis=0)))) for record_forces_n in forces_n]
+    force_levels_n = [float(np.sqrt(np.mean(np.sum(record_forces_n**2, axis=0)))) for record_forces_n in forces_n]
     candidates, titles = search_result.candidates, prepared.record_titles
     return attempted(
-        "between_records", lambda: differences(records, variances, cause, candidates, titles, levels_n, progress)
+        "between_records", lambda: differences(records, variances, cause, candidates, titles, force_levels_n, progress)
     )
 
 
@@ -149,15 +149,17 @@ def _unmeasured_force(
     Both are compared in units of what matters: a force by its share of the unexplained motion, a modulated clearance by
     its share of the unexplained force of its contact.
     """
-    force_fit, swing = unmeasured.force_fit, unmeasured.clearance_swing
-    force_attempt = attempted("force_description", lambda: described(force_fit)) if force_fit else Attempt()
-    if swing is None:
+    force_fit, clearance_swing = unmeasured.force_fit, unmeasured.clearance_swing
+    force_attempt = attempted("force_description", lambda: described_force(force_fit)) if force_fit else Attempt()
+    if clearance_swing is None:
         return force_attempt
     contacts = {contact.name: contact for contact in group_rig_of(rig).contacts}
-    contact_share = dict(zip(contacts, misfit.contact_shares, strict=True))[swing.contact_name]
-    force_size = force_attempt.result.explained * misfit.motion_share / matters.motion if force_attempt.result else 0.0
-    if swing.variance_share * contact_share / matters.contact > force_size:
-        return Attempt(swing.as_unmeasured_force(contacts[swing.contact_name]), force_attempt.notes)
+    contact_share = dict(zip(contacts, misfit.unexplained_contact_shares, strict=True))[clearance_swing.contact_name]
+    force_size = (
+        force_attempt.result.explained * misfit.unexplained_share / matters.motion if force_attempt.result else 0.0
+    )
+    if clearance_swing.variance_share * contact_share / matters.contact > force_size:
+        return Attempt(clearance_swing.as_unmeasured_force(contacts[clearance_swing.contact_name]), force_attempt.notes)
     return force_attempt
 
 

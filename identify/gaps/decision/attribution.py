@@ -15,7 +15,7 @@ from identify.gaps.results import Attribution, ResidualMap, Share
 
 BAND_EDGES_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 """Edges of the bands in which the mismatch is shown. Display."""
-TIME_INTERVALS = 10
+INTERVAL_COUNT = 10
 """Intervals of the time in which the mismatch is shown. Display."""
 MAP_CELLS = 12
 """Cells along either axis of the map of the contact force. Display."""
@@ -24,18 +24,18 @@ MAP_CELLS = 12
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:
     """Shares of the sum of squares of the residual in its nominal variances, less noise and tolerated model error."""
     record, contacts = linearization.record, linearization.model.rig.contacts
-    excess_levels = np.maximum(nominal_misfit.levels - 1, 0.0)
+    excess_levels = np.maximum(nominal_misfit.mean_squares - 1, 0.0)
     sensor_names = [sensor.name for sensor in record.sensors]
     channel_shares = _shares_of_sum(dict(zip(sensor_names, excess_levels.sum(axis=0), strict=True)))
     linear_squares = np.sum(residual.linear_residual**2, axis=0)
     contact_squares = [
-        contact_fit.residual[: observation.weights.size] ** 2
+        contact_fit.residual[: observation.force_weights.size] ** 2
         for contact_fit, observation in zip(residual.contacts, linearization.observations, strict=True)
     ]
     total_squares = linear_squares + np.sum(contact_squares, axis=0)
-    parts, contact_maps = {"linear": _share(linear_squares, total_squares)}, {}
+    share_by_part, contact_maps = {"linear": _share_of_sum(linear_squares, total_squares)}, {}
     for contact, signals, squares in zip(contacts, residual.signals, contact_squares, strict=True):
-        parts[contact.name] = _share(squares, total_squares)
+        share_by_part[contact.name] = _share_of_sum(squares, total_squares)
         eta_m, eta_rate_m_per_s = (eta[:: signals.decimation] for eta in (signals.eta_m, signals.eta_rate_m_per_s))
         contact_maps[contact.name] = _residual_map(eta_m, eta_rate_m_per_s, squares)
     station_shares: dict[str, dict[float, float]] = {}
@@ -43,42 +43,42 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
         body_shares, position_m = station_shares.setdefault(sensor.station.body, {}), sensor.station.position_m
         body_shares[position_m] = body_shares.get(position_m, 0.0) + channel_shares[sensor.name]
     intervals = zip(
-        *(np.array_split(series, TIME_INTERVALS) for series in (record.residual_times_s, total_squares)), strict=True
+        *(np.array_split(series, INTERVAL_COUNT) for series in (record.residual_times_s, total_squares)), strict=True
     )
     return Attribution(
         channels=channel_shares,
-        parts=parts,
+        parts=share_by_part,
         modal_equations=_modal_equation_shares(record, residual),
         positions_m=station_shares,
         band_hz=_band_shares(excess_levels.sum(axis=1)),
         contact_state=_contact_state_shares(linearization, total_squares),
         time_s=tuple(
-            Share(float(times_s[0]), float(times_s[-1]), _share(squares, total_squares))
+            Share(float(times_s[0]), float(times_s[-1]), _share_of_sum(squares, total_squares))
             for times_s, squares in intervals
         ),
         surface=contact_maps or _mass_force_maps(record, residual),
     )
 
 
-def _share(squares: Float[np.ndarray, "*some"], total_squares: Float[np.ndarray, "*all"]) -> float:
+def _share_of_sum(squares: Float[np.ndarray, "*some"], total_squares: Float[np.ndarray, "*all"]) -> float:
     """Sum of squares over that of all; zero where that is zero."""
     return float(squares.sum() / max(total_squares.sum(), 1e-300))
 
 
 def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMap]:
     """Squared force (N^2) that the linear model lacks, over displacement and velocity of each single mass."""
-    maps, motions = {}, record.displacement_signals
+    residual_maps, motions = {}, record.displacement_signals
     for response in residual.model.responses:
-        for index, sensor in enumerate(record.sensors):
+        for sensor_index, sensor in enumerate(record.sensors):
             if response.body.is_mass and sensor.station.body == response.body.name:
                 shapes = response.shapes([sensor.station])
-                missing_signals = residual.model.residual[index] * residual.model.error_deviation[index]
+                missing_signals = residual.model.residual[sensor_index] * residual.model.error_deviation[sensor_index]
                 missing_force_n = missing_signals / response.transfer(shapes, shapes)[0, 0]
                 displacement_m, velocity_m_per_s, force_n = record.in_time(
-                    np.stack([motions[index], 1j * record.omega * motions[index], missing_force_n])
+                    np.stack([motions[sensor_index], 1j * record.omega * motions[sensor_index], missing_force_n])
                 )
-                maps[response.body.name] = _residual_map(displacement_m, velocity_m_per_s, force_n**2)
-    return maps
+                residual_maps[response.body.name] = _residual_map(displacement_m, velocity_m_per_s, force_n**2)
+    return residual_maps
 
 
 def _shares_of_sum(weight_by_name: dict[str, float]) -> dict[str, float]:
@@ -93,18 +93,18 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     variance_ratios = {}
     for response in residual.model.responses:
         body = response.body
-        rows = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
-        mode_count = min(len(rows), response.mode_count)
+        sensor_indices = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        mode_count = min(len(sensor_indices), response.mode_count)
         if not mode_count:
             continue
-        shapes = response.shapes([record.sensors[index].station for index in rows])[:, :mode_count]
+        shapes = response.shapes([record.sensors[index].station for index in sensor_indices])[:, :mode_count]
         inverse_shapes = np.linalg.pinv(shapes)
-        body_residual = residual.linear_residual[rows] * sensor_deviations[rows, None]
+        body_residual = residual.linear_residual[sensor_indices] * sensor_deviations[sensor_indices, None]
         mean_squares = np.mean((inverse_shapes @ body_residual) ** 2, axis=1)
-        error_variances = np.sum((inverse_shapes * sensor_deviations[rows]) ** 2, axis=1)
-        for mode in range(mode_count):
-            equation_name = body.name if body.is_mass else f"{body.name} {mode + 1}"
-            variance_ratios[equation_name] = float(mean_squares[mode] / error_variances[mode])
+        error_variances = np.sum((inverse_shapes * sensor_deviations[sensor_indices]) ** 2, axis=1)
+        for mode_index in range(mode_count):
+            equation_name = body.name if body.is_mass else f"{body.name} {mode_index + 1}"
+            variance_ratios[equation_name] = float(mean_squares[mode_index] / error_variances[mode_index])
     return _shares_of_sum(variance_ratios)
 
 
@@ -115,7 +115,7 @@ def _band_shares(band_excess: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
     for low_hz, high_hz in pairwise(BAND_EDGES_HZ):
         is_in_band = (centre_hz >= low_hz) & (centre_hz < high_hz)
         if np.any(is_in_band):
-            share = _share(band_excess[is_in_band], band_excess)
+            share = _share_of_sum(band_excess[is_in_band], band_excess)
             band_shares.append(Share(low_hz, min(high_hz, 2.0 * band_excess.size), share))
     return tuple(band_shares)
 

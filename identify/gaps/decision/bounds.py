@@ -30,17 +30,17 @@ from rig.recording import Recording
 
 HIDING_NOISE_SHARE = 0.25
 """Share of a contact force's mean square from which noise hides it: half of its size. Convention."""
-PARAMETER_DEVIATIONS = 3.0
+PARAMETER_LIMIT_DEVIATIONS = 3.0
 """Threshold of a contact parameter's distance from rig.json, in stated standard deviations: convention."""
-CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
+CONTACT_TOLERANCE_FIELDS = ("clearance", "stiffness", "contact_damping_s")
 """Tolerance fields of a contact."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
-LAW_FAR_OFF = (
+LAW_FAR_OFF_AND_REMEDY = (
     "rig.json's law of it fits worse than no force at all",
     "run identify contact, and give the rig.json that it writes with --rig",
 )
 """Reason why a share above the whole bounds nothing, and the remedy."""
-TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
+TOO_SHORT_AND_REMEDY = "the record held back leaves less than two seconds", "record longer"
 """Reason why a share without a scatter over seconds has no bound, and the remedy."""
 
 
@@ -72,35 +72,35 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
     squared_shares = misfit.squared_share_by_second
     # noise that is estimated too high puts them below zero, which bounds nothing
-    squared_shares = squared_shares + max(misfit.motion_share**2 - squared_shares.mean(), 0.0)
-    bounds = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
-    for index, contact_name in enumerate(contact_names):
-        weights = misfit.nominal_variances.observations[index].weights
-        noise_square_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        force_square_n2 = max(float(np.mean(misfit.force_n2[:, index])), 1e-300)
-        squared_shares = misfit.contact_excess_n2[:, index] / force_square_n2
+    squared_shares = squared_shares + max(misfit.unexplained_share**2 - squared_shares.mean(), 0.0)
+    bounds = [_bounded_share("motion", misfit.unexplained_share, squared_shares, matters.motion)]
+    for contact_index, contact_name in enumerate(contact_names):
+        force_weights = misfit.nominal_variances.observations[contact_index].force_weights
+        noise_square_n2 = float(np.sum(force_weights[force_weights > 0] ** -2.0)) / force_weights.size
+        force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, contact_index])), 1e-300)
+        squared_shares = misfit.contact_excess_n2[:, contact_index] / force_square_n2
         bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
     return tuple(bounds)
 
 
 def contact_bound(
-    name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
+    quantity_name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
 ) -> Bounded:
     """Bounded unexplained share of a contact force, from its squares second by second and the noise's share of the
     force's mean square."""
     share = float(np.sqrt(max(squared_shares.mean(), 0.0)))
     if noise_share > HIDING_NOISE_SHARE:
-        return Bounded(name, "1", share, None, threshold, "noise hides it", LOUDER_ADVICE)
+        return Bounded(quantity_name, "1", share, None, threshold, "noise hides it", LOUDER_ADVICE)
     if share > 1:
-        return Bounded(name, "1", None, None, threshold, *LAW_FAR_OFF)
-    return _bounded_share(name, share, squared_shares, threshold)
+        return Bounded(quantity_name, "1", None, None, threshold, *LAW_FAR_OFF_AND_REMEDY)
+    return _bounded_share(quantity_name, share, squared_shares, threshold)
 
 
 def _bounded_share(name: str, share: float, squared_shares: Float[np.ndarray, " seconds"], threshold: float) -> Bounded:
-    upper = _upper_share(squared_shares)
-    if upper is not None:
-        return Bounded(name, "1", share, max(share, upper), threshold)
-    return Bounded(name, "1", share, None, threshold, *(TOO_SHORT if share < threshold else ()))
+    upper_share = _upper_share(squared_shares)
+    if upper_share is not None:
+        return Bounded(name, "1", share, max(share, upper_share), threshold)
+    return Bounded(name, "1", share, None, threshold, *(TOO_SHORT_AND_REMEDY if share < threshold else ()))
 
 
 def _upper_share(squared_shares: Float[np.ndarray, " seconds"]) -> float | None:
@@ -123,12 +123,12 @@ def contact_distances(
     outcomes = [outcomes_of(recording, rig, tolerances) for recording in recordings if rig.contacts]
     bounds, p_values, pooled_estimates = list[Bounded](), list[float](), list[LawEstimate]()
     for contact in rig.contacts:
-        name = contact.name
+        contact_name = contact.name
         estimates = [
-            estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact_name == name
+            estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact_name == contact_name
         ]
         if not (estimates and contact.law.piecewise_linear):
-            refusals = [outcome.refusals[name] for outcome in outcomes if name in outcome.refusals]
+            refusals = [outcome.refusals[contact_name] for outcome in outcomes if contact_name in outcome.refusals]
             bounds.append(_undetermined_parameters(contact, refusals))
             continue
         estimate = pooled_estimate(estimates)
@@ -164,23 +164,23 @@ class LawDistance:
 def law_distance(
     law_estimate: LawEstimate, contact: Contact, nominal_contact: Contact, tolerances: Tolerances
 ) -> LawDistance:
-    distances = np.asarray(
+    parameter_distances = np.asarray(
         law_estimate.quantity_values - law_estimate.quantity_weights @ parameters_of_law(contact.law)
     )
-    deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
-    stated_variances = np.diag(np.square(deviations[: distances.size]))
-    return LawDistance(distances, law_estimate.covariance + stated_variances)
+    prior_deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
+    stated_variances = np.diag(np.square(prior_deviations[: parameter_distances.size]))
+    return LawDistance(parameter_distances, law_estimate.covariance + stated_variances)
 
 
 def _parameter_bounds(
     contact: Contact, estimate: LawEstimate, distance: LawDistance, tolerances: Tolerances
 ) -> list[Bounded]:
     names_and_units = ("clearance", "m"), ("stiffness", "N/m"), ("damping", "N s/m"), ("offset", "m")
-    deviations = stated_deviations(contact, tolerances)
-    sizes, half_widths = np.abs(distance.parameter_distances), COVERED * np.sqrt(np.diag(estimate.covariance))
+    prior_deviations = stated_deviations(contact, tolerances)
+    distance_sizes, half_widths = np.abs(distance.parameter_distances), COVERED * np.sqrt(np.diag(estimate.covariance))
     bounds = []
-    for index, size, half_width in zip(_parameter_indices(contact), sizes, half_widths, strict=False):
-        (name, unit), threshold = names_and_units[index], PARAMETER_DEVIATIONS * deviations[index]
+    for index, size, half_width in zip(_parameter_indices(contact), distance_sizes, half_widths, strict=False):
+        (name, unit), threshold = names_and_units[index], PARAMETER_LIMIT_DEVIATIONS * prior_deviations[index]
         bounds.append(Bounded(f"{name} of {contact.name}", unit, float(size), float(size + half_width), threshold))
     return bounds
 
@@ -196,7 +196,7 @@ def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, 
     Those of a laboratory where none are stated, as no record bounds a distance by zero.
     """
     clearance, stiffness, damping_s = (
-        getattr(tolerances, name) or getattr(LABORATORY, name) for name in CONTACT_TOLERANCES
+        getattr(tolerances, name) or getattr(LABORATORY, name) for name in CONTACT_TOLERANCE_FIELDS
     )
     clearance_m, stiffness_n_per_m = clearance * contact.law.clearance_m, contact.law.stiffness_n_per_m
     return clearance_m, stiffness * stiffness_n_per_m, damping_s * stiffness_n_per_m, clearance_m

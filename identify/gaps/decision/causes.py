@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.decision.comparison import ValidatedHypothesis, explained_share, explained_share_interval
-from identify.gaps.decision.modal_changes import identifiable_change
+from identify.gaps.decision.modal_changes import identifiable_change_words
 from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, WeightedHypothesis, strengths_of
 from identify.gaps.residual.likelihood import Misfit
@@ -22,43 +22,43 @@ from rig.model.parameters import Parameter
 from rig.model.quantities import printed_unit
 from rig.model.unmeasured_force import Value
 
-MULTIPLE_RATIO = 2.0
+LEAST_MULTIPLE = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
 STRENGTH_DIGITS = 3
 """Significant digits of a phrase. Display."""
-UNKNOWN_STRENGTH = "unknown strength"
+UNKNOWN_STRENGTH_WORDS = "unknown strength"
 
 
 def phrase(
     candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True
 ) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
-    words = {
+    words_by_field = {
         parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
         for parameter, value in zip(candidate.parameters, effect_values, strict=True)
     }
-    words |= {field: _place_words(field, place, rig) for field, place in candidate.place.items()}
+    words_by_field |= {field: _place_words(field, place, rig) for field, place in candidate.place.items()}
     for field in candidate.typical_effect.__struct_fields__:
-        words.setdefault(field, str(getattr(candidate.typical_effect, field)))
-    words["at"] = ""
+        words_by_field.setdefault(field, str(getattr(candidate.typical_effect, field)))
+    words_by_field["at"] = ""
     if "relative_position" in candidate.parameters.names:
         relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
         length_m = rig.body(candidate.place.get("body") or rig.first_driven).length_m
-        words["at"] = f" at {relative_position * length_m:.2f} m"
-    return candidate.kind.words.format_map(words)
+        words_by_field["at"] = f" at {relative_position * length_m:.2f} m"
+    return candidate.kind.words.format_map(words_by_field)
 
 
 def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is_known: bool) -> str:
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
-        return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
+        return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH_WORDS
     negative, positive, undetermined = candidate.kind.signed_words[parameter.name]
     return f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}" if is_known else undetermined
 
 
 def _value_words(parameter: Parameter, value: float) -> str:
     if parameter.neutral == 1.0 and parameter.name == "factor":
-        if not 1 / MULTIPLE_RATIO <= value <= MULTIPLE_RATIO:
+        if not 1 / LEAST_MULTIPLE <= value <= LEAST_MULTIPLE:
             return f"{number(value, STRENGTH_DIGITS)} times as large"
         return f"{number(100 * abs(value - 1), STRENGTH_DIGITS)} % {'larger' if value > 1 else 'smaller'}"
     if parameter.unit == "1/min":
@@ -82,29 +82,29 @@ def _place_words(field: str, place: str | None, rig: Rig) -> str:
     return f"the {place}" if place else "all bodies"
 
 
-def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
+def effect_phrases(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
     """Phrases of the effects of a hypothesis, with values and places."""
     effects = zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
     return tuple(phrase(candidate, values, rig) for candidate, values in effects)
 
 
-LIMIT_MARGIN = 1e-3
+LIMIT_MARGIN_SHARE = 1e-3
 """Distance from the end of its range, as a share of the range, within which a parameter is at its limit."""
 
 
-def is_at_limit(parameter: Parameter, value: float) -> bool:
+def is_at_limit(parameter: Parameter, parameter_value: float) -> bool:
     """True if the true value may lie beyond the range: at an end that is neither neutral nor the end of a body."""
-    margin = LIMIT_MARGIN * (parameter.high - parameter.low)
-    is_at_low_end = value < parameter.low + margin and parameter.low != parameter.neutral
-    return parameter.name != "relative_position" and (is_at_low_end or value > parameter.high - margin)
+    margin = LIMIT_MARGIN_SHARE * (parameter.high - parameter.low)
+    is_at_low_end = parameter_value < parameter.low + margin and parameter.low != parameter.neutral
+    return parameter.name != "relative_position" and (is_at_low_end or parameter_value > parameter.high - margin)
 
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
     contact_names = [contact.name for contact in group_rig_of(rig).contacts]
     return UnexplainedShares(
-        share=misfit.motion_share,
-        contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),
+        share=misfit.unexplained_share,
+        contact_shares=dict(zip(contact_names, misfit.unexplained_contact_shares.tolist(), strict=True)),
         p_value=p_value,
         largest_pull=float(np.max(np.abs(misfit.pulls), initial=0.0)),
     )
@@ -122,25 +122,25 @@ def cause_of(
     Standard errors include model error: residuals were weighted by scales estimated from them.
     """
     validated, hypothesis = weighted.validated, weighted.validated.hypothesis
-    misfits = validated.nominal_misfit, validated.misfit
+    misfit_pair = validated.nominal_misfit, validated.misfit
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     words, stop = [], 0
     for label, candidate in zip(labels_of(hypothesis.effects), hypothesis.candidates, strict=True):
-        columns = slice(stop, stop := stop + len(candidate.parameters))
-        values, covariance = hypothesis.values[columns], hypothesis.covariance[columns, columns]
-        instead = identifiable_change(record.rig, candidate, values, covariance, record.highest_hz)
-        words.append(phrase(candidate, values, record.rig, with_strength=not instead))
+        column_slice = slice(stop, stop := stop + len(candidate.parameters))
+        values, covariance = hypothesis.values[column_slice], hypothesis.covariance[column_slice, column_slice]
+        change_words = identifiable_change_words(record.rig, candidate, values, covariance, record.highest_hz)
+        words.append(phrase(candidate, values, record.rig, with_strength=not change_words))
         for parameter, value, standard_error in zip(
-            candidate.parameters, values.tolist(), standard_errors[columns].tolist(), strict=True
+            candidate.parameters, values.tolist(), standard_errors[column_slice].tolist(), strict=True
         ):
             parameters[f"{label}.{parameter.name}"] = Value(
                 value,
                 standard_error,
                 parameter.unit,
                 is_at_limit(parameter, value),
-                "" if parameter.neutral is None else instead,
+                "" if parameter.neutral is None else change_words,
             )
         places |= {f"{label}.{field}": place or "all" for field, place in candidate.place.items()}
     return Cause(
@@ -150,8 +150,8 @@ def cause_of(
         probability=weighted.probability,
         parameters=parameters,
         places=places,
-        explained=explained_share(*misfits, matters),
-        interval_95=explained_share_interval(*misfits, matters),
+        explained=explained_share(*misfit_pair, matters),
+        interval_95=explained_share_interval(*misfit_pair, matters),
         left=unexplained_shares(validated.misfit, validated.rig, p_value(null_reference, validated.misfit)),
         log_prior=validated.log_prior,
         minus_two_log=validated.misfit.minus_two_log,
@@ -160,32 +160,32 @@ def cause_of(
 
 def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
-    shares = zip(
+    shares_by_band = zip(
         nominal_misfit.share_by_band, corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False
     )
     return tuple(
         Band(
-            low_hz=BAND_WIDTH_HZ * index,
-            high_hz=BAND_WIDTH_HZ * (index + 1),
+            low_hz=BAND_WIDTH_HZ * band_index,
+            high_hz=BAND_WIDTH_HZ * (band_index + 1),
             before=float(before),
             after=float(after),
             usual=float(usual),
         )
-        for index, (before, after, usual) in enumerate(shares)
+        for band_index, (before, after, usual) in enumerate(shares_by_band)
     )
 
 
 def confirming_tests(causes: tuple[Cause, ...], ranked_hypotheses: list[ValidatedHypothesis]) -> tuple[str, ...]:
     """Tests that confirm or refute each effect of the causes that are likely or remove a part of the mismatch."""
-    kinds = {
+    kinds_by_name = {
         candidate.kind.name: candidate.kind
         for validated in ranked_hypotheses
         for candidate in validated.hypothesis.candidates
     }
     likely_causes = [
         cause
-        for rank, cause in enumerate(causes)
-        if cause.probability > RIVAL_PROBABILITY or (rank == 0 and cause.interval_95[0] > 0)
+        for cause_index, cause in enumerate(causes)
+        if cause.probability > RIVAL_PROBABILITY or (cause_index == 0 and cause.interval_95[0] > 0)
     ]
     effect_names = dict.fromkeys(effect for cause in likely_causes for effect in cause.effects)
-    return tuple(f"{name}: {kinds[name].separated_by}" for name in effect_names)
+    return tuple(f"{name}: {kinds_by_name[name].separated_by}" for name in effect_names)

@@ -22,7 +22,7 @@ class ChannelErrors:
     force begins, and tolerances."""
 
     force_noise_n: Float[np.ndarray, " forces"]
-    silent_samples: int
+    silent_sample_count: int
     tolerances: Tolerances
 
 
@@ -38,24 +38,24 @@ def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, see
     force_noise_n = channel_errors.force_noise_n
     gain_tolerance = tolerances.force_gain if force_noise_n.size > 1 else 0.0  # of one force the drawn rig has it
     recording = with_force_noise(recording, force_noise_n, gain_tolerance, rng)
-    recording = with_lateral_motion(recording, tolerances.lateral_motion, channel_errors.silent_samples, rng)
+    recording = with_lateral_motion(recording, tolerances.lateral_motion, channel_errors.silent_sample_count, rng)
     return with_crosstalk(recording, tolerances.crosstalk, rng)
 
 
 def with_force_noise(
-    recording: Recording, force_noise_n: Float[np.ndarray, " forces"], force_gain: float, rng: np.random.Generator
+    recording: Recording, force_noise_n: Float[np.ndarray, " forces"], gain_tolerance: float, rng: np.random.Generator
 ) -> Recording:
     """Recording with noise and gain errors of the force channels, which the simulator does not know."""
     signals = recording.signals["force"]
     forces_n = signals.values + force_noise_n[:, None] * rng.standard_normal(signals.values.shape)
-    forces_n = forces_n * (1 + force_gain * rng.standard_normal((len(forces_n), 1)))
+    forces_n = forces_n * (1 + gain_tolerance * rng.standard_normal((len(forces_n), 1)))
     return with_fields(recording, signals={**recording.signals, "force": with_fields(signals, values=forces_n)})
 
 
 def with_lateral_motion(
-    recording: Recording, lateral_share: float, silent_samples: int, rng: np.random.Generator
+    recording: Recording, lateral_share: float, silent_sample_count: int, rng: np.random.Generator
 ) -> Recording:
-    """Recording with lateral motion in the accelerometers, after `silent_samples`: random shares, of this standard
+    """Recording with lateral motion in the accelerometers, after `silent_sample_count`: random shares, of this standard
     deviation, of a motion with the spectrum of the measured one in every second (`LATERAL_SEGMENT_S`), but other
     phases, common to a body.
 
@@ -66,20 +66,20 @@ def with_lateral_motion(
     if "acceleration" not in recording.signals or not lateral_share:
         return recording
     signals = recording.signals["acceleration"]
-    half_samples = round(LATERAL_SEGMENT_S * recording.rig.sample_rate_hz / 2)
-    segment_window = np.sqrt(hann(2 * half_samples, sym=False))
-    padded_values = np.pad(signals.values, ((0, 0), (half_samples, 2 * half_samples)))
+    half_segment_samples = round(LATERAL_SEGMENT_S * recording.rig.sample_rate_hz / 2)
+    segment_window = np.sqrt(hann(2 * half_segment_samples, sym=False))
+    padded_values = np.pad(signals.values, ((0, 0), (half_segment_samples, 2 * half_segment_samples)))
     sensors = [sensor for sensor in recording.rig.sensors if sensor.quantity == "acceleration"]
     body_names = list(dict.fromkeys(sensor.station.body for sensor in sensors))
     body_indices = [body_names.index(sensor.station.body) for sensor in sensors]
     lateral_motion = np.zeros_like(padded_values)
-    for segment_start in range(0, padded_values.shape[1] - 2 * half_samples + 1, half_samples):
-        segment_slice = slice(segment_start, segment_start + 2 * half_samples)
-        phase_factors = np.exp(2j * np.pi * rng.uniform(size=(len(body_names), half_samples + 1)))
+    for segment_start in range(0, padded_values.shape[1] - 2 * half_segment_samples + 1, half_segment_samples):
+        segment_slice = slice(segment_start, segment_start + 2 * half_segment_samples)
+        phase_factors = np.exp(2j * np.pi * rng.uniform(size=(len(body_names), half_segment_samples + 1)))
         spectrum = np.fft.rfft(segment_window * padded_values[:, segment_slice]) * phase_factors[body_indices]
-        lateral_motion[:, segment_slice] += segment_window * np.fft.irfft(spectrum, 2 * half_samples)
-    lateral_motion = lateral_motion[:, half_samples : half_samples + signals.values.shape[1]]
-    lateral_motion[:, :silent_samples] = 0.0
+        lateral_motion[:, segment_slice] += segment_window * np.fft.irfft(spectrum, 2 * half_segment_samples)
+    lateral_motion = lateral_motion[:, half_segment_samples : half_segment_samples + signals.values.shape[1]]
+    lateral_motion[:, :silent_sample_count] = 0.0
     lateral_shares = np.sqrt(2) * lateral_share * rng.standard_normal((len(sensors), 1))
     lateral_signals = with_fields(signals, values=signals.values + lateral_shares * lateral_motion)
     return with_fields(recording, signals={**recording.signals, "acceleration": lateral_signals})

@@ -36,7 +36,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import Hypothesis, steps_of, with_effects
+from identify.gaps.search.hypothesis import Hypothesis, step_sizes_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -51,7 +51,7 @@ PRIOR_NOTHING, PRIOR_EFFECTS, PRIOR_UNKNOWN = 0.3, 0.5, 0.2
 hand."""
 FURTHER_EFFECT_SHARE = 0.43
 """Prior probability of k + 1 effects over that of k: as 0.15 to 0.35, two effects to one. Set by hand."""
-BOOTSTRAP_DRAWS = 400
+BOOTSTRAP_DRAW_COUNT = 400
 """Bootstrap draws. Derived: the 2.5 % quantile is known to sqrt(0.025 * 0.975/400) = 0.8 %."""
 
 
@@ -81,7 +81,7 @@ class ValidatedHypothesis:
 
     @property
     def log_posterior_of_both(self) -> float:
-        """Log posterior given the fitted record too."""
+        """Log posterior, up to a constant, given the fitted record too."""
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 
@@ -146,24 +146,24 @@ def nominal_misfit_beside(
 def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
     """Rig with the hypothesis, with its record-specific parameters (the phase of a tone) fitted to this record."""
     specific_names = {candidate.name: candidate.kind.of_a_record for candidate in hypothesis.candidates}
-    columns = [
+    column_indices = [
         index for index, parameter in enumerate(hypothesis.parameters) if parameter.name in specific_names[parameter.of]
     ]
-    if not columns:
+    if not column_indices:
         return hypothesis.applied_to(record.rig)
 
     def build(specific_values: Float[np.ndarray, " specific"]) -> Rig:
         all_values = hypothesis.values.copy()
-        all_values[columns] = specific_values
+        all_values[column_indices] = specific_values
         return with_effects(record.rig, hypothesis.candidates, all_values)
 
     start_rig = record.rig  # with a base motion's row, if there is one
     for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
         start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
-    steps = steps_of(hypothesis.candidates)[columns]
-    lower, upper = (bounds[columns] for bounds in hypothesis.parameters.bounds)
-    return build(fit(linearization, build, hypothesis.values[columns], steps, (lower, upper), residual).values)
+    steps = step_sizes_of(hypothesis.candidates)[column_indices]
+    lower, upper = (bounds[column_indices] for bounds in hypothesis.parameters.bounds)
+    return build(fit(linearization, build, hypothesis.values[column_indices], steps, (lower, upper), residual).values)
 
 
 def log_priors(hypotheses: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
@@ -172,17 +172,17 @@ def log_priors(hypotheses: Sequence[Hypothesis], candidates: Sequence[Candidate]
     return {hypothesis.effect_names: log_prior(hypothesis.effects, place_counts) for hypothesis in hypotheses}
 
 
-def log_prior(effect_names: Sequence[str], place_counts: Mapping[str, int]) -> float:
+def log_prior(effect_kinds: Sequence[str], place_counts: Mapping[str, int]) -> float:
     """Log prior of effects at one place each, one of which may stand twice; place_counts are their numbers of places.
 
     K effects in the library have C(K + k - 1, k) sets of k, all as likely.
     """
-    effect_count = len(effect_names)
+    effect_count = len(effect_kinds)
     if not effect_count:
         return float(np.log(PRIOR_NOTHING))
     size_prior = PRIOR_EFFECTS * (1 - FURTHER_EFFECT_SHARE) * FURTHER_EFFECT_SHARE ** (effect_count - 1)
     set_prior = size_prior / comb(max(1, len(place_counts)) + effect_count - 1, effect_count)
-    return float(np.log(set_prior) - sum(np.log(place_counts[name]) for name in effect_names))
+    return float(np.log(set_prior) - sum(np.log(place_counts[name]) for name in effect_kinds))
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
@@ -204,14 +204,14 @@ def with_rival_spread(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHy
 
 
 def _with_spread(
-    hypothesis: Hypothesis, rivals: Sequence[ValidatedHypothesis], weights: Float[np.ndarray, " hypotheses"]
+    hypothesis: Hypothesis, rivals: Sequence[ValidatedHypothesis], rival_probabilities: Float[np.ndarray, " hypotheses"]
 ) -> Hypothesis:
     spread = np.zeros_like(hypothesis.covariance)
     weight_sums = np.full(len(hypothesis.values), 1e-300)
-    for rival, weight in zip(rivals, weights, strict=True):
+    for rival, rival_probability in zip(rivals, rival_probabilities, strict=True):
         for columns, deviation in _deviations_of_same_effects(hypothesis, rival.hypothesis):
-            spread[columns, columns] += weight * np.outer(deviation, deviation)
-            weight_sums[columns] += weight
+            spread[columns, columns] += rival_probability * np.outer(deviation, deviation)
+            weight_sums[columns] += rival_probability
     return replace(hypothesis, covariance=hypothesis.covariance + spread / weight_sums)
 
 
@@ -252,20 +252,20 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
     fitted record.
     """
-    affecting = [validated for validated in ranked if validated.hypothesis.candidates]
-    if not affecting:
+    hypotheses_with_effects = [validated for validated in ranked if validated.hypothesis.candidates]
+    if not hypotheses_with_effects:
         return 1.0
-    priors = np.array([validated.log_prior for validated in affecting])
-    fitted_costs = np.array([validated.hypothesis.cost for validated in affecting])
-    costs = np.array([validated.misfit.minus_two_log for validated in affecting])
-    weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
-    gains = nominal_of(ranked).misfit.minus_two_log - costs
-    return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))
+    priors = np.array([validated.log_prior for validated in hypotheses_with_effects])
+    fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
+    validation_costs = np.array([validated.misfit.minus_two_log for validated in hypotheses_with_effects])
+    mixture_weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
+    cost_gains = nominal_of(ranked).misfit.minus_two_log - validation_costs
+    return float(min(1.0, np.exp(-logsumexp(cost_gains / (2 * TEMPERATURE), b=mixture_weights))))
 
 
 def mismatch_size(misfit: Misfit, matters: Matters) -> float:
     """Size of a mismatch in units of what matters."""
-    return matters.times(misfit.motion_share, misfit.contact_shares.tolist())
+    return matters.times(misfit.unexplained_share, misfit.unexplained_contact_shares.tolist())
 
 
 def explained_share(nominal_misfit: Misfit, corrected_misfit: Misfit, matters: Matters) -> float:
@@ -294,9 +294,9 @@ def explained_share_interval(nominal_misfit: Misfit, corrected_misfit: Misfit, m
     """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
     second_count = len(corrected_misfit.variance_by_second)
-    shares = [
-        explained_share(nominal_misfit.resampled(seconds), corrected_misfit.resampled(seconds), matters)
-        for seconds in rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
+    drawn_shares = [
+        explained_share(nominal_misfit.resampled(second_indices), corrected_misfit.resampled(second_indices), matters)
+        for second_indices in rng.integers(0, second_count, (BOOTSTRAP_DRAW_COUNT, second_count))
     ]
-    lower, upper = np.quantile(shares, [0.025, 0.975])
+    lower, upper = np.quantile(drawn_shares, [0.025, 0.975])
     return float(lower), float(upper)

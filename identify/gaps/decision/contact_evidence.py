@@ -27,7 +27,7 @@ from identify.gaps.search.contact_laws import (
     LawEstimate,
     LawOutcomes,
     law_outcomes,
-    numbers_alone_differ,
+    parameters_alone_differ,
     with_contact_fit,
 )
 from identify.gaps.search.hypothesis import CHANCE_PULL, Hypothesis
@@ -62,8 +62,8 @@ def with_contact_evidence(
         hypotheses += validate_hypotheses(
             record, variances, validation_residual, [contact_hypothesis], log_prior_by_effects
         )
-    with_costs = [with_contact_cost(validated, estimates, validation.record) for validated in hypotheses]
-    return sorted(with_costs, key=lambda validated: -validated.log_posterior)
+    hypotheses_with_costs = [with_contact_cost(validated, estimates, validation.record) for validated in hypotheses]
+    return sorted(hypotheses_with_costs, key=lambda validated: -validated.log_posterior)
 
 
 def with_contact_cost(
@@ -80,7 +80,7 @@ def contact_minus_two_log(
     """-2 ln p of one contact in `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
     nominal_contact = _contact_of_estimate(nominal_rig, estimate)
     contact = _contact_of_estimate(hypothesis_rig, estimate)
-    if not numbers_alone_differ(contact.law, nominal_contact.law):
+    if not parameters_alone_differ(contact.law, nominal_contact.law):
         return 0.0
     return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.quantity_values.size
 
@@ -99,9 +99,9 @@ def _hypothesis_of_contact_fit(
     fitted = fitted_contact_effects(prepared, candidates, estimates, nominal_hypothesis)
     if fitted is None:
         return None
-    searched = prepared.searched_recording
-    residual = fit_nuisance(searched.record, fitted.applied_to(searched.record.rig))[1]
-    return replace(fitted, misfit=misfit(searched.record, searched.nominal_variances, residual))
+    searched_recording = prepared.searched_recording
+    residual = fit_nuisance(searched_recording.record, fitted.applied_to(searched_recording.record.rig))[1]
+    return replace(fitted, misfit=misfit(searched_recording.record, searched_recording.nominal_variances, residual))
 
 
 def fitted_contact_effects(
@@ -119,18 +119,18 @@ def fitted_contact_effects(
     for estimate in estimates:
         contact = _contact_of_estimate(record.rig, estimate)
         distance = law_distance(estimate, contact, contact, record.tolerances)
-        is_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
-        off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, is_off, strict=False) if off}
-    added = tuple(candidate for candidate in candidates if candidate.name in off_names)
-    if not added:
+        are_off = np.abs(distance.parameter_distances) > CHANCE_PULL * np.sqrt(np.diag(distance.covariance))
+        off_names |= {f"{effect}:{contact.name}" for effect, off in zip(CONTACT_EFFECTS, are_off, strict=False) if off}
+    added_candidates = tuple(candidate for candidate in candidates if candidate.name in off_names)
+    if not added_candidates:
         return None
-    neutral_strengths = np.array([candidate.neutral_strength for candidate in added])
-    initial = Hypothesis(
-        (*hypothesis.candidates, *added),
+    neutral_strengths = np.array([candidate.neutral_strength for candidate in added_candidates])
+    initial_hypothesis = Hypothesis(
+        (*hypothesis.candidates, *added_candidates),
         np.append(hypothesis.values, neutral_strengths),
         block_diag(hypothesis.covariance, np.zeros((neutral_strengths.size, neutral_strengths.size))),
         hypothesis.misfit,
     )
     recordings = [observation.recording for observation in prepared.fitted_recordings]
-    fitted = with_contact_fit(initial, recordings, record.tolerances, outcomes_of)
-    return None if fitted is initial else fitted
+    fitted_hypothesis = with_contact_fit(initial_hypothesis, recordings, record.tolerances, outcomes_of)
+    return None if fitted_hypothesis is initial_hypothesis else fitted_hypothesis

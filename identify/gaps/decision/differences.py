@@ -19,14 +19,14 @@ from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, record_specific_rig
-from identify.gaps.decision.modal_changes import have_levels, level_dependence
+from identify.gaps.decision.modal_changes import differ_in_level, level_dependence
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import parameters_of, steps_of, with_effects
+from identify.gaps.search.hypothesis import parameters_of, step_sizes_of, with_effects
 from identify.gaps.search.pooled import LinearizedRecord, PooledEstimate, RecordInformation, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
@@ -35,7 +35,7 @@ from rig.model.unmeasured_force import Value
 
 FITTED_EFFECTS, FIT_ROUNDS = 3, 2
 """Number of the likeliest differing effects that are fitted to every record; linearisations of each fit. Effort."""
-TREND_DEVIATIONS = 2.0
+TREND_STANDARD_ERRORS = 2.0
 """Standard errors of a step from one record to the next above which a value grows or falls. Convention."""
 
 
@@ -45,29 +45,29 @@ class EffectValues:
 
     rig_by_record: tuple[Rig, ...]
     candidates: tuple[Candidate, ...]
-    by_record: Float[np.ndarray, "records parameters"]
+    values_by_record: Float[np.ndarray, "records parameters"]
 
     def rig(self, record_index: int) -> Rig:
-        return with_effects(self.rig_by_record[record_index], self.candidates, self.by_record[record_index])
+        return with_effects(self.rig_by_record[record_index], self.candidates, self.values_by_record[record_index])
 
     @property
     def effect_names(self) -> list[str]:
         return [candidate.name for candidate in self.candidates]
 
     def columns_of(self, name: str) -> list[int]:
-        """Columns of an effect's parameters."""
+        """Column indices of an effect's parameters among the values."""
         return parameters_of(self.candidates).places_of(name)
 
     def strength_columns(self, name: str) -> list[int]:
-        """Columns of an effect's strengths."""
+        """Column indices of an effect's strengths among the values."""
         return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
     def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":
         """Effects with these values of one of them, which is replaced or added."""
         if candidate.name in self.effect_names:
             return self.with_values(slice(None), self.columns_of(candidate.name), values)
-        by_record = np.concatenate([self.by_record, values], axis=1)
-        return replace(self, candidates=(*self.candidates, candidate), by_record=by_record)
+        by_record = np.concatenate([self.values_by_record, values], axis=1)
+        return replace(self, candidates=(*self.candidates, candidate), values_by_record=by_record)
 
     def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
         """Strengths of an effect, free in each record."""
@@ -77,9 +77,9 @@ class EffectValues:
         self, record_index: int | slice, column_indices: Sequence[int], column_values: Float[np.ndarray, "*records own"]
     ) -> "EffectValues":
         """Effects with these values in some columns of one record, or of all."""
-        all_values = self.by_record.copy()
+        all_values = self.values_by_record.copy()
         all_values[record_index, column_indices] = column_values
-        return replace(self, by_record=all_values)
+        return replace(self, values_by_record=all_values)
 
 
 @dataclass(frozen=True)
@@ -91,25 +91,25 @@ class VaryingParameters:
 
     @property
     def record_values(self) -> Float[np.ndarray, "records varied"]:
-        return self.effects.by_record[:, self.columns]
+        return self.effects.values_by_record[:, self.columns]
 
     @property
-    def steps(self) -> Values:
-        return steps_of(self.effects.candidates)[self.columns]
+    def step_sizes(self) -> Values:
+        return step_sizes_of(self.effects.candidates)[self.columns]
 
     @property
     def bounds(self) -> tuple[Values, Values]:
         lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
         return lower_bounds[self.columns], upper_bounds[self.columns]
 
-    def information(self, record_index: int, linearized: LinearizedRecord) -> RecordInformation:
-        def build(values: Values) -> Rig:
+    def information(self, record_index: int, record_fit: LinearizedRecord) -> RecordInformation:
+        def build_rig(values: Values) -> Rig:
             return self.effects.with_values(record_index, self.columns, values).rig(record_index)
 
-        return linearized.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
+        return record_fit.information_with(build_rig, self.record_values[record_index], self.step_sizes, self.bounds[1])
 
     def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
-        return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
+        return pooled(information, self.step_sizes, self.bounds, self.record_values[0], differs_by_record=True)
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
@@ -122,13 +122,13 @@ class HomogeneityTest:
     """Fit of an effect with each record's own strength, and the log p-value of one strength for all records."""
 
     candidate: Candidate
-    own_values: VaryingParameters
+    varying: VaryingParameters
     cost: float
     log_p_value: float
 
     @property
     def effect_values(self) -> Float[np.ndarray, "records own"]:
-        return self.own_values.effects.by_record[:, self.own_values.effects.columns_of(self.candidate.name)]
+        return self.varying.effects.values_by_record[:, self.varying.effects.columns_of(self.candidate.name)]
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,10 @@ class _RecordSet:
                 trials.append((candidate, with_candidate.varying_strengths(candidate)))
         trial_information: list[list[RecordInformation]] = [[] for _ in trials]
         for record_index in range(len(self.records)):
-            linearized = self.linearized_record(effects, record_index)
+            record_fit = self.linearized_record(effects, record_index)
             for information, (_, varying) in zip(trial_information, trials, strict=True):
                 with suppress(RigError):
-                    information.append(varying.information(record_index, linearized))
+                    information.append(varying.information(record_index, record_fit))
         best_tests: dict[str, HomogeneityTest] = {}
         for information, (candidate, varying) in zip(trial_information, trials, strict=True):
             if len(information) == len(self.records):
@@ -184,14 +184,14 @@ class _RecordSet:
 
     def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
-        screened = self.screened_tests(effects, excluded)
-        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened))))
+        screened_tests = self.screened_tests(effects, excluded)
+        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
         fitted_tests = []
-        for test in [test for test in screened if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
+        for test in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                fitted_tests.append(_homogeneity_test(test.candidate, *self.joint_fit(test.own_values)))
+                fitted_tests.append(_homogeneity_test(test.candidate, *self.joint_fit(test.varying)))
         significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
-        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened)
+        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
 
 
 def _homogeneity_test(candidate: Candidate, own_values: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
@@ -213,13 +213,13 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
-    comparable = [
+    comparable_candidates = [
         candidate for candidate in candidates if not (candidate.kind.stochastic or candidate.kind.of_a_record)
     ]
-    record_set = _RecordSet(records, variances_by_record, comparable)
+    record_set = _RecordSet(records, variances_by_record, comparable_candidates)
     initial_effects = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
-    records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
+    records_by_level = np.argsort(force_levels_n) if differ_in_level(force_levels_n) else None
     varied, differing = _fit_differing_values(record_set, initial_effects, tests, tested_effect_count, records_by_level)
     differing_names = [test.candidate.name for test in tests]
     shared_names = [name for name in initial_effects.effect_names if name not in differing_names]
@@ -246,19 +246,19 @@ def _differing_effects(
 
     Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first, tested_count = record_set.most_different(initial_effects, ())
+    first_test, tested_count = record_set.most_different(initial_effects, ())
     progress(0.3)
-    if first is None:
+    if first_test is None:
         return (), tested_count
-    second, _ = record_set.most_different(first.own_values.effects, [first.candidate.name])
+    second_test, _ = record_set.most_different(first_test.varying.effects, [first_test.candidate.name])
     progress(0.6)
-    if second is None:
-        return (first,), tested_count
-    second_only = initial_effects.with_effect(second.candidate, second.effect_values)
-    first_again, _ = record_set.most_different(second_only, [second.candidate.name])
-    if first_again and first_again.cost < second.cost:
-        return (second, first_again), tested_count
-    return (first, second), tested_count
+    if second_test is None:
+        return (first_test,), tested_count
+    effects_with_second = initial_effects.with_effect(second_test.candidate, second_test.effect_values)
+    other_first_test, _ = record_set.most_different(effects_with_second, [second_test.candidate.name])
+    if other_first_test and other_first_test.cost < second_test.cost:
+        return (second_test, other_first_test), tested_count
+    return (first_test, second_test), tested_count
 
 
 def _fit_differing_values(
@@ -295,8 +295,8 @@ def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], paramet
     record_count, parameter_count = shape
     parameter_rows = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
     contrasts = np.kron(np.diff(np.eye(record_count), axis=0), parameter_rows)
-    steps = contrasts @ estimate.values
-    chi_squared = steps @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, steps)
+    value_steps = contrasts @ estimate.values
+    chi_squared = value_steps @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, value_steps)
     return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrasts)))
 
 
@@ -309,38 +309,38 @@ def _parameters_by_record(
     """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
     record_count, parameter_count = own_values.record_values.shape
     labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
-    centring = np.eye(record_count) - 1 / record_count
-    rows = []
+    centring_matrix = np.eye(record_count) - 1 / record_count
+    parameter_rows = []
     for index, column in enumerate(own_values.columns):
         candidate, parameter = labelled[column]
         places = np.arange(record_count) * parameter_count + index
         values, covariance = estimate.values[places], TEMPERATURE * estimate.covariance[np.ix_(places, places)]
-        errors = np.sqrt(np.maximum(np.diag(centring @ covariance @ centring), 0.0))
+        value_errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
         p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, index)))
         by_level: Trend = "none"
         if records_by_level is not None:
             by_level = _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)])
-        rows.append(
+        parameter_rows.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 values=tuple(
                     Value(float(value), float(error), parameter.unit)
-                    for value, error in zip(values, errors, strict=True)
+                    for value, error in zip(values, value_errors, strict=True)
                 ),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend_of(values, covariance) if comparison_count else "none",
                 by_level=by_level,
             )
         )
-    return rows
+    return parameter_rows
 
 
 def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
-    """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
-    steps = np.diff(values)
+    """Trend over the records in their order, by steps of more than `TREND_STANDARD_ERRORS` standard errors."""
+    value_steps = np.diff(values)
     step_errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    significant = steps[np.abs(steps) > TREND_DEVIATIONS * step_errors]
-    if significant.size and np.all(significant > 0):
+    significant_steps = value_steps[np.abs(value_steps) > TREND_STANDARD_ERRORS * step_errors]
+    if significant_steps.size and np.all(significant_steps > 0):
         return "grows"
-    return "falls" if significant.size and np.all(significant < 0) else "differs"
+    return "falls" if significant_steps.size and np.all(significant_steps < 0) else "differs"

@@ -7,8 +7,8 @@ one. Changes of the rival's parameters are penalised by their covariance from th
     log odds = [-2 ln p(rival) + d' (C1 + C2)^-1 d - (-2 ln p(true))] / (2 TEMPERATURE)
 
 d is the change of the rival's parameters from the first fit, C1 and C2 the covariances of both fits: one value has to
-serve both records. A cause is simulated `ENLARGED_ERRORS` standard errors larger than fitted, as one that the record
-hardly shows is fitted as nothing, and an experiment shows nothing of nothing.
+serve both records. A cause is simulated `ENLARGEMENT_IN_ERRORS` standard errors larger than fitted, as one that the
+record hardly shows is fitted as nothing, and an experiment shows nothing of nothing.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_simulations import phase_randomized
-from identify.gaps.residual.extent import BAND_REACH
+from identify.gaps.residual.extent import FORCE_BAND_RATIO
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
@@ -40,7 +40,7 @@ FORCE_FACTORS = (0.4, 2.5)
 setup."""
 DURATION_FACTOR = 3
 """Duration of the longer experiment, as a multiple of the record's. Set by hand."""
-ENLARGED_ERRORS = 2.0
+ENLARGEMENT_IN_ERRORS = 2.0
 """Standard errors by which a simulated cause is larger than fitted; at most this multiple of a typical effect."""
 FORCE_POSITIONS = (0.5, 1.0)
 """Positions of the force, as shares of every body's length. Effort."""
@@ -48,7 +48,7 @@ ADDED_MASS_SHARE = 0.1
 """Known mass to attach, as a share of the mass of its body. Set by hand."""
 DISPLACEMENT_NOISE = 2e-7
 """Noise density of displacement sensors, m/sqrt(Hz)."""
-SPLIT_SHARE = 0.4
+BAND_SPLIT_SHARE = 0.4
 """Frequency that splits the band of the force, as a share of its upper end. Set by hand."""
 FILTER_ORDER = 8
 """Order of the filter that splits the band. Set by hand."""
@@ -95,30 +95,30 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     """Experiments: the same again, other levels, halves of the band, a longer record, other places of a force that acts
     alone, a known mass on every body, displacement sensors."""
     rate_hz, rig = record.sample_rate_hz, record.rig
-    start = round(record.excitation_start_s * rate_hz)
+    start_sample = round(record.excitation_start_s * rate_hz)
     rng = np.random.default_rng(11)
 
     def randomized(given_forces_n: Float[np.ndarray, "forces samples"]) -> Float[np.ndarray, "forces samples"]:
-        return np.array([phase_randomized(force_n, start, rate_hz, rng) for force_n in given_forces_n])
+        return np.array([phase_randomized(force_n, start_sample, rate_hz, rng) for force_n in given_forces_n])
 
     repeated_n = randomized(forces_n)
     yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
     for factor in FORCE_FACTORS:
         yield Experiment(f"record with {factor:g} times the force", _unchanged_rig, factor * repeated_n)
-    split_hz = SPLIT_SHARE * (float(record.omega[-1] / (2 * np.pi)) / BAND_REACH)
+    split_hz = BAND_SPLIT_SHARE * (float(record.omega[-1] / (2 * np.pi)) / FORCE_BAND_RATIO)
     for half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
-        band_n = sosfiltfilt(butter(FILTER_ORDER, split_hz, filter_kind, fs=rate_hz, output="sos"), repeated_n)
-        band_n[:, :start] = 0.0
-        scaled_n = band_n * (np.std(repeated_n) / max(float(np.std(band_n)), 1e-300))
+        band_forces_n = sosfiltfilt(butter(FILTER_ORDER, split_hz, filter_kind, fs=rate_hz, output="sos"), repeated_n)
+        band_forces_n[:, :start_sample] = 0.0
+        scaled_n = band_forces_n * (np.std(repeated_n) / max(float(np.std(band_forces_n)), 1e-300))
         instruction = f"record with the {half} part of the band, split at {split_hz:.3g} Hz"
         yield Experiment(instruction, _unchanged_rig, scaled_n)
-    longer_n, sample_count = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
-    while longer_n.shape[1] < sample_count:  # mirrored, so that it does not jump
-        longer_n = np.concatenate([longer_n, longer_n[:, :start:-1]], axis=1)
-    longer_n, factor = randomized(longer_n[:, :sample_count]), FORCE_FACTORS[-1]
+    longer_forces_n, sample_count = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
+    while longer_forces_n.shape[1] < sample_count:  # mirrored, so that it does not jump
+        longer_forces_n = np.concatenate([longer_forces_n, longer_forces_n[:, :start_sample:-1]], axis=1)
+    longer_forces_n, factor = randomized(longer_forces_n[:, :sample_count]), FORCE_FACTORS[-1]
     instruction = f"record {sample_count / rate_hz:.3g} s"
-    yield Experiment(instruction, _unchanged_rig, longer_n)
-    yield Experiment(f"{instruction} with {factor:g} times the force", _unchanged_rig, factor * longer_n)
+    yield Experiment(instruction, _unchanged_rig, longer_forces_n)
+    yield Experiment(f"{instruction} with {factor:g} times the force", _unchanged_rig, factor * longer_forces_n)
     for station in _force_stations(rig) if len(rig.forces) == 1 and not rig.base_sensors else ():
         instruction = f"move the force to {_station_words(rig, station)}"
         yield Experiment(instruction, partial(with_fields, force_at=station), repeated_n)
@@ -149,14 +149,14 @@ def refit_hypothesis(search_start: Search, hypothesis: Hypothesis, fix_parameter
     rig, candidates = search_start.linearization.record.rig, hypothesis.candidates
     if fix_parameters or any(candidate.kind.stochastic for candidate in candidates):
         applied_rig = hypothesis.applied_to(rig)
-        refit = fit_from(search_start, lambda _: applied_rig, (), np.zeros(0), REFIT_ROUNDS).hypothesis
-        return replace(hypothesis, misfit=refit.misfit)
-    build = partial(with_effects, rig, candidates)
-    return fit_from(search_start, build, candidates, hypothesis.values, REFIT_ROUNDS).hypothesis
+        nuisance_refit = fit_from(search_start, lambda _: applied_rig, (), np.zeros(0), REFIT_ROUNDS).hypothesis
+        return replace(hypothesis, misfit=nuisance_refit.misfit)
+    build_rig = partial(with_effects, rig, candidates)
+    return fit_from(search_start, build_rig, candidates, hypothesis.values, REFIT_ROUNDS).hypothesis
 
 
 def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
-    """Hypothesis with every strength `ENLARGED_ERRORS` standard errors further from its neutral value than fitted.
+    """Hypothesis with every strength `ENLARGEMENT_IN_ERRORS` standard errors further from its neutral value.
 
     A typical effect replaces the standard error where it is smaller. A cause that a record hardly shows is fitted as
     almost nothing; simulated so, no experiment would discriminate it from another.
@@ -168,12 +168,12 @@ def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
         if parameter.neutral is not None:
             typical_strength = typical_values[index] - parameter.neutral
             sign = np.sign(values[index] - parameter.neutral) or np.sign(typical_strength)
-            values[index] += sign * ENLARGED_ERRORS * min(standard_errors[index], abs(typical_strength))
+            values[index] += sign * ENLARGEMENT_IN_ERRORS * min(standard_errors[index], abs(typical_strength))
             values[index] = np.clip(values[index], parameter.low, parameter.high)
     return replace(hypothesis, values=values)
 
 
-def disagreement(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
+def disagreement_cost(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
     """Excess of the joint -2 ln p of two records, with one value of each parameter, over the sum of their own.
 
     d' (C1 + C2)^-1 d with the difference d of both fits, without the record-specific parameters.
@@ -183,9 +183,9 @@ def disagreement(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
         for candidate in first_fit.candidates
         for parameter in candidate.parameters
     ]
-    change = (first_fit.values - second_fit.values)[is_shared]
+    shared_change = (first_fit.values - second_fit.values)[is_shared]
     covariance = (first_fit.covariance + second_fit.covariance)[np.ix_(is_shared, is_shared)]
-    return float(change @ np.linalg.pinv(covariance, hermitian=True) @ change)
+    return float(shared_change @ np.linalg.pinv(covariance, hermitian=True) @ shared_change)
 
 
 def _unchanged_rig(rig: Rig) -> Rig:
@@ -232,5 +232,5 @@ def _cost_difference(
     record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
     search_start = initial_search(record, actual_rig)
     true_refit, rival_refit = (refit_hypothesis(search_start, cause) for cause in (enlarged_cause, rival_cause))
-    excess = disagreement(rival_cause, rival_refit) - disagreement(true_cause, true_refit)
-    return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + excess
+    excess_cost = disagreement_cost(rival_cause, rival_refit) - disagreement_cost(true_cause, true_refit)
+    return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + excess_cost

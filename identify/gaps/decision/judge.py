@@ -90,36 +90,36 @@ def judge(
     """
     validation = prepared.validation_recording
     record, candidates = validation.record, search_result.candidates
-    linearization, residual = fit_nuisance(record, record.rig)
+    linearization, nominal_residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
-    ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, residual, progress)
-    ranked = _refit_contact_laws(prepared, ranked, residual)
-    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
-    ranked = with_rival_spread(with_contact_evidence(prepared, candidates, ranked, difference, residual))
-    basis = _DecisionBasis(prepared, difference, residual, matters)
+    ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, nominal_residual, progress)
+    ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual)
+    difference = difference_of(prepared, search_result.nominal_misfit, nominal_residual, matters, split_p_value(ranked))
+    ranked = with_rival_spread(with_contact_evidence(prepared, candidates, ranked, difference, nominal_residual))
+    basis = _DecisionBasis(prepared, difference, nominal_residual, matters)
     prediction = predicted_decision(
         ranked,
         basis.decide,
-        lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
+        lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, nominal_residual, named_set)),
     )
     decision, unmeasured_causes = prediction.decision, UnmeasuredCauses()
     if may_hide_force(decision.evidence):
-        decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked, decision)
-    return Judgement(decision, prediction, unmeasured_causes, linearization, residual)
+        decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked_hypotheses, decision)
+    return Judgement(decision, prediction, unmeasured_causes, linearization, nominal_residual)
 
 
 def validated_hypotheses(
     prepared: PreparedRecordings,
     hypotheses: Sequence[Hypothesis],
     candidates: Sequence[Candidate],
-    residual: Residual,
+    nominal_residual: Residual,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[ValidatedHypothesis]:
     """Hypotheses on the validation record with their lasting errors, the likeliest first; candidates are all that were
     tried, and residual that of the nominal rig on this record."""
     validation, log_prior_by_effects = prepared.validation_recording, log_priors(hypotheses, candidates)
     ranked = validate_hypotheses(
-        validation.record, validation.nominal_variances, residual, hypotheses, log_prior_by_effects, progress
+        validation.record, validation.nominal_variances, nominal_residual, hypotheses, log_prior_by_effects, progress
     )
     return [with_lasting_error(validated, prepared.null_reference) for validated in ranked]
 
@@ -132,15 +132,15 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     max(1, median of s_b / s_0b, weighted by the power of the bands) where p < `USUAL_P_VALUE`, after Birge (Phys. Rev.
     40, 1932). The median keeps a tone that nothing names from widening all else.
     """
-    remaining = validated.misfit
-    if p_value(null_reference, remaining) >= USUAL_P_VALUE:
+    corrected_misfit = validated.misfit
+    if p_value(null_reference, corrected_misfit) >= USUAL_P_VALUE:
         return validated
-    shares = zip(remaining.share_by_band, null_reference.usual_shares(), strict=False)
+    shares = zip(corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False)
     growth_by_band = np.array([share / usual_share if usual_share else 1.0 for share, usual_share in shares])
     band_order = np.argsort(growth_by_band)
-    power_below = np.cumsum(remaining.power_by_band[band_order])
-    growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
-    hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
+    power_below = np.cumsum(corrected_misfit.power_by_band[band_order])
+    error_growth = max(1.0, growth_by_band[band_order][np.searchsorted(power_below, power_below[-1] / 2)])
+    hypothesis = replace(validated.hypothesis, covariance=error_growth**2 * validated.hypothesis.covariance)
     return replace(validated, hypothesis=hypothesis)
 
 
@@ -209,8 +209,8 @@ def nominal_misfits_of(prepared: PreparedRecordings, searched_misfit: Misfit, re
     return [nominal_misfit(observation) for observation in prepared.observations]
 
 
-def _refit_contact_laws(
-    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
+def _refit_likeliest_contact_laws(
+    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], nominal_residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
@@ -225,7 +225,7 @@ def _refit_contact_laws(
         return ranked
     log_prior_by_effects = {refit.effect_names: likeliest.log_prior}
     highest_cost = likeliest.misfit.minus_two_log + MIN_GAIN
-    validated_refits = validate_hypotheses(record, variances, residual, [refit], log_prior_by_effects)
+    validated_refits = validate_hypotheses(record, variances, nominal_residual, [refit], log_prior_by_effects)
     kept_refits = [validated for validated in validated_refits if validated.misfit.minus_two_log < highest_cost]
     return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
 
@@ -248,13 +248,13 @@ def _decide_with_force(
     decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
     named_set = decision.named_hypothesis
     if named_set and explained_share(named_set.nominal_misfit, named_set.misfit, matters) >= PARTLY_EXPLAINED_SHARE:
-        force_beside, companion_cost = force_in(named_set.rig), None
-        companion = force_beside.result
-        if companion and not acts_at_effects(companion.on_fit.force_place, record.rig, named_set.rig):
+        companion_attempt, companion_cost = force_in(named_set.rig), None
+        companion = companion_attempt.result
+        if companion and not acts_at_effects(companion.on_fit_record.force_place, record.rig, named_set.rig):
             companion_cost = minus_two_log_with_force(validation, named_set.rig, companion, named_set.misfit)
         decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force, residual = force_beside, fit_nuisance(record, named_set.rig)[1]
+            force, residual = companion_attempt, fit_nuisance(record, named_set.rig)[1]
     swing = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, UnmeasuredCauses(force.result, swing.result, cost_decrease, (*force.notes, *swing.notes))
 
@@ -273,7 +273,7 @@ def minus_two_log_with_force(
     record, nominal_variances = validation_recording.record, validation_recording.nominal_variances
     cleared_record = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
     misfit_with = misfit(cleared_record, nominal_variances, fit_nuisance(cleared_record, rig)[1])
-    followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
+    followed_share = force_fit.free_direction_count / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
     )

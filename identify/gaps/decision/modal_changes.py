@@ -30,7 +30,7 @@ DERIVATIVE_STEP = 1e-2
 """Step of derivatives, in standard errors."""
 
 
-def identifiable_change(
+def identifiable_change_words(
     rig: Rig,
     candidate: Candidate,
     effect_values: Float[np.ndarray, " parameters"],
@@ -41,36 +41,36 @@ def identifiable_change(
 
     values and covariance are those of the effect's parameters; modes up to highest_hz are in the band.
     """
-    attached = attachments_of(rig, candidate.applied(rig, effect_values))
-    added: tuple[PointSpring | PointDamper | PointMass, ...]
-    added = (*attached.springs, *attached.dampers, *attached.masses) if attached else ()
-    if len(added) != 1:
+    attachments = attachments_of(rig, candidate.applied(rig, effect_values))
+    attached_elements: tuple[PointSpring | PointDamper | PointMass, ...]
+    attached_elements = (*attachments.springs, *attachments.dampers, *attachments.masses) if attachments else ()
+    if len(attached_elements) != 1:
         return ""
-    station = added[0].station
+    station = attached_elements[0].station
     body = rig.body(station.body)
     neighbours_m = basis_places_beside(body, station.position_m)
-    mode = _dominant_mode(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
-    if mode is None:
+    mode_index = _dominant_mode_index(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
+    if mode_index is None:
         return ""
     modes = modes_of(rig, body)
-    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode + 1)[:, mode] ** 2
+    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode_index + 1)[:, mode_index] ** 2
     if shapes_squared.max() < SHAPE_RATIO_LIMIT * shapes_squared.min():
         return ""
     reason_words = "not told, as no sensor stands there and one mode dominates"
-    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode + 1)[mode]))} Hz"
-    for row, (name, unit, per_unit) in enumerate((("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))):
+    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode_index + 1)[mode_index]))} Hz"
+    for row, (name, unit, unit_factor) in enumerate((("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))):
 
         def modal_change(values: Float[np.ndarray, " parameters"], row: int = row) -> float:
-            return float(_modal_changes(rig, candidate, values, station.body)[row][mode])
+            return float(_frequency_and_damping_changes(rig, candidate, values, station.body)[row][mode_index])
 
         if change := modal_change(effect_values):
             standard_error = _standard_error_of(modal_change, effect_values, covariance)
-            change_words = interval(per_unit * change, per_unit * standard_error, unit)
+            change_words = interval(unit_factor * change, unit_factor * standard_error, unit)
             return f"{reason_words}; told: the {name} of {mode_words} changes by {change_words}"
     return f"{reason_words}: {mode_words}"
 
 
-def _modal_changes(
+def _frequency_and_damping_changes(
     rig: Rig, candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], body_name: str
 ) -> Float[np.ndarray, "2 modes"]:
     """Changes of each mode of a body by an effect: natural frequency (Hz) and damping ratio."""
@@ -93,7 +93,7 @@ def damping_ratios_by_dampers(
     return damping_ratios
 
 
-def _dominant_mode(
+def _dominant_mode_index(
     rig: Rig, candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], station: Station, highest_hz: float
 ) -> int | None:
     """Mode that an effect changes most by far; None if none dominates, or if the body has rigid modes, whose shapes are
@@ -107,14 +107,14 @@ def _dominant_mode(
     modes, count = modes_of(rig, body), mode_count(body, body.max_modes)
     frequencies_hz = modes.frequencies_hz(count)
     damping_ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)
-    frequency_changes_hz, damping_changes = _modal_changes(rig, candidate, effect_values, station.body)
+    frequency_changes_hz, damping_changes = _frequency_and_damping_changes(rig, candidate, effect_values, station.body)
     change_in_half_widths = np.hypot(frequency_changes_hz / frequencies_hz, damping_changes) / damping_ratios
     if not change_in_half_widths.any():
         shapes = modes.shapes(np.array([station.position_m]), count)[0]
         change_in_half_widths = shapes**2 / (frequencies_hz**2 * damping_ratios)
     squares_in_band = np.where(frequencies_hz < highest_hz, change_in_half_widths, 0.0) ** 2
-    largest = int(np.argmax(squares_in_band))
-    return largest if squares_in_band[largest] > DOMINANT_SHARE * squares_in_band.sum() else None
+    largest_index = int(np.argmax(squares_in_band))
+    return largest_index if squares_in_band[largest_index] > DOMINANT_SHARE * squares_in_band.sum() else None
 
 
 def _standard_error_of(
@@ -123,19 +123,19 @@ def _standard_error_of(
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
-    steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    parameter_steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
     def slope(step: Float[np.ndarray, " parameters"]) -> float:
         return (quantity_of(values + step) - quantity_of(values - step)) / (2 * step.sum()) if step.any() else 0.0
 
     try:
-        slopes = np.array([slope(step) for step in steps])
+        quantity_slopes = np.array([slope(step) for step in parameter_steps])
     except RigError:
         return 0.0  # at the end of what the rig can be
-    return float(np.sqrt(max(slopes @ covariance @ slopes, 0.0)))
+    return float(np.sqrt(max(quantity_slopes @ covariance @ quantity_slopes, 0.0)))
 
 
-def have_levels(force_levels_n: Sequence[float]) -> bool:
+def differ_in_level(force_levels_n: Sequence[float]) -> bool:
     """True if the forces are of several levels, not all within `LEVEL_FACTOR` of each other."""
     return min(force_levels_n) > 0 and max(force_levels_n) > LEVEL_FACTOR * min(force_levels_n)
 
@@ -152,27 +152,27 @@ def level_dependence(
     """
     if not differing or any(parameter.by_level not in ("grows", "falls") for parameter in differing):
         return None
-    lowest, highest = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
+    lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
     largest_size, dependence = 0.0, None
-    for body in rig_by_record[lowest].bodies:
-        low_hz, low_damping = _modal_parameters(rig_by_record[lowest], body.name)
-        is_elastic = (low_hz > 0) & (low_hz < highest_hz)
+    for body in rig_by_record[lowest_index].bodies:
+        lowest_level_hz, lowest_level_damping = _modal_parameters(rig_by_record[lowest_index], body.name)
+        is_elastic = (lowest_level_hz > 0) & (lowest_level_hz < highest_hz)
         if not is_elastic.any():
             continue
-        high_hz, high_damping = _modal_parameters(rig_by_record[highest], body.name)
-        frequency_changes = high_hz[is_elastic] / low_hz[is_elastic] - 1
-        damping_changes = high_damping[is_elastic] / low_damping[is_elastic] - 1
-        sizes = np.hypot(frequency_changes / low_damping[is_elastic], damping_changes)
-        mode = int(np.argmax(sizes))
-        if sizes[mode] > largest_size:
-            largest_size = float(sizes[mode])
+        highest_level_hz, highest_level_damping = _modal_parameters(rig_by_record[highest_index], body.name)
+        frequency_changes = highest_level_hz[is_elastic] / lowest_level_hz[is_elastic] - 1
+        damping_changes = highest_level_damping[is_elastic] / lowest_level_damping[is_elastic] - 1
+        change_sizes = np.hypot(frequency_changes / lowest_level_damping[is_elastic], damping_changes)
+        mode_index = int(np.argmax(change_sizes))
+        if change_sizes[mode_index] > largest_size:
+            largest_size = float(change_sizes[mode_index])
             dependence = LevelDependence(
-                lowest_n=float(force_levels_n[lowest]),
-                highest_n=float(force_levels_n[highest]),
+                lowest_n=float(force_levels_n[lowest_index]),
+                highest_n=float(force_levels_n[highest_index]),
                 body=body.name,
-                frequency_hz=float(low_hz[is_elastic][mode]),
-                frequency_change=float(frequency_changes[mode]),
-                damping_change=float(damping_changes[mode]),
+                frequency_hz=float(lowest_level_hz[is_elastic][mode_index]),
+                frequency_change=float(frequency_changes[mode_index]),
+                damping_change=float(damping_changes[mode_index]),
             )
     return dependence
 

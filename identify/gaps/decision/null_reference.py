@@ -44,13 +44,13 @@ from rig.processes import mapped
 from rig.recording import Recording
 from rig.recording.interfaces import Predict, Simulate
 
-NULL_SIMULATIONS = 12
+NULL_SIMULATION_COUNT = 12
 """Number of simulations: their mean is known within 29 % of their standard deviation, that within 21 %, which Student's
 distribution takes into account."""
 NULL_REFERENCE_SUFFIX = ".null_reference.json"
 LEVEL_FACTOR = 1.25
 """Forces within this factor of each other share a null reference. Set by hand."""
-STORED_REFERENCES = 8
+MAX_STORED_REFERENCES = 8
 """Largest number of null references in one file, the latest, for records of several levels and lengths."""
 MAX_COMBINED_P_VALUE = 0.99
 """Upper limit of p-values in a combination, as Cauchy's tail near one would cancel small p-values."""
@@ -86,7 +86,7 @@ class NullReference(msgspec.Struct, frozen=True):
     checksum: str = ""
 
     @property
-    def statistics(self) -> Float[np.ndarray, "simulations 3"]:
+    def cost_parts(self) -> Float[np.ndarray, "simulations 3"]:
         """-2 ln p without the contacts' part, the contacts' part, and that of the worst band, for every simulation."""
         return np.array([[null.minus_two_log - null.law, null.law, null.peak] for null in self.simulations])
 
@@ -125,18 +125,18 @@ def p_values(references: Sequence[NullReference], misfits: Sequence[Misfit]) -> 
     with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
     place of Student's, as no deviation is estimated.
     """
-    null = np.sum([reference.statistics for reference in references], axis=0)
+    null_statistics = np.sum([reference.cost_parts for reference in references], axis=0)
     measured = np.sum([[m.minus_two_log - m.contact_cost, m.contact_cost, m.peak_band_cost] for m in misfits], axis=0)
-    is_used = [True, bool(np.any(null[:, 1])), True]
-    null, measured = null[:, is_used], measured[is_used]
-    deviations = null.std(axis=0, ddof=1)
+    is_used = [True, bool(np.any(null_statistics[:, 1])), True]
+    null_statistics, measured = null_statistics[:, is_used], measured[is_used]
+    deviations = null_statistics.std(axis=0, ddof=1)
     freedom = np.maximum(deviations**2 / 2, 1.0)
-    standardised_excess = np.sqrt(2 / freedom) * (measured - null.mean(axis=0)) / np.maximum(deviations, 1.0)
+    standardised_excess = np.sqrt(2 / freedom) * (measured - null_statistics.mean(axis=0)) / np.maximum(deviations, 1.0)
     skew = 2 / (9 * freedom)
-    scores = (np.cbrt(np.maximum(1 + standardised_excess, 0.0)) - 1 + skew) / np.sqrt(skew)
-    scores -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
-    scores /= np.sqrt(1 + 1 / len(null))
-    return np.where(deviations < 1, norm.sf(scores), student.sf(scores, len(null) - 1))
+    normal_scores = (np.cbrt(np.maximum(1 + standardised_excess, 0.0)) - 1 + skew) / np.sqrt(skew)
+    normal_scores -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
+    normal_scores /= np.sqrt(1 + 1 / len(null_statistics))
+    return np.where(deviations < 1, norm.sf(normal_scores), student.sf(normal_scores, len(null_statistics) - 1))
 
 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
@@ -167,10 +167,10 @@ def null_reference_of(
     measured_recording: Recording,
     tolerances: Tolerances,
     simulate: Simulate,
-    simulator: str,
+    simulator_name: str,
     progress: Callable[[float], None] = lambda _: None,
     path: Path | None = None,
-    simulation_count: int = NULL_SIMULATIONS,
+    simulation_count: int = NULL_SIMULATION_COUNT,
     predict: Predict | None = None,
 ) -> NullReference:
     """Null reference of a recording's rig, length and force, read from the file `path`, or made and stored there.
@@ -180,7 +180,7 @@ def null_reference_of(
     """
     measured_record = record_of(measured_recording, tolerances=tolerances)
     counted_part = measured_record.counted_part
-    key = null_key(measured_recording, counted_part, tolerances, simulator, simulation_count)
+    key = null_key(measured_recording, counted_part, tolerances, simulator_name, simulation_count)
     if path and path.is_dir():
         path = path / f"{key[:16]}.json"
     stored_references = _stored_references(path) if path else ()
@@ -198,7 +198,7 @@ def null_reference_of(
     if path:
         make_folder(path.parent)
         checked_reference = replace(null_reference, checksum=_checksum(null_reference))
-        file_content = _StoredReferences((*stored_references[1 - STORED_REFERENCES :], checked_reference))
+        file_content = _StoredReferences((*stored_references[1 - MAX_STORED_REFERENCES :], checked_reference))
         write_bytes(msgspec.json.encode(file_content), path)
     return null_reference
 
@@ -227,17 +227,17 @@ class _NullRun:
             nominal_misfit.contact_cost,
             nominal_misfit.peak_band_cost,
             tuple(nominal_misfit.share_by_band.tolist()),
-            nominal_misfit.motion_share,
-            tuple(nominal_misfit.contact_shares.tolist()),
+            nominal_misfit.unexplained_share,
+            tuple(nominal_misfit.unexplained_contact_shares.tolist()),
             _prediction_errors(recording, residual, self.predict),
         )
 
     def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
         """Recording of a machine under a force of the measured one's spectrum, with the errors of its channels."""
-        rng, silent_samples = np.random.default_rng([seed, 77]), self.channel_errors.silent_samples
+        rng, silent_sample_count = np.random.default_rng([seed, 77]), self.channel_errors.silent_sample_count
         measured_rig, rate_hz = self.measured_recording.rig, self.measured_recording.rig.sample_rate_hz
         forces_n = [
-            force_n if is_impulsive(force_n) else phase_randomized(force_n, silent_samples, rate_hz, rng)
+            force_n if is_impulsive(force_n) else phase_randomized(force_n, silent_sample_count, rate_hz, rng)
             for force_n in self.measured_recording.forces_n
         ]
         recording = self.simulate(measured_rig, drawn_rig, np.array(forces_n), seed)
@@ -258,8 +258,8 @@ def null_key(
     measured_recording: Recording,
     counted_part: CountedPart,
     tolerances: Tolerances,
-    simulator: str,
-    simulation_count: int = NULL_SIMULATIONS,
+    simulator_name: str,
+    simulation_count: int = NULL_SIMULATION_COUNT,
 ) -> str:
     """Key of the rig, its tolerances, the simulator, the program, and the level and length of the force.
 
@@ -275,7 +275,7 @@ def null_key(
     key_parts = (
         to_json(replace(rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level_number} {extent_words} {simulation_count} {program_version}{blow_words}".encode(),
+        f"{simulator_name} {level_number} {extent_words} {simulation_count} {program_version}{blow_words}".encode(),
     )
     return hashlib.sha256(b"\n".join(key_parts)).hexdigest()
 

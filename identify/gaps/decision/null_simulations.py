@@ -32,15 +32,15 @@ from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
 from rig.recording.interfaces import Simulate
 
-ONSET_S = 0.1
+FORCE_ONSET_S = 0.1
 """Onset of the null's force, s. Set by hand."""
 IMPULSE_ENERGY_SHARE, IMPULSE_SAMPLE_SHARE = 0.9, 0.1
 """A force is impulsive where a smaller share of the samples than the second holds the first share of the energy.
 Derived: 0.45 of Gaussian noise, 0.27 of its bursts."""
 
-DRAWN_MODES = 24
+DRAWN_MODE_COUNT = 24
 """Number of modes of a drawn beam: as many as the plant `modal` is given in a replay."""
-SHAPE_POSITIONS = 41
+SHAPE_POSITION_COUNT = 41
 """Positions at which its mode shapes are given, beside those of sensors, forces, contacts and loads."""
 
 
@@ -63,12 +63,12 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     for sensor in rig.sensors:
         sensor_tolerances, station = tolerances.of_sensor(sensor.name), sensor.station
         if station not in drawn_stations:  # sensors at one station sit on one block
-            drawn_m = station.position_m + sensor_tolerances.position_m * next(next_normals)
-            position_m = float(np.clip(drawn_m, 0.0, rig.body(station.body).length_m))
+            drawn_position_m = station.position_m + sensor_tolerances.position_m * next(next_normals)
+            position_m = float(np.clip(drawn_position_m, 0.0, rig.body(station.body).length_m))
             drawn_stations[station] = Station(station.body, position_m)
         gain = sensor.gain * (1 + sensor_tolerances.gain * next(next_normals))
         delay_s = sensor.delay_s + sensor_tolerances.delay_s * next(next_normals)
-        corner_hz = abs(sensor_tolerances.high_pass_hz * next(next_normals)) * sensor.measures.ac_coupled
+        added_corner_hz = abs(sensor_tolerances.high_pass_hz * next(next_normals)) * sensor.measures.ac_coupled
         drawn_sensors.append(
             replace(
                 sensor,
@@ -76,7 +76,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
                 fibre_m=rig.fibre_m(sensor) or None,  # a structure does not know how thick it is
                 gain=gain,
                 delay_s=delay_s,
-                high_pass_hz=sensor.high_pass_hz + corner_hz,
+                high_pass_hz=sensor.high_pass_hz + added_corner_hz,
             )
         )
     force_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
@@ -138,27 +138,27 @@ def _draw_body(
     if body.is_mass:
         drawn_mass = body.scale_mass(mass_factor).scale_frequencies(1 + frequency_change)
         return drawn_mass.scale_damping(float(np.exp(log_damping)))
-    modes, count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
+    modes, count = modes_of(rig, body), mode_count(body, DRAWN_MODE_COUNT)
     mode_tolerances = [tolerances.of_mode(body.name, mode + 1) for mode in range(count)]
     frequency_factors = np.array(
         [1 + frequency_change + mode.frequency * next(next_normals) for mode in mode_tolerances]
     )
     damping_factors = np.exp([log_damping + mode.damping * next(next_normals) for mode in mode_tolerances])
     natural_hz = modes.frequencies_hz(count) * frequency_factors
-    order = np.argsort(natural_hz)
-    needed = [*rig.forces, *(sensor.station for sensor in (*sensors, *rig.sensors))]
-    needed += [load.station for load in rig.loads]
-    needed += [station for contact in rig.contacts for station in contact_stations(contact)]
-    needed_m = [station.position_m for station in needed if station.body == body.name]
-    positions_m = np.unique([*body.places(SHAPE_POSITIONS), *needed_m])
+    sorting = np.argsort(natural_hz)
+    needed_stations = [*rig.forces, *(sensor.station for sensor in (*sensors, *rig.sensors))]
+    needed_stations += [load.station for load in rig.loads]
+    needed_stations += [station for contact in rig.contacts for station in contact_stations(contact)]
+    needed_positions_m = [station.position_m for station in needed_stations if station.body == body.name]
+    positions_m = np.unique([*body.places(SHAPE_POSITION_COUNT), *needed_positions_m])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, count) / np.sqrt(mass_factor)
     participations = np.sqrt(mass_factor) * stated_participation(rig, body, modes, count)
     damping_ratios = np.minimum(modes.damping_ratios(count) * damping_factors, 0.9)
     drawn_body = structure_of(
-        body.name, body.length_m, natural_hz[order], damping_ratios[order], positions_m, shapes[:, order]
+        body.name, body.length_m, natural_hz[sorting], damping_ratios[sorting], positions_m, shapes[:, sorting]
     )
-    ordered_participations = participations[order] if participations.size else participations
+    ordered_participations = participations[sorting] if participations.size else participations
     return replace(drawn_body, participations=tuple(ordered_participations.tolist()))
 
 
@@ -169,28 +169,28 @@ def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
 
 
 def phase_randomized(
-    force_n: Float[np.ndarray, " samples"], silent_samples: int, sample_rate_hz: float, rng: np.random.Generator
+    force_n: Float[np.ndarray, " samples"], silent_sample_count: int, sample_rate_hz: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
-    """Force of the same spectrum with random phases, after `silent_samples` zeros."""
-    excited_n = force_n[silent_samples:]
+    """Force of the same spectrum with random phases, after `silent_sample_count` zeros."""
+    excited_n = force_n[silent_sample_count:]
     spectrum = np.fft.rfft(excited_n)
     phase_factors = np.exp(2j * np.pi * rng.uniform(size=spectrum.size))
     randomized_n = np.fft.irfft(np.abs(spectrum) * phase_factors, excited_n.size)
-    onset_samples = min(round(ONSET_S * sample_rate_hz), excited_n.size)
-    randomized_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
-    return np.concatenate([np.zeros(silent_samples), randomized_n])
+    onset_sample_count = min(round(FORCE_ONSET_S * sample_rate_hz), excited_n.size)
+    randomized_n[:onset_sample_count] *= np.sin(np.linspace(0, np.pi / 2, onset_sample_count)) ** 2
+    return np.concatenate([np.zeros(silent_sample_count), randomized_n])
 
 
-BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
+BLOW_DURATIONS_IN_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
 """Durations of the blow, in longest periods of the rig: short blows excite higher modes. Effort."""
-RELEASE_PERIODS = 4
+RELEASE_IN_PERIODS = 4
 """Longest periods over which a force rises that is then released: slowly enough to excite no mode before. Set by
 hand."""
-SCALING_STEPS = 4
+SCALING_STEP_COUNT = 4
 """Number of short simulations that scale each excitation. Effort."""
-SCALED_S = 8
+REPRODUCED_MOTION_S = 8
 """Beginning of the counted motion, s, which the excitation reproduces. Set by hand."""
-LARGE_MOTION_POWER = 8
+LARGE_MOTION_EXPONENT = 8
 """Exponent of the mean over time that excitations are scaled by: the largest motion decides what contacts do, and a
 mean over a decay of wrong damping does not tell it. Set by hand."""
 
@@ -240,10 +240,10 @@ class FreeDecaySimulator:
     def excitation_n(self) -> Float[np.ndarray, " begin"]:
         """Excitation before the decay, scaled by short simulations of the nominal rig when it is first needed."""
         period_samples = self._longest_period_samples
-        sine_samples = [max(2, round(periods * period_samples)) for periods in BLOW_PERIODS]
-        pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in sine_samples]
-        pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period_samples)) ** 2)
-        return min(map(self._scaled_excitation, pulses), key=lambda scaled: scaled[0])[1]
+        blow_sample_counts = [max(2, round(periods * period_samples)) for periods in BLOW_DURATIONS_IN_PERIODS]
+        unit_pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in blow_sample_counts]
+        unit_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_IN_PERIODS * period_samples)) ** 2)
+        return min(map(self._distance_and_excitation, unit_pulses), key=lambda scaled: scaled[0])[1]
 
     @property
     def _longest_period_samples(self) -> int:
@@ -253,45 +253,45 @@ class FreeDecaySimulator:
         return round(rig.sample_rate_hz / max(lowest_hz, 1.0))
 
     def _decay_recording(
-        self, rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_samples: int, seed: int
+        self, rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_sample_count: int, seed: int
     ) -> Recording:
-        delay_samples = round(self._longest_period_samples * np.random.default_rng([seed, 78]).uniform())
-        start = excitation_n.size + delay_samples
-        forces_n = np.zeros((len(rig.forces), start + decay_samples))
+        delay_sample_count = round(self._longest_period_samples * np.random.default_rng([seed, 78]).uniform())
+        decay_start = excitation_n.size + delay_sample_count
+        forces_n = np.zeros((len(rig.forces), decay_start + decay_sample_count))
         forces_n[0, : excitation_n.size] = excitation_n
         recording = self.simulate(rig, actual_rig, forces_n, seed)
-        return _with_zero_force(cut_recording(recording, slice(start, start + decay_samples)))
+        return _with_zero_force(cut_recording(recording, slice(decay_start, decay_start + decay_sample_count)))
 
-    def _scaled_excitation(self, pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def _distance_and_excitation(self, pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
         rig, rate_hz, start_s = self.measured.rig, self.record.sample_rate_hz, float(self.record.residual_times_s[0])
-        sample_count = min(round((start_s + SCALED_S) * rate_hz), self.measured.samples)
+        sample_count = min(round((start_s + REPRODUCED_MOTION_S) * rate_hz), self.measured.samples)
         counted = slice(round(start_s * rate_hz), sample_count)
         measured_motion = _sensor_motion(self.measured, counted)
         excitation_n = rig.body(rig.forces[0].body).mass_kg * pulse
-        for _ in range(SCALING_STEPS):
+        for _ in range(SCALING_STEP_COUNT):
             simulated_motion = _sensor_motion(self._decay_recording(rig, rig, excitation_n, sample_count, 0), counted)
             excitation_n = excitation_n * _largest_motion(measured_motion) / _largest_motion(simulated_motion)
-        levels, measured_levels = (
-            _octave_levels(motion, rate_hz, self.record.highest_hz) for motion in (simulated_motion, measured_motion)
+        simulated_levels, measured_levels = (
+            _octave_log_rms(motion, rate_hz, self.record.highest_hz) for motion in (simulated_motion, measured_motion)
         )
-        return float(np.linalg.norm(levels - measured_levels)), excitation_n
+        return float(np.linalg.norm(simulated_levels - measured_levels)), excitation_n
 
 
-def _sensor_motion(recording: Recording, counted: slice) -> Float[np.ndarray, "sensors samples"]:
+def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarray, "sensors samples"]:
     """Signals of all sensors of the last sensor's quantity, without their means."""
-    signals = recording.signals[recording.rig.sensors[-1].quantity].values[:, counted]
+    signals = recording.signals[recording.rig.sensors[-1].quantity].values[:, counted_slice]
     return np.asarray(signals - signals.mean(axis=1, keepdims=True))
 
 
 def _largest_motion(sensor_signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
     magnitude = np.linalg.norm(sensor_signals, axis=0)
-    largest = max(float(magnitude.max()), 1e-300)
-    return largest * float(np.mean((magnitude / largest) ** LARGE_MOTION_POWER)) ** (1 / LARGE_MOTION_POWER)
+    peak = max(float(magnitude.max()), 1e-300)
+    return peak * float(np.mean((magnitude / peak) ** LARGE_MOTION_EXPONENT)) ** (1 / LARGE_MOTION_EXPONENT)
 
 
-def _octave_levels(
+def _octave_log_rms(
     sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
 ) -> Float[np.ndarray, " octaves"]:
     """Logarithm of the rms of all sensors in each octave below a frequency."""
@@ -300,8 +300,8 @@ def _octave_levels(
     line_power = np.sum(np.abs(np.fft.rfft(sensor_signals * fade, axis=1)) ** 2, axis=0)[1:]
     lines_hz = np.fft.rfftfreq(sample_count, 1 / rate_hz)[1:]
     is_below = lines_hz <= highest_hz
-    octaves = np.floor(np.log2(highest_hz / lines_hz[is_below])).astype(int)
-    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octaves, line_power[is_below]), 1e-300)))
+    octave_indices = np.floor(np.log2(highest_hz / lines_hz[is_below])).astype(int)
+    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octave_indices, line_power[is_below]), 1e-300)))
 
 
 def _with_zero_force(recording: Recording) -> Recording:

@@ -17,7 +17,7 @@ from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction
 from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.nominal import fit_nuisance
 
-CONFIRMING_SIMULATIONS = 3
+CONFIRMING_SIMULATION_COUNT = 3
 """Simulated machines with the named effects, within the tolerances, made where the prediction improves by less than
 expected. Effort."""
 
@@ -29,7 +29,7 @@ class PredictedDecision:
     ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion as expected.
     """
 
-    ranked: Sequence[ValidatedHypothesis]
+    ranked_hypotheses: Sequence[ValidatedHypothesis]
     decision: Decision
     rollout_attempt: Attempt[Rollout] = field(default_factory=Attempt)
     ruled_out: tuple[ValidatedHypothesis, ...] = ()
@@ -60,11 +60,11 @@ def predicted_rollout(
     horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
     channel_errors, log_ratios = channel_errors_of(validation.record), []
     for simulation in simulated_machines(
-        validation.recording, named_rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
+        validation.recording, named_rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATION_COUNT
     ):
         record = record_of(simulation, tolerances=validation.record.tolerances)
-        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_rig))
-        log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
+        nominal_refit, corrected_refit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_rig))
+        log_ratios.append(log_ratio_of(simulation, nominal_refit, corrected_refit, horizon_samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 
 
@@ -80,24 +80,24 @@ def predicted_decision(
     predicts as expected. If none does, the first that is not vetoed stays, or the first with its veto. decide takes
     hypotheses, and whether their named effects are vetoed.
     """
-    first = latest = _decision_with_rollout(ranked_hypotheses, decide, predict)
-    accepted = None if first.is_vetoed else first
+    first_decision = latest_decision = _decision_with_rollout(ranked_hypotheses, decide, predict)
+    accepted = None if first_decision.is_vetoed else first_decision
     rivals = [
         weighted.validated
-        for weighted in first.decision.weighted_hypotheses
+        for weighted in first_decision.decision.weighted_hypotheses
         if weighted.probability > RIVAL_PROBABILITY and strengths_exclude_neutral(weighted.validated.hypothesis)
     ]
     ruled_out: list[ValidatedHypothesis] = []
-    while latest.is_doubtful:
-        doubtful = latest.decision.named_hypothesis
-        ruled_out += [validated for validated in latest.ranked if validated is doubtful]
-        rivals = [rival for rival in rivals if rival is not doubtful]
+    while latest_decision.is_doubtful:
+        doubtful_hypothesis = latest_decision.decision.named_hypothesis
+        ruled_out += [validated for validated in latest_decision.ranked_hypotheses if validated is doubtful_hypothesis]
+        rivals = [rival for rival in rivals if rival is not doubtful_hypothesis]
         if not rivals:
             break
-        latest = _decision_with_rollout([nominal_of(ranked_hypotheses), *rivals], decide, predict)
-        if latest.decision.corrects_rig and not (latest.is_doubtful and accepted):
-            accepted = None if latest.is_vetoed else replace(latest, ruled_out=tuple(ruled_out))
-    return accepted or first
+        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rivals], decide, predict)
+        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted):
+            accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
+    return accepted or first_decision
 
 
 def _decision_with_rollout(

@@ -38,7 +38,7 @@ class Simulator:
 SIMULATORS, PREDICTORS = "identify.simulators", "identify.predictors"
 """Entry point groups under which packages offer simulators, and predictors from measured states."""
 SelectCandidates = Callable[[list[Candidate], Rig], list[Candidate]]
-PREDICTOR = "modal"
+DEFAULT_PREDICTOR_NAME = "modal"
 """Predictor for simulators whose package offers none of the same name."""
 
 
@@ -48,7 +48,7 @@ def simulator_named(name: str) -> Simulator:
     if name not in simulator_points:
         raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(simulator_points))}")
     predictor_points = {entry_point.name: entry_point for entry_point in entry_points(group=PREDICTORS)}
-    predictor_point = predictor_points.get(name) or predictor_points.get(PREDICTOR)
+    predictor_point = predictor_points.get(name) or predictor_points.get(DEFAULT_PREDICTOR_NAME)
     return Simulator(name, simulator_points[name].load(), predictor_point.load() if predictor_point else None)
 
 
@@ -101,7 +101,7 @@ class PreparedRecordings:
         return max(self.fitted_recordings, key=lambda observation: observation.force_rms_n)
 
     @property
-    def fits_several(self) -> bool:
+    def fits_several_records(self) -> bool:
         """True if more than one recording is fitted."""
         return len(self.observations) > 2
 
@@ -136,14 +136,14 @@ def prepare(
         null_key(prepared.recording, prepared.record.counted_part, tolerances, simulator.name)
         for prepared in observations
     ]
-    references: dict[str, NullReference] = {}
+    reference_by_key: dict[str, NullReference] = {}
     first_indices = {key: index for index, key in reversed(list(enumerate(null_keys)))}
     for key_number, (key, index) in enumerate(first_indices.items()):
 
         def report(share: float, key_number: int = key_number) -> None:
             progress((key_number + share) / len(first_indices))
 
-        references[key] = null_reference_of(
+        reference_by_key[key] = null_reference_of(
             observations[index].recording,
             tolerances,
             simulators[index],
@@ -158,7 +158,7 @@ def prepare(
         channel_faults,
         simulators[validation_index],
         simulator.predict,
-        tuple(references[key] for key in null_keys),
+        tuple(reference_by_key[key] for key in null_keys),
     )
 
 
@@ -183,19 +183,19 @@ class SearchResult:
 def search(
     prepared: PreparedRecordings,
     progress: Callable[[float], None] = lambda _: None,
-    selected: SelectCandidates | None = None,
+    select_candidates: SelectCandidates | None = None,
 ) -> SearchResult:
     """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
-    parameters. `selected` takes those of the library's candidates that a rig's records show."""
-    strongest, search_share = prepared.searched_recording, 0.6 if prepared.fits_several else 1.0
+    parameters. `select_candidates` takes those of the library's candidates that a rig's records show."""
+    strongest, search_share = prepared.searched_recording, 0.6 if prepared.fits_several_records else 1.0
     result = search_record(
-        strongest.record, strongest.nominal_variances, lambda share: progress(search_share * share), selected
+        strongest.record, strongest.nominal_variances, lambda share: progress(search_share * share), select_candidates
     )
-    if not prepared.fits_several:
+    if not prepared.fits_several_records:
         return result
     records = [observation.record for observation in prepared.fitted_recordings]
-    variances = [observation.nominal_variances for observation in prepared.fitted_recordings]
-    hypotheses = (fitted_together(records, variances, hypothesis) for hypothesis in result.hypotheses)
+    variances_by_record = [observation.nominal_variances for observation in prepared.fitted_recordings]
+    hypotheses = (fitted_together(records, variances_by_record, hypothesis) for hypothesis in result.hypotheses)
     return replace(result, hypotheses=tuple(hypotheses))
 
 
@@ -203,11 +203,11 @@ def search_record(
     record: Record,
     nominal_variances: NominalVariances,
     progress: Callable[[float], None] = lambda _: None,
-    selected: SelectCandidates | None = None,
+    select_candidates: SelectCandidates | None = None,
 ) -> SearchResult:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
     library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
-    library = selected(library, record.rig) if selected else library
+    library = select_candidates(library, record.rig) if select_candidates else library
     hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
     return SearchResult(tuple(hypotheses), tuple(library), misfit(record, nominal_variances, residual))

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.signal import butter, sosfiltfilt
 
-from identify.gaps.residual.extent import read_sensors, sensor_densities
+from identify.gaps.residual.extent import read_sensors, sensor_noise_densities
 from identify.gaps.residual.ringing import highest_ringing_hz
 from identify.gaps.residual.shaken_base import base_sensor, check_base, with_inertial_force
 from rig.errors import RigError
@@ -32,13 +32,13 @@ LEVEL_RISE, LEVEL_FLOOR_SHARE = 1.2, 0.03
 below this share of the loudest count as that share. Set by hand."""
 DECAYED_SHARE = 0.5
 """Largest ratio of the quietest to the loudest second of a free decay. Set by hand."""
-MIN_INTERVALS = 4
+MIN_INTERVAL_COUNT = 4
 """Number of intervals of a record shorter than so many seconds, in place of the seconds. Set by hand."""
-BAND_FACTOR = 1.6
+RINGING_BAND_FACTOR = 1.6
 """Band in which a free decay is judged, as a multiple of the frequency up to which it rings. Set by hand."""
 LOWPASS_ORDER = 4
 """Order of the low-pass filter, run forwards and backwards, of that band. Set by hand."""
-NO_DECAY = (
+NO_DECAY_MESSAGE = (
     "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
     "one mass on a shaking base: minus its mass times the base's acceleration), or let the record begin when the rig "
     "has been released"
@@ -56,12 +56,12 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
     """
     faults: dict[str, str] = {}
     for recording in recordings:
-        faults |= sound_channels(recording, excluded_channels=tuple(faults))[1]
-    sound = [with_inertial_force(sound_channels(recording, tuple(faults))[0]) for recording in recordings]
-    for recording in sound:
+        faults |= sound_recording(recording, excluded_channels=tuple(faults))[1]
+    sound_recordings = [with_inertial_force(sound_recording(recording, tuple(faults))[0]) for recording in recordings]
+    for recording in sound_recordings:
         if not np.any(recording.forces_n):
             check_decay(recording)
-    return sound, faults
+    return sound_recordings, faults
 
 
 def ordered_recordings(
@@ -87,8 +87,8 @@ def ordered_recordings(
             raise RigError(f"recording {index + 1} is the same as an earlier one; give each recording once")
     if len(ordered) == 1:
         raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
-    validating = (index for index, recording in enumerate(ordered) if recording is validation)
-    return ordered, next(validating, len(ordered) - 1)
+    validating_indices = (index for index, recording in enumerate(ordered) if recording is validation)
+    return ordered, next(validating_indices, len(ordered) - 1)
 
 
 def _check_base_motion(rig: Rig) -> None:
@@ -125,7 +125,7 @@ def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
     return Recording(recording.rig, cut_signals, recording.provenance)
 
 
-def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
+def sound_recording(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
     """Recording without its faulty channels and those of `excluded_channels`, and the fault of each of the former.
 
     Raises RigError if the force channel or the sensor on a shaken base is faulty, or no sensor is left.
@@ -145,17 +145,17 @@ def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()
                 )
             if channel not in excluded_channels:
                 faults[channel] = fault
-    dropped = {*faults, *excluded_channels}
-    if not dropped:
+    dropped_names = {*faults, *excluded_channels}
+    if not dropped_names:
         return recording, faults
-    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped)
+    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped_names)
     if not sensors:
         raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
     rig, sound_signals = replace(recording.rig, sensors=sensors), {}
     for quantity, channels in channel_groups(rig).items():
         signals = recording.signals[quantity]
-        rows = [signals.channels.names.index(name) for name in channels.names]
-        sound_signals[quantity] = Signals(channels, signals.start_s, signals.values[rows])
+        channel_rows = [signals.channels.names.index(name) for name in channels.names]
+        sound_signals[quantity] = Signals(channels, signals.start_s, signals.values[channel_rows])
     return Recording(rig, sound_signals, recording.provenance), faults
 
 
@@ -168,16 +168,16 @@ def check_decay(recording: Recording) -> None:
     rate_hz, sensors = recording.rig.sample_rate_hz, read_sensors(recording)
     derivative_order = sensors[0].measures.order
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    densities = sensor_densities(recording, sensors, 0)
-    highest_hz = BAND_FACTOR * highest_ringing_hz(signals, rate_hz, derivative_order, densities)
+    noise_densities = sensor_noise_densities(recording, sensors, 0)
+    highest_hz = RINGING_BAND_FACTOR * highest_ringing_hz(signals, rate_hz, derivative_order, noise_densities)
     signals = _filtered_velocities(signals, rate_hz, derivative_order, highest_hz)
-    interval_samples = round(min(1.0, recording.duration_s / MIN_INTERVALS) * rate_hz)
-    interval_count = signals.shape[1] // interval_samples
-    by_interval = signals[:, : interval_count * interval_samples].reshape(len(signals), -1, interval_samples)
-    levels = np.linalg.norm(by_interval.std(axis=2), axis=0)
-    lowest_before = np.maximum(np.minimum.accumulate(levels), LEVEL_FLOOR_SHARE * levels.max())
-    if np.any(levels > LEVEL_RISE * lowest_before) or levels.min() > DECAYED_SHARE * levels.max():
-        raise RigError(NO_DECAY)
+    samples_per_interval = round(min(1.0, recording.duration_s / MIN_INTERVAL_COUNT) * rate_hz)
+    interval_count = signals.shape[1] // samples_per_interval
+    by_interval = signals[:, : interval_count * samples_per_interval].reshape(len(signals), -1, samples_per_interval)
+    interval_rms = np.linalg.norm(by_interval.std(axis=2), axis=0)
+    lowest_before = np.maximum(np.minimum.accumulate(interval_rms), LEVEL_FLOOR_SHARE * interval_rms.max())
+    if np.any(interval_rms > LEVEL_RISE * lowest_before) or interval_rms.min() > DECAYED_SHARE * interval_rms.max():
+        raise RigError(NO_DECAY_MESSAGE)
 
 
 def _filtered_velocities(

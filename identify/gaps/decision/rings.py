@@ -20,7 +20,7 @@ from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, n
 from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, fitted_contact_effects, with_contact_cost
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY
-from identify.gaps.residual.unfolding import IN_Z, Unfolding, of_rig
+from identify.gaps.residual.unfolding import IN_Z, Unfolding, with_rig
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes
 from rig.errors import RigError
@@ -44,7 +44,7 @@ class RingFit:
 
     unfolding: Unfolding
     tolerances: Tolerances
-    outcomes: dict[tuple[int, bytes], LawOutcomes] = field(default_factory=dict)
+    outcomes_by_rig: dict[tuple[int, bytes], LawOutcomes] = field(default_factory=dict)
 
     def __call__(self, recording: Recording, rig: Rig, _: Tolerances) -> LawOutcomes:
         """Estimates of the rings that a record determines with the linear model of `rig`, and why not the others."""
@@ -52,10 +52,10 @@ class RingFit:
         nominal_laws = [contact.law for contact in self.unfolding.space_rig.contacts]
         contacts = (with_numbers(c, law=law) for c, law in zip(folded_rig.contacts, nominal_laws, strict=True))
         folded_rig = with_numbers(folded_rig, contacts=tuple(contacts), tones=())
-        key = id(recording), to_json(folded_rig)
-        if key not in self.outcomes:
-            self.outcomes[key] = self._outcomes_of(of_rig(recording, folded_rig))
-        return self.outcomes[key]
+        cache_key = id(recording), to_json(folded_rig)
+        if cache_key not in self.outcomes_by_rig:
+            self.outcomes_by_rig[cache_key] = self._outcomes_of(with_rig(recording, folded_rig))
+        return self.outcomes_by_rig[cache_key]
 
     def _outcomes_of(self, recording: Recording) -> LawOutcomes:
         try:
@@ -70,26 +70,26 @@ class RingFit:
 
 
 def _law_estimate(contact_name: str, estimate: AnnularEstimate) -> LawEstimate:
-    fitted = [CLEARANCE, STIFFNESS, DAMPING]
+    fitted_indices = [CLEARANCE, STIFFNESS, DAMPING]
     return LawEstimate(
         contact_name,
         np.array(RING_GRADIENTS),
-        estimate.values[fitted],
-        estimate.covariance[np.ix_(fitted, fitted)],
-        estimate.covariances["tolerances"][np.ix_(fitted, fitted)],
+        estimate.values[fitted_indices],
+        estimate.covariance[np.ix_(fitted_indices, fitted_indices)],
+        estimate.covariances["tolerances"][np.ix_(fitted_indices, fitted_indices)],
     )
 
 
 def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates that the linear residual of an unfolded rig shows, those on what both directions share with their
     twin."""
-    chosen = []
+    linear = []
     for candidate in _with_twins(library_candidates, rig):
         changed_rig = candidate.applied(rig, candidate.typical_values)
         same_laws = all(c.law == n.law for c, n in zip(changed_rig.contacts, rig.contacts, strict=True))
         if same_laws and changed_rig.loads == rig.loads and changed_rig.base_motion == rig.base_motion:
-            chosen.append(candidate)
-    return chosen
+            linear.append(candidate)
+    return linear
 
 
 def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
@@ -99,18 +99,18 @@ def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candi
 
 def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates on one direction or the whole rig, and on bodies and contacts of both with their twin's place."""
-    chosen = []
+    with_twins = []
     for candidate in library_candidates:
         changed_rig = candidate.applied(rig, candidate.typical_values)
         is_shared = any(getattr(changed_rig, name) != getattr(rig, name) for name in SHARED_FIELDS)
         if not (candidate.place and is_shared):
-            chosen.append(candidate)
+            with_twins.append(candidate)
             continue
         places = {name: place for name, place in candidate.place.items() if name in ("body", "beam", "contact")}
         if places and all(place and not place.endswith(IN_Z) for place in places.values()):
             twin_place = {**candidate.place, **{name: f"{place}{IN_Z}" for name, place in places.items()}}
-            chosen.append(replace(candidate, twin_place=twin_place))
-    return chosen
+            with_twins.append(replace(candidate, twin_place=twin_place))
+    return with_twins
 
 
 def ring_distances(observations: Sequence[PreparedRecording], rig: Rig, ring_fit: RingFit) -> ContactDistances:
@@ -137,14 +137,14 @@ def with_ring_fits(
     """
     record, nominal = prepared.validation_recording.record, nominal_of(ranked_hypotheses)
     linear_probabilities = probabilities(np.array([validated.log_posterior for validated in ranked_hypotheses]))
-    with_rings = []
+    hypotheses_with_rings = []
     for validated, probability in zip(ranked_hypotheses, linear_probabilities, strict=True):
         if probability > RIVAL_PROBABILITY or validated is nominal:
             estimates = ring_distances(prepared.observations, validated.rig, ring_fit).law_estimates
-            with_rings.append(with_contact_cost(validated, estimates, record))
+            hypotheses_with_rings.append(with_contact_cost(validated, estimates, record))
             fitted = fitted_contact_effects(prepared, all_candidates, estimates, validated.hypothesis, ring_fit)
             if fitted:
                 prior, rig = log_priors([fitted], all_candidates)[fitted.effect_names], fitted.applied_to(record.rig)
                 variant = replace(validated, hypothesis=fitted, rig=rig, log_prior=prior)
-                with_rings.append(with_contact_cost(variant, estimates, record))
-    return sorted(with_rings, key=lambda validated: -validated.log_posterior)
+                hypotheses_with_rings.append(with_contact_cost(variant, estimates, record))
+    return sorted(hypotheses_with_rings, key=lambda validated: -validated.log_posterior)

@@ -3,8 +3,8 @@
 from identify.gaps.decision_table import USUAL_P_VALUE, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
-    DESCRIPTION_EXPLAINED,
-    HINT_EXPLAINED,
+    MIN_DESCRIPTION_SHARE,
+    MIN_HINT_SHARE,
     SMALLEST_SHARE,
     between_records_sentence,
     bound_words,
@@ -257,10 +257,10 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
     """Sentence on an unmeasured force that describes the difference, or its rest, with its share if that is small."""
     if any(note.analysis == "unmeasured_force" for note in gap.notes):
         return f"{subject} was not compared with unmeasured forces."
-    if gap.unknown is None or gap.unknown.explained < HINT_EXPLAINED:
+    if gap.unknown is None or gap.unknown.explained < MIN_HINT_SHARE:
         return f"{subject} looks like no single force that is known here."
     force, explained = gap.unknown.sentence, gap.unknown.explained
-    if explained >= DESCRIPTION_EXPLAINED:
+    if explained >= MIN_DESCRIPTION_SHARE:
         return f"{subject} looks like {force}."
     return f"{subject} has no simple form; the nearest explains {percent(explained)} of its mean square: {force}."
 

@@ -33,7 +33,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import Decision, decide
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.residual import SearchCache
-from identify.gaps.residual.unfolding import IN_Z, Unfolding, across, check_unfolds, free_contact_tolerances
+from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances, transverse_index
 from identify.gaps.results import FailedAnalysis, Gap, Matters, UnexplainedShares
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fit_nuisance
@@ -43,8 +43,8 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.interfaces import Simulate
 
-PLANE_ALONE = "made for rigs that move in one direction alone"
-NO_FRICTION_TOLERANCE = "no tolerance states it; identify contact gives it with its interval"
+PLANE_ALONE_REASON = "made for rigs that move in one direction alone"
+NO_FRICTION_REASON = "no tolerance states it; identify contact gives it with its interval"
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SpaceSimulator:
 
     def __call__(self, _: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
         simulated = self.simulate(self.unfolding.space_rig, self.unfolding.folded(actual_rig), forces_n, seed)
-        return self._with_motion_across(self.unfolding.recording(simulated), np.random.default_rng([seed, 80]))
+        return self._with_motion_across(self.unfolding.unfolded_recording(simulated), np.random.default_rng([seed, 80]))
 
     def _with_motion_across(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """Recording whose sensors show random shares, within `cross_axis`, of what those across show."""
@@ -65,8 +65,8 @@ class SpaceSimulator:
         for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors):
             sensors = [sensor for sensor in recording.rig.sensors if sensor.quantity == quantity]
             mixing = np.eye(len(sensors))
-            for row, other in across([sensor.station for sensor in sensors]).items():
-                mixing[row, other] = self.tolerances.of_sensor(sensors[row].name).cross_axis * rng.standard_normal()
+            for row, across in transverse_index([sensor.station for sensor in sensors]).items():
+                mixing[row, across] = self.tolerances.of_sensor(sensors[row].name).cross_axis * rng.standard_normal()
             signals[quantity] = replace(signals[quantity], values=mixing @ signals[quantity].values)
         return replace(recording, signals=signals)
 
@@ -94,14 +94,14 @@ def diagnose_in_space(
         raise RigError(f"rig {space_rig.name!r} moves in two directions: identify gap needs the measured force there")
     unfolding = Unfolding(space_rig)
     space_tolerances = tolerances or space_rig.tolerances or LABORATORY
-    unfolded = [unfolding.recording(recording) for recording in recordings]
-    held_back = next((u for u, r in zip(unfolded, recordings, strict=True) if r is validation), None)
+    unfolded_recordings = [unfolding.unfolded_recording(recording) for recording in recordings]
+    held_back = next((u for u, r in zip(unfolded_recordings, recordings, strict=True) if r is validation), None)
     if validation is not None and held_back is None:
-        held_back = unfolding.recording(validation)
+        held_back = unfolding.unfolded_recording(validation)
     rig_key = hashlib.sha256(to_json(space_rig)).hexdigest()[:16]
     simulate = SpaceSimulator(unfolding, simulator.simulate, space_tolerances)
     prepared = prepare(
-        unfolded,
+        unfolded_recordings,
         held_back,
         Simulator(f"{simulator.name} in space {rig_key}", simulate),
         null_reference_path,
@@ -112,17 +112,17 @@ def diagnose_in_space(
     judgement = _judge(prepared, search_result, RingFit(unfolding, space_tolerances), matters)
     progress("causes", 0.9)
     decision = judgement.decision
-    gap = _in_space(describe(prepared, search_result, judgement, matters))
+    gap = _answer_in_space(describe(prepared, search_result, judgement, matters))
     progress("causes", 1.0)
     corrected = decision.corrects_rig and decision.named_hypothesis
     return gap, unfolding.folded(corrected.rig) if corrected else space_rig
 
 
-def _in_space(gap: Gap) -> Gap:
+def _answer_in_space(gap: Gap) -> Gap:
     """Answer of an unfolded rig as one of the rig in space: stations by its bodies, and no unexplained shares of the
     contact forces, which no law was asked for."""
 
-    def bare(shares: UnexplainedShares) -> UnexplainedShares:
+    def without_contact_shares(shares: UnexplainedShares) -> UnexplainedShares:
         return with_numbers(shares, contact_shares={})
 
     positions_m: dict[str, Counter[float]] = {}
@@ -130,9 +130,9 @@ def _in_space(gap: Gap) -> Gap:
         positions_m.setdefault(body.removesuffix(IN_Z), Counter()).update(share_by_position)
     gap = with_numbers(
         gap,
-        before=bare(gap.before),
-        after=bare(gap.after),
-        causes=tuple(with_numbers(cause, left=bare(cause.left)) for cause in gap.causes),
+        before=without_contact_shares(gap.before),
+        after=without_contact_shares(gap.after),
+        causes=tuple(with_numbers(cause, left=without_contact_shares(cause.left)) for cause in gap.causes),
         attribution=with_numbers(gap.attribution, positions_m={body: dict(c) for body, c in positions_m.items()}),
     )
     return with_numbers(gap, sentence=sentence(gap))
@@ -144,23 +144,23 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))
     library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
-    rings = ring_candidates(library, record.rig)
-    all_candidates = [*search_result.candidates, *rings]
+    ring_effects = ring_candidates(library, record.rig)
+    all_candidates = [*search_result.candidates, *ring_effects]
     ranked = validated_hypotheses(prepared, search_result.hypotheses, all_candidates, residual)
     nominal_misfits = nominal_misfits_of(prepared, search_result.nominal_misfit, residual)
     record_p_values = p_values(prepared.null_references, nominal_misfits)
-    distances = ring_distances(prepared.observations, record.rig, ring_fit)
+    distances_of_rings = ring_distances(prepared.observations, record.rig, ring_fit)
     difference = NominalDifference(
-        with_bound(combined_p_value(np.append(record_p_values, distances.p_values)), split_p_value(ranked)),
+        with_bound(combined_p_value(np.append(record_p_values, distances_of_rings.p_values)), split_p_value(ranked)),
         share_bounds(nominal_misfits[prepared.validation_index], (), matters)[0],
         contact_bounds=(),
-        parameter_bounds=distances.parameter_bounds,
+        parameter_bounds=distances_of_rings.parameter_bounds,
     )
     ranked = with_rival_spread(with_ring_fits(prepared, all_candidates, ranked, ring_fit))
     decision = _with_rings_after(decide(ranked, difference, prepared.null_reference, matters), prepared, ring_fit)
-    prediction = PredictedDecision(ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE),)))
-    notes = [FailedAnalysis("unmeasured_force", PLANE_ALONE)]
-    notes += [FailedAnalysis("ring_friction", NO_FRICTION_TOLERANCE)] * bool(rings)
+    prediction = PredictedDecision(ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE_REASON),)))
+    notes = [FailedAnalysis("unmeasured_force", PLANE_ALONE_REASON)]
+    notes += [FailedAnalysis("ring_friction", NO_FRICTION_REASON)] * bool(ring_effects)
     unmeasured = UnmeasuredCauses(notes=tuple(notes))
     return Judgement(decision, prediction, unmeasured, linearization, residual)
 
@@ -170,11 +170,11 @@ def _with_rings_after(decision: Decision, prepared: PreparedRecordings, ring_fit
     chosen, validation = decision.named_hypothesis or decision.nominal_hypothesis, prepared.validation_recording
     distances = ring_distances(prepared.observations, chosen.rig, ring_fit)
     remaining_p_values = p_values([prepared.null_reference], [chosen.misfit])
-    held_back = ring_distances([validation], validation.record.rig, ring_fit).p_values
-    shows = bool(held_back) and combined_p_value(np.array(held_back)) < USUAL_P_VALUE
+    held_back_p_values = ring_distances([validation], validation.record.rig, ring_fit).p_values
+    rings_show = bool(held_back_p_values) and combined_p_value(np.array(held_back_p_values)) < USUAL_P_VALUE
     evidence = with_numbers(
         decision.evidence,
-        held_back_shows=decision.evidence.held_back_shows or shows,
+        held_back_shows=decision.evidence.held_back_shows or rings_show,
         p_value_after=combined_p_value(np.append(remaining_p_values, distances.p_values)),
         quantities_after=(*decision.evidence.quantities_after, *distances.parameter_bounds),
     )

@@ -26,7 +26,7 @@ from identify.gaps.unmeasured_force.location import ForcePlace
 from identify.pages.wording import COVERED
 from rig.model.description import Rig
 
-UNMEASURED_FORCE_PLACES = 100
+FORCE_PLACE_COUNT = 100
 """Distinguishable places of an unknown force (bodies of some metres, 20 mm each). Derived: two bodies of 1 m, 20 mm
 apart, the accuracy of a weak force's place."""
 RIVAL_PROBABILITY = 0.05
@@ -126,8 +126,8 @@ def decide(
         log_posterior = validated.log_posterior if held_back_shows else validated.log_posterior_of_both
         if validated is not force_rivals.accompanied_hypothesis:
             return log_posterior
-        with_force = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
-        return float(np.logaddexp(log_posterior, with_force))
+        log_posterior_with_force = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
+        return float(np.logaddexp(log_posterior, log_posterior_with_force))
 
     log_posteriors = [*map(log_posterior_of, ranked_hypotheses), _force_log_posterior(0.0, force_rivals.nominal_cost)]
     *posteriors, probability_unmeasured = probabilities(np.array(log_posteriors)).tolist()
@@ -176,16 +176,16 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
         }
         column = max(deviation_in_errors, key=deviation_in_errors.__getitem__)
         strength, half_width = float(hypothesis.values[column]), float(COVERED * standard_errors[column])
-        look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
+        look_alikes = _look_alike_names(hypothesis, candidate, weighted_hypotheses)
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
             weighted.probability
             for weighted in weighted_hypotheses
             if interchangeable_names & set(weighted.validated.hypothesis.effect_names)
         )
-        interval = (strength - half_width, strength + half_width)
+        interval_95 = (strength - half_width, strength + half_width)
         neutral = float(neutral_values[column])
-        strengths.append(Strength(candidate.name, inclusion_probability, interval, neutral, look_alikes))
+        strengths.append(Strength(candidate.name, inclusion_probability, interval_95, neutral, look_alikes))
     return tuple(strengths)
 
 
@@ -197,7 +197,7 @@ def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
     )
 
 
-def _look_alikes(
+def _look_alike_names(
     hypothesis: Hypothesis, candidate: Candidate, weighted_hypotheses: Sequence[WeightedHypothesis]
 ) -> tuple[str, ...]:
     """Names of candidates that replace an effect in other hypotheses above `RIVAL_PROBABILITY`."""
@@ -250,7 +250,7 @@ def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Ri
 
 
 def _force_log_posterior(log_prior: float, force_minus_two_log: float | None) -> float:
-    """Log posterior of an unmeasured force, which may be at any of `UNMEASURED_FORCE_PLACES`; -inf without one."""
+    """Log posterior of an unmeasured force, which may be at any of `FORCE_PLACE_COUNT`; -inf without one."""
     if force_minus_two_log is None:
         return -np.inf
-    return log_prior + float(np.log(PRIOR_UNKNOWN / UNMEASURED_FORCE_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)
+    return log_prior + float(np.log(PRIOR_UNKNOWN / FORCE_PLACE_COUNT)) - force_minus_two_log / (2 * TEMPERATURE)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from identify.gaps.decision_table import USUAL_P_VALUE, Verdict
 from identify.gaps.results import Gap
 from identify.gaps.wording import (
-    DESCRIPTION_EXPLAINED,
-    HINT_EXPLAINED,
+    MIN_DESCRIPTION_SHARE,
+    MIN_HINT_SHARE,
     capitalised,
     is_effective,
     joined,
@@ -174,9 +174,9 @@ def _unexplained_steps(gap: Gap) -> list[str]:
 
 def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
     """Steps that inspect the place of an unmeasured force."""
-    if unknown.explained < HINT_EXPLAINED:
+    if unknown.explained < MIN_HINT_SHARE:
         return []
-    if unknown.explained < DESCRIPTION_EXPLAINED:
+    if unknown.explained < MIN_DESCRIPTION_SHARE:
         hint_words = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
         return [f"{hint_words}look at {_suspect_words(unknown)}."]
     if unknown.kind == "sensor":

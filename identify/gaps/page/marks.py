@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from identify.gaps.decision_table import Verdict
 from identify.gaps.residual.unfolding import IN_Z
 from identify.gaps.results import Gap
-from identify.gaps.wording import DESCRIPTION_EXPLAINED, HINT_EXPLAINED
+from identify.gaps.wording import MIN_DESCRIPTION_SHARE, MIN_HINT_SHARE
 from identify.pages.machine import DrawnMark
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
@@ -58,9 +58,9 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     None where it explains as little as in null simulations; a hint where it explains less than half.
     """
     unknown = gap.unknown
-    if unknown is None or unknown.explained < HINT_EXPLAINED:
+    if unknown is None or unknown.explained < MIN_HINT_SHARE:
         return
-    hint = "a hint: " * (unknown.explained < DESCRIPTION_EXPLAINED)
+    hint = "a hint: " * (unknown.explained < MIN_DESCRIPTION_SHARE)
     if (name := unknown.contact or unknown.sensor) and (station := station_named(rig, name)):
         fault = "clearance that swings" if unknown.contact else "fault of the sensor"
         yield DrawnMark(station, f"{hint}{name}: {fault}")

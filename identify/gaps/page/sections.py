@@ -219,7 +219,7 @@ def unknown_force_html(unknown: UnmeasuredForce) -> str:
     if unknown.law:
         rows.append(("formula", unknown.law))
     rows.append(("explains, of the linear residual's mean square", percent(unknown.explained)))
-    if unknown.explained < wording.DESCRIPTION_EXPLAINED:
+    if unknown.explained < wording.MIN_DESCRIPTION_SHARE:
         description = f"It has no simple form. The nearest is {unknown.sentence}"
     html = f"<p>{escape(description)}.</p>" + page.table(("", ""), rows)
     if unknown.law:

@@ -30,26 +30,26 @@ def free_motion_of(
     signal_per_input: Complex[np.ndarray, "inputs sensors lines"],
     error_deviation: Float[np.ndarray, "sensors lines"],
     scaled_response: Complex[np.ndarray, "sensors lines"],
-    unexplained: Complex[np.ndarray, "sensors lines"],
+    unexplained_signals: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[FreeMode, ...]:
     """Free modes that, beside the unknown inputs, explain most of what known forces leave; none with a force.
 
     signal_per_input, scaled_response and unexplained are in standard deviations of the sensors' errors.
     """
-    if not record.counts_from_blow:
+    if not record.fits_initial_state:
         return ()
     sampling = None if floats_in_contacts(record.rig) else record.sampling
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    stations = [sensors[sensor.name].station for sensor in record.sensors]
-    modes = free_modes(responses, _free_mode_indices(record, responses), stations, sampling)
-    fitted, mass_modes = _split_by_state(record, rig, modes, responses)
-    if fitted:
-        mass_accelerations = sum((mode.sensed_acceleration for mode in mass_modes), np.zeros_like(unexplained))
-        unexplained = unexplained - scaled_response * mass_accelerations
-        without_contacts = projection(signal_per_input, error_deviation, len(rig.contacts))
-        residual = without_contacts.applied_to(unexplained * error_deviation)[0][: len(stations)]
-        fitted = fitted_free_modes(fitted, without_contacts, scaled_response, residual)
-    return (*mass_modes, *fitted)
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    sensor_stations = [sensor_by_name[sensor.name].station for sensor in record.sensors]
+    unfitted_modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
+    fitted_modes, mass_modes = _fitted_and_mass_modes(record, rig, unfitted_modes, responses)
+    if fitted_modes:
+        mass_accelerations = sum((mode.sensed_acceleration for mode in mass_modes), np.zeros_like(unexplained_signals))
+        unexplained_signals = unexplained_signals - scaled_response * mass_accelerations
+        contact_projection = projection(signal_per_input, error_deviation, len(rig.contacts))
+        residual = contact_projection.applied_to(unexplained_signals * error_deviation)[0][: len(sensor_stations)]
+        fitted_modes = fitted_free_modes(fitted_modes, contact_projection, scaled_response, residual)
+    return (*mass_modes, *fitted_modes)
 
 
 def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
@@ -65,21 +65,21 @@ def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[
     return [np.flatnonzero(modes_of(record.rig, body).frequencies_hz(count) < highest_hz) for body, count in bodies]
 
 
-def _split_by_state(
+def _fitted_and_mass_modes(
     record: Record, rig: Rig, modes: tuple[FreeMode, ...], responses: tuple[Response, ...]
 ) -> tuple[tuple[FreeMode, ...], tuple[FreeMode, ...]]:
     """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one."""
     if not rig.contacts:
         return modes, ()
-    gains = {sensor.name: sensor.gain for sensor in rig.sensors}
-    fitted, mass_modes = [], []
+    gain_by_sensor = {sensor.name: sensor.gain for sensor in rig.sensors}
+    fitted_modes, mass_modes = [], []
     for mode in modes:
         body = responses[mode.body_index].body
-        sensors = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
-        if body.is_mass and sensors:
-            gain = gains[record.sensors[sensors[0]].name]
-            modal_per_signal = record.sample_rate_hz / (gain * mode.shape[sensors[0]])
-            mass_modes.append(replace(mode, initial_state=record.first_states[sensors[0]] * modal_per_signal))
+        sensed = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        if body.is_mass and sensed:
+            gain = gain_by_sensor[record.sensors[sensed[0]].name]
+            modal_per_signal = record.sample_rate_hz / (gain * mode.shape[sensed[0]])
+            mass_modes.append(replace(mode, initial_state=record.initial_sensor_states[sensed[0]] * modal_per_signal))
         else:
-            fitted.append(mode)
-    return tuple(fitted), tuple(mass_modes)
+            fitted_modes.append(mode)
+    return tuple(fitted_modes), tuple(mass_modes)

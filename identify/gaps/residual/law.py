@@ -19,14 +19,14 @@ from scipy.sparse.linalg import SuperLU, splu
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.observation import ContactObservation, ContactSignals, FittedMotion, Results, Signal
+from identify.gaps.residual.observation import ContactObservation, ContactSignals, ForceAndEta, LawValues, Signal
 from identify.gaps.residual.tangent import LawTangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
-EXCESS_WEIGHT = 100.0
+PULL_EXCESS_WEIGHT = 100.0
 """Extra weight of a contact tolerance's excess beyond `PULL_LIMIT` standard deviations: something else is wrong. Set by
 hand: a soft bound."""
 LEAST_CLEARANCE_FACTOR = 1e-9
@@ -45,44 +45,44 @@ def initial_unknowns(
 
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
-    spline, first_law, (lower_m, upper_m) = observation.drift_spline, law.laws[0], law.clearances_m
-    unknowns = np.zeros(spline.knot_count + len(observation.law_prior_deviations) * len(law.laws))
+    drift_spline, first_law, (lower_m, upper_m) = observation.drift_spline, law.laws[0], law.clearances_m
+    unknowns = np.zeros(drift_spline.knot_count + len(observation.law_prior_deviations) * len(law.laws))
     eta_m, velocity_m_per_s, time_s = (
         signal[:: contact_signals.decimation]
         for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)
     )
     # less what acts in the open contact too
-    elastic_n = contact_signals.force_n - law.force_n(np.zeros_like(eta_m), velocity_m_per_s)
+    elastic_force_n = contact_signals.force_n - law.force_n(np.zeros_like(eta_m), velocity_m_per_s)
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
-    middle_m = off_centre_m + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
-    depth_m = _depth_m(law, elastic_n)
+    clearance_middle_m = off_centre_m + np.sign(elastic_force_n) * first_law.wear_m_per_s * time_s
+    penetration_m = _penetration_m(law, elastic_force_n)
     if len(law.laws) > 1:  # ringing of an open contact would penetrate a soft one deeply
-        depth_m *= np.abs(elastic_n) > CLOSED_FORCE_SHARE * np.quantile(np.abs(elastic_n), 0.995)
+        penetration_m *= np.abs(elastic_force_n) > CLOSED_FORCE_SHARE * np.quantile(np.abs(elastic_force_n), 0.995)
     contact_record = ContactRecord(
-        eta_m=eta_m - middle_m,
+        eta_m=eta_m - clearance_middle_m,
         velocity_m_per_s=velocity_m_per_s,
         sample_rate_hz=force_rate_hz,
-        force_n=first_law.stiffness_n_per_m * depth_m,
+        force_n=first_law.stiffness_n_per_m * penetration_m,
         decimation=1,
         quiet_deviation_n=0.0,
         noise_n=0.0,
         unmodelled_share=0.0,
         drift=None,
-        drift_spline=spline,
-        nuisance_n=np.zeros((0, elastic_n.size)),
+        drift_spline=drift_spline,
+        nuisance_n=np.zeros((0, elastic_force_n.size)),
         force_noise_multiple=np.zeros(0),
         shifts_eta=np.zeros(0, dtype=bool),
         eta_noise_multiple=np.zeros(0),
-        nuisance_m=np.zeros((0, elastic_n.size)),
+        nuisance_m=np.zeros((0, elastic_force_n.size)),
         is_initial_state=np.zeros(0, dtype=bool),
     )
-    if spline.knot_count:
+    if drift_spline.knot_count:
         with suppress(RigError):
-            unknowns[: spline.knot_count] = regressed_guess(contact_record)[1]
+            unknowns[: drift_spline.knot_count] = regressed_guess(contact_record)[1]
     return unknowns
 
 
-def _depth_m(law: GroupLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+def _penetration_m(law: GroupLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Penetration at which the law's force at rest equals a force; zero for laws without stiffness."""
     slopes_n_per_m = [slope for slope, _ in (single_law.steepest for single_law in law.laws) if slope]
     penetration_m = np.zeros_like(force_n)
@@ -111,7 +111,7 @@ class ContactResidual:
     law: GroupLaw
     adjusted_law: GroupLaw
     unknowns: Float[np.ndarray, " unknowns"]
-    motion: FittedMotion
+    motion: ForceAndEta
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -123,16 +123,16 @@ class ContactResidual:
         """Derivatives of each law at the rate of `tangent`; see `slopes`."""
         laws, signs = self.adjusted_law.laws, self.adjusted_law.signs
 
-        def slope_rows(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Results:
-            tangents, per_stiffness, per_damping = [], [], []
+        def slope_rows(eta: Signal, eta_rate: Signal, *time_s: Signal) -> LawValues:
+            by_eta, by_stiffness, by_damping = [], [], []
             for law, sign in zip(laws, signs, strict=True):
-                undamped, signed_rate = changed(law, damping_n_s_per_m=0.0), sign * eta_rate
-                tangents.append(law.by_eta_n_per_m(sign * eta, *time_s))
-                stiffness_slope = force_increase_n(undamped, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
-                per_stiffness.append(sign * stiffness_slope)
-                damping_slope = force_increase_n(law, sign * eta, signed_rate, *time_s, damping_n_s_per_m=1.0)
-                per_damping.append(sign * damping_slope)
-            return np.stack([tangents, np.stack(tangents) * np.sign(eta), per_stiffness, per_damping])
+                undamped_law, signed_rate_m_per_s = changed(law, damping_n_s_per_m=0.0), sign * eta_rate
+                by_eta.append(law.by_eta_n_per_m(sign * eta, *time_s))
+                stiffness_slope = force_increase_n(undamped_law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
+                by_stiffness.append(sign * stiffness_slope)
+                damping_slope = force_increase_n(law, sign * eta, signed_rate_m_per_s, *time_s, damping_n_s_per_m=1.0)
+                by_damping.append(sign * damping_slope)
+            return np.stack([by_eta, np.stack(by_eta) * np.sign(eta), by_stiffness, by_damping])
 
         depends_on_time = _depends_on_time(self.adjusted_law)
         return self.signals.low_passed(slope_rows, self.motion, depends_on_time, self.signals.slope_rate_multiple)
@@ -165,9 +165,9 @@ class ContactResidual:
         """Laws with clearance, stiffness and damping as fitted within their tolerances."""
         *_, damping_deviation_s = self.observation.law_prior_deviations
         fitted_laws = []
-        for law, adjusted, pull in zip(self.law.laws, self.adjusted_law.laws, self.pulls[2::3], strict=True):
-            damping = float(law.damping_n_s_per_m + pull * damping_deviation_s * law.stiffness_n_per_m)
-            fitted_laws.append(changed(adjusted, damping_n_s_per_m=max(0.0, damping)))
+        for law, adjusted_law, pull in zip(self.law.laws, self.adjusted_law.laws, self.pulls[2::3], strict=True):
+            damping_n_s_per_m = float(law.damping_n_s_per_m + pull * damping_deviation_s * law.stiffness_n_per_m)
+            fitted_laws.append(changed(adjusted_law, damping_n_s_per_m=max(0.0, damping_n_s_per_m)))
         return tuple(fitted_laws)
 
     @property
@@ -176,27 +176,27 @@ class ContactResidual:
         spline = self.observation.drift_spline
         return np.asarray(spline.value @ self.unknowns[: spline.knot_count])
 
-    def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
+    def pull_sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
         """Sides of the pulls, after a step of the unknowns."""
         return np.sign(_limit_excess((self.unknowns + step)[self.observation.tolerance_slice]))
 
     @cached_property
-    def columns(self) -> csr_matrix:
+    def columns_by_unknown(self) -> csr_matrix:
         """Decrease of the residual per unit of each unknown, rows x unknowns."""
-        return self.columns_beyond(self.sides_after())
+        return self.columns_on_sides(self.pull_sides_after())
 
-    def columns_beyond(self, sides: PullSides) -> csr_matrix:
+    def columns_on_sides(self, sides: PullSides) -> csr_matrix:
         """Columns where the pulls' excess is straight, as on given sides."""
         prior_diagonal = np.diag(self.observation.prior_weight * np.ones(sides.size))
-        prior_rows = np.concatenate([prior_diagonal, EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
-        priors = block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")
-        return vstack([self._force_columns, priors], "csr")
+        prior_rows = np.concatenate([prior_diagonal, PULL_EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
+        prior_matrix = block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")
+        return vstack([self._force_columns, prior_matrix], "csr")
 
-    def residual_beyond(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
-        """Residual with the same straight excess."""
+    def residual_on_sides(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
+        """Residual where the pulls' excess is straight, as on given sides."""
         residual = self.residual.copy()
         straight_excess = np.where(sides != 0, self.pulls - sides * PULL_LIMIT, 0.0)
-        residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * straight_excess
+        residual[residual.size - sides.size :] = -self.observation.prior_weight * PULL_EXCESS_WEIGHT * straight_excess
         return residual
 
     @cached_property
@@ -212,12 +212,12 @@ class ContactResidual:
                 damping_deviation_s * law.stiffness_n_per_m * per_damping,
             ]
         drift_columns = self.tangent.spline_columns(drift_values) + self.signals.slow_stiffness_n_per_m * drift_values
-        return diags(self.observation.weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
+        return diags(self.observation.force_weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
     def drift_columns(self) -> csr_matrix:
         """Columns of the drift's knots alone."""
-        return self.columns[:, : self.observation.drift_spline.knot_count]
+        return self.columns_by_unknown[:, : self.observation.drift_spline.knot_count]
 
     @cached_property
     def drift_solver(self) -> SuperLU:
@@ -225,17 +225,17 @@ class ContactResidual:
         return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
 
 
-def contact_motion(
+def force_and_motion(
     signals: ContactSignals,
     observation: ContactObservation,
     unknowns: Float[np.ndarray, " unknowns"],
     added_force_n: float | Float[np.ndarray, " times"] = 0.0,
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
-) -> FittedMotion:
+) -> ForceAndEta:
     """Motion with the drift; added_force_n and added_eta_m come on top of force and relative displacement."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knot_count]
     drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
-    return FittedMotion(
+    return ForceAndEta(
         signals.force_n + added_force_n,
         signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m,
         signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation),
@@ -247,28 +247,28 @@ def contact_residual(
     observation: ContactObservation,
     law: GroupLaw,
     unknowns: Float[np.ndarray, " unknowns"],
-    motion: FittedMotion,
+    motion: ForceAndEta,
 ) -> ContactResidual:
     """Residual at given unknowns and at the motion that they cause."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knot_count]
-    pulls, deviations = unknowns[observation.tolerance_slice], observation.law_prior_deviations
-    adjusted_laws, damping_increases = [], []
-    for nominal, law_pulls in zip(law.laws, pulls.reshape(-1, len(deviations)), strict=True):
-        clearance_change, stiffness_change, _ = (law_pulls * deviations).tolist()
+    pulls, prior_deviations = unknowns[observation.tolerance_slice], observation.law_prior_deviations
+    adjusted_laws, damping_increases_n_s_per_m = [], []
+    for nominal_law, law_pulls in zip(law.laws, pulls.reshape(-1, len(prior_deviations)), strict=True):
+        clearance_change, stiffness_change, _ = (law_pulls * prior_deviations).tolist()
         clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change)
-        damping_increases.append(float(law_pulls[2] * deviations[2] * nominal.stiffness_n_per_m))
+        damping_increases_n_s_per_m.append(float(law_pulls[2] * prior_deviations[2] * nominal_law.stiffness_n_per_m))
         adjusted_laws.append(
             changed(
-                nominal,
-                lower_clearance_m=nominal.lower_clearance_m * clearance_factor,
-                upper_clearance_m=nominal.upper_clearance_m * clearance_factor,
-                stiffness_n_per_m=nominal.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
+                nominal_law,
+                lower_clearance_m=nominal_law.lower_clearance_m * clearance_factor,
+                upper_clearance_m=nominal_law.upper_clearance_m * clearance_factor,
+                stiffness_n_per_m=nominal_law.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
             )
         )
     adjusted_law = GroupLaw(tuple(adjusted_laws), law.signs)
 
     def force_n(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Signal:
-        laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
+        laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases_n_s_per_m, strict=True)
         forces_n = (
             sign * force_with_damping_n(adjusted, increase, sign * eta, sign * eta_rate, *time_s)
             for sign, adjusted, increase in laws
@@ -278,8 +278,8 @@ def contact_residual(
     law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
     residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
     drift_rows = drift_spline.curvature_target - drift_spline.curvature @ knots_m
-    prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
-    residual = np.concatenate([observation.weights * residual_n, drift_rows, prior_rows])
+    prior_rows = -observation.prior_weight * np.concatenate([pulls, PULL_EXCESS_WEIGHT * _limit_excess(pulls)])
+    residual = np.concatenate([observation.force_weights * residual_n, drift_rows, prior_rows])
     return ContactResidual(observation, signals, law, adjusted_law, unknowns, motion, residual)
 
 
@@ -314,5 +314,5 @@ def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pul
 
 def _at_sample_rate(slow_motion: Float[np.ndarray, " times"], decimation: int) -> Float[np.ndarray, " samples"]:
     """Slow motion interpolated linearly to the recording's rate."""
-    between = slow_motion[:-1, None] + np.diff(slow_motion)[:, None] * (np.arange(decimation) / decimation)
-    return np.append(between, slow_motion[-1])
+    interpolated = slow_motion[:-1, None] + np.diff(slow_motion)[:, None] * (np.arange(decimation) / decimation)
+    return np.append(interpolated, slow_motion[-1])

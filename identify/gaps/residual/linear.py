@@ -28,7 +28,7 @@ from identify.gaps.residual.shaken_base import (
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
-    following_motion,
+    SensorStations,
     ground_force_derivative,
     has_ground_forces,
     known_forces_of,
@@ -36,6 +36,7 @@ from identify.gaps.residual.windowed import (
     modal_response,
     response_to_force,
     static_response,
+    with_motion_following_dampers,
 )
 from identify.linear.free_motion import FreeMode
 from identify.linear.joined import group_rig_of
@@ -77,7 +78,7 @@ class LinearModel:
     error_deviation: Float[np.ndarray, "sensors lines"]
     signal_per_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
-    contact_n: Complex[np.ndarray, "contacts lines"]
+    contact_force_n: Complex[np.ndarray, "contacts lines"]
     acceleration_by_force: Complex[np.ndarray, "forces sensors lines"]
     known_forces: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
     free_modes: tuple[FreeMode, ...]
@@ -91,7 +92,7 @@ class LinearModel:
     @property
     def modal_accelerations(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """Modal accelerations of each body."""
-        forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
+        forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_force_n])
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
             modal_response(self.record, self.rig, r, real_product(input_shapes(self.rig, r, stations).T, forces_n))
@@ -115,14 +116,14 @@ class LinearModel:
     @property
     def base_at_sensors(self) -> Complex[np.ndarray, "sensors lines"] | float:
         """Acceleration of the measured base as each sensor shows it; 0 without one."""
-        return self.base.at_sensors if self.base else 0.0
+        return self.base.acceleration_at_sensors if self.base else 0.0
 
     @property
     def observed_base(self) -> ObservedBase | None:
         """Measured base, with what it causes at the sensors against it."""
         if self.base is None:
             return None
-        base, by_base = self.base, self.acceleration_by_force[0] - self.base.at_sensors
+        base, by_base = self.base, self.acceleration_by_force[0] - self.base.acceleration_at_sensors
         return ObservedBase(base.sensor, base.sensor, base.acceleration, base.displacement, by_base)
 
     @property
@@ -132,7 +133,7 @@ class LinearModel:
         if base_motion is None or self.base:
             return 0.0
         deviation = unmeasured_base_deviation(base_motion, record.omega, record.sample_count, self.rig.sample_rate_hz)
-        return np.asarray(self.residual[len(record.sensors)] * deviation * record.twice_integrated)
+        return np.asarray(self.residual[len(record.sensors)] * deviation * record.displacement_per_acceleration)
 
     @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
@@ -143,7 +144,7 @@ class LinearModel:
     @cached_property
     def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
         """Displacements at the sensors, against a measured base: measured, and by missed accelerations."""
-        missed_displacements = self.missed_accelerations * self.record.twice_integrated
+        missed_displacements = self.missed_accelerations * self.record.displacement_per_acceleration
         return _measured_displacements(self.record, self.rig) + missed_displacements
 
     @cached_property
@@ -158,37 +159,37 @@ class LinearModel:
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        stations = sensor_stations_of(self.record, self.rig)
+        sensor_stations = sensor_stations_of(self.record, self.rig)
         displacements = self.displacements - self.unmeasured_base_m
-        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_n)
+        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
-            eta_m += real_product(_across_weights(self.rig, response, stations), displacements)
+            eta_m += real_product(_eta_weights(self.rig, response, sensor_stations), displacements)
         for mode in self.free_modes:
-            shape = self._unobserved_shapes(self.responses[mode.body_index], stations)[:, mode.mode_index]
-            eta_m += np.outer(shape, mode.acceleration * self.record.twice_integrated)
+            shape = self._unobserved_shapes(self.responses[mode.body_index], sensor_stations)[:, mode.mode_index]
+            eta_m += np.outer(shape, mode.acceleration * self.record.displacement_per_acceleration)
         return eta_m
 
     def unobserved_eta_m(
         self,
         known_forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
-        contact_n: Complex[np.ndarray, "contacts lines"],
+        contact_force_n: Complex[np.ndarray, "contacts lines"],
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
-        stations = sensor_stations_of(self.record, self.rig)
-        forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
+        sensor_stations = sensor_stations_of(self.record, self.rig)
+        forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_force_n])
         accelerations = np.zeros((len(self.rig.contacts), forces_n.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
-            transfer = response.transfer(self._unobserved_shapes(response, stations), force_shapes)
+            transfer = response.transfer(self._unobserved_shapes(response, sensor_stations), force_shapes)
             accelerations += np.einsum("icl,il->cl", transfer, forces_n)
-        return accelerations * self.record.twice_integrated
+        return accelerations * self.record.displacement_per_acceleration
 
     def _unobserved_shapes(
-        self, response: Response, stations: list[Station | None]
+        self, response: Response, sensor_stations: SensorStations
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        weights = _across_weights(self.rig, response, stations)
-        return relative_shapes(self.rig, response) - weights @ response.shapes(stations)
+        sensor_weights = _eta_weights(self.rig, response, sensor_stations)
+        return relative_shapes(self.rig, response) - sensor_weights @ response.shapes(sensor_stations)
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -196,15 +197,15 @@ class LinearModel:
         return static_contact_forces(self.rig, self.responses)
 
     @cached_property
-    def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
+    def slow_stiffness_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
         """Stiffness of the bodies against slow relative displacements of the contacts, N/m."""
         return slow_stiffness(self.rig, self.responses)
 
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
-        rig = following_motion(self.record, self.rig)
+        sensor_stations: SensorStations = [sensor.station for sensor in self.record.sensors]
+        rig = with_motion_following_dampers(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
@@ -216,7 +217,7 @@ class LinearModel:
 def linear_model(
     record: Record,
     rig: Rig,
-    model_error: float | Float[np.ndarray, "sensors lines"],
+    unmodelled_share: float | Float[np.ndarray, "sensors lines"],
     cache: ResponseCache | None = None,
     mode_factors: ModeFactors | None = None,
 ) -> LinearModel:
@@ -234,10 +235,10 @@ def linear_model(
     responses = tuple(response.damped_by(linear_dampers(record, rig)) for response in responses)
     displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
-    model = _linear_model(record, rig, responses, model_error, motion)
-    if model.free_modes and has_ground_forces(following_motion(record, rig)):
+    model = _linear_model(record, rig, responses, unmodelled_share, motion)
+    if model.free_modes and has_ground_forces(with_motion_following_dampers(record, rig)):
         for _ in range(INITIAL_STATE_ROUNDS):
-            model = _linear_model(record, rig, responses, model_error, model.motion)
+            model = _linear_model(record, rig, responses, unmodelled_share, model.motion)
     return model
 
 
@@ -251,53 +252,53 @@ def _linear_model(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
-    model_error: float | Float[np.ndarray, "sensors lines"],
+    unmodelled_share: float | Float[np.ndarray, "sensors lines"],
     motion: SensedMotion,
 ) -> LinearModel:
     """Linear model whose forces on the ground follow this motion at the sensors."""
-    sensor_response, stations = sensor_response_of(record, rig), sensor_stations_of(record, rig)
-    known_forces = known_forces_of(record, rig, responses, stations, motion)
+    sensor_response, sensor_stations = sensor_response_of(record, rig), sensor_stations_of(record, rig)
+    known_forces = known_forces_of(record, rig, responses, sensor_stations, motion)
     contact_count, force_count = len(rig.contacts), len(rig.forces)
-    by_input = accelerances(rig, responses, [station for station, _ in known_forces], stations)
+    accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_stations)
     by_known_force = [
         response_to_force(record, rig, per_newton, force_n)
-        for per_newton, (_, force_n) in zip(by_input, known_forces, strict=False)
+        for per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
     ]
     if base := record.base and record.base.in_rig(rig, record.omega):
-        by_known_force[0] = by_known_force[0] + base.at_sensors
+        by_known_force[0] = by_known_force[0] + base.acceleration_at_sensors
     known_accelerations = sum(by_known_force[1:], by_known_force[0])
     if rig.loads:
         known_accelerations = known_accelerations + sum(
-            real_product(r.shapes(stations), static_response(record, rig, r)) for r in responses
+            real_product(r.shapes(sensor_stations), static_response(record, rig, r)) for r in responses
         )
-    deviation = np.sqrt(record.noise_variance + model_error**2 * record.smoothed_power)
-    deviation = np.maximum(deviation, 1e-9 * deviation.max())
-    scaled_response = sensor_response / deviation
-    by_unknown = [by_input[len(known_forces) :]]
+    error_deviation = np.sqrt(record.noise_variance + unmodelled_share**2 * record.smoothed_power)
+    error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
+    scaled_response = sensor_response / error_deviation
+    by_unknown_input = [accelerance_by_input[len(known_forces) :]]
     if base and np.any(base.noise_variance):
-        by_unknown.append(np.sqrt(base.noise_variance) * (by_input[:force_count] - 1))
+        by_unknown_input.append(np.sqrt(base.noise_variance) * (accelerance_by_input[:force_count] - 1))
     elif rig.base_motion and not base:
-        by_base = unmeasured_base_accelerations(rig, rig.base_motion, responses, stations, record.sample_count)
-        by_unknown.append(by_base[None])
-    has_noise = record.force_noise_variance > 0
-    force_noise_n = np.sqrt(record.force_noise_variance[has_noise, None, None])
-    by_unknown.append(force_noise_n / rig.force_sensor.gain * by_input[:force_count][has_noise])
-    signal_per_input = np.concatenate(by_unknown) * scaled_response
-    signals = record.acceleration_signals / deviation - known_accelerations * scaled_response
-    free_modes = free_motion_of(record, rig, responses, signal_per_input, deviation, scaled_response, signals)
+        by_base = unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_stations, record.sample_count)
+        by_unknown_input.append(by_base[None])
+    has_force_noise = record.force_noise_variance > 0
+    force_noise_n = np.sqrt(record.force_noise_variance[has_force_noise, None, None])
+    by_unknown_input.append(force_noise_n / rig.force_sensor.gain * accelerance_by_input[:force_count][has_force_noise])
+    signal_per_input = np.concatenate(by_unknown_input) * scaled_response
+    signals = record.acceleration_signals / error_deviation - known_accelerations * scaled_response
+    free_modes = free_motion_of(record, rig, responses, signal_per_input, error_deviation, scaled_response, signals)
     free_accelerations = sum((mode.sensed_acceleration for mode in free_modes), np.zeros_like(signals))
     signals = signals - scaled_response * free_accelerations
-    inputs, log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
-    residual = input_residual(signal_per_input, inputs, signals)
+    unknown_inputs, log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
+    sensor_residual = input_residual(signal_per_input, unknown_inputs, signals)
     return LinearModel(
         record=record,
         rig=rig,
         responses=responses,
         sensor_response=sensor_response,
-        error_deviation=deviation,
+        error_deviation=error_deviation,
         signal_per_input=signal_per_input,
-        residual=np.concatenate([residual, inputs[contact_count:]]),
-        contact_n=inputs[:contact_count],
+        residual=np.concatenate([sensor_residual, unknown_inputs[contact_count:]]),
+        contact_force_n=unknown_inputs[:contact_count],
         acceleration_by_force=np.stack(by_known_force[:force_count]),
         known_forces=known_forces,
         free_modes=free_modes,
@@ -307,21 +308,20 @@ def _linear_model(
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    return np.stack([sensors[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return np.stack([sensor_by_name[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
 
 
-def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
+def sensor_stations_of(record: Record, rig: Rig) -> SensorStations:
     """Stations of the record's sensors in the rig."""
-    sensors = {sensor.name: sensor for sensor in rig.sensors}
-    return [sensors[sensor.name].station for sensor in record.sensors]
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
+    return [sensor_by_name[sensor.name].station for sensor in record.sensors]
 
 
-def _across_weights(
-    rig: Rig, response: Response, stations: list[Station | None]
-) -> Float[np.ndarray, "contacts sensors"]:
+def _eta_weights(rig: Rig, response: Response, stations: SensorStations) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    weights = response.sensor_weights(stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    places = [*(contact.at for contact in rig.contacts), *(contact.against for contact in rig.contacts)]
+    weights = response.sensor_weights(stations, places)
     return weights[: len(rig.contacts)] - weights[len(rig.contacts) :]
 
 
@@ -329,18 +329,18 @@ def ground_spring_correction(
     record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    stations: list[Station | None] = [sensor.station for sensor in record.sensors]
-    return -delivered_by(model, stations, model.ground_force_changes(displacement_changes))
+    sensor_stations: SensorStations = [sensor.station for sensor in record.sensors]
+    return -signals_by_forces(model, sensor_stations, model.ground_force_changes(displacement_changes))
 
 
-def delivered_by(
-    model: LinearModel, stations: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+def signals_by_forces(
+    model: LinearModel, sensor_stations: SensorStations, forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Signals of sensors at some stations by forces at others."""
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
             if response.body.name == station.body:
-                accelerance = response.transfer(response.shapes(stations), response.shapes([station]))[0]
+                accelerance = response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
                 signals += model.sensor_response * (accelerance * force_n)
     return signals

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.unfolding import across
-from identify.gaps.residual.windowed import following_motion, has_ground_forces
+from identify.gaps.residual.unfolding import transverse_index
+from identify.gaps.residual.windowed import has_ground_forces, with_motion_following_dampers
 from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
@@ -34,7 +34,7 @@ from rig.model.tolerances import Tolerances
 PULL_LIMIT = 6.0
 """Bound of every nuisance parameter in standard deviations: beyond it, something else is wrong. Derived: a normal
 variable exceeds it once in 5e8."""
-MODE_REACH = 1.3
+MODE_FREQUENCY_REACH = 1.3
 """Multiple of the highest frequency up to which modes have parameters of their own. Set by hand: higher modes act
 nearly as static compliance."""
 MODAL_KINDS = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
@@ -45,15 +45,15 @@ MODAL_KINDS = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
 class NuisanceColumns:
     """Decrease of the linear residual, the contact forces and the relative displacements per nuisance parameter.
 
-    Each parameter is in its standard deviations. Relative displacements, of the parameters at `moving_indices` alone,
-    are spectra and, as `Record.in_finer_time`, over time. Arrays are in single precision, except for records of sharp
+    Each parameter is in its standard deviations. Relative displacements, of those at `eta_parameter_indices` alone, are
+    spectra and, as `Record.at_finer_rate`, over time. Arrays are in single precision, except for records of sharp
     modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
     """
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
-    contact_n: Float[np.ndarray, "nuisances contacts times"]
-    moving_indices: Int[np.ndarray, " moving"]
+    contact_force_n: Float[np.ndarray, "nuisances contacts times"]
+    eta_parameter_indices: Int[np.ndarray, " moving"]
     eta_m: Complex[np.ndarray, "moving contacts lines"]
     finer_eta_m: Float[np.ndarray, "moving contacts finer"]
 
@@ -66,40 +66,40 @@ class NuisanceColumns:
         """Decrease of the linear residual by nuisance parameters."""
         return (nuisance_pulls.astype(self.residual.dtype) @ self.flat_residual).reshape(self.residual.shape[1:])
 
-    def products(self, flat_residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
+    def products_with(self, flat_residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
         """Inner products of the columns with flattened residuals."""
         return (self.flat_residual @ flat_residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
-def columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
+def nuisance_columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     """Columns of all parameters whose tolerance is above zero."""
     body_names = [response.body.name for response in model.responses]
     motion, signal_norm = _observed_motion(record, model), float(np.linalg.norm(record.acceleration_signals))
     changes = [_free_motion_change(record, model, change) for change in (*changes_of(motion), *crosstalk_of(motion))]
     changes += state_changes(model.free_modes, body_names, model.sensor_response, signal_norm)
     contact_count, sample_count = len(model.rig.contacts), record.counted_slice.stop - record.counted_slice.start
-    precision = np.float64 if record.measured_modes else np.float32
-    residual_columns = np.empty((len(changes), len(model.residual), sample_count), precision)
+    column_dtype = np.float64 if record.measured_modes else np.float32
+    residual_columns = np.empty((len(changes), len(model.residual), sample_count), column_dtype)
     contact_columns_n = np.zeros((len(changes), contact_count, sample_count), np.float32)
-    moving_indices, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
+    eta_parameter_indices, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
     projection = model.projection if record.measured_modes else model.projection.in_single_precision()
     for index, change in enumerate(changes):
-        signals, contact_n = _projected_change(record, model, projection, change)
-        residual_columns[index] = residual_in_time(record, signals)
-        contact_columns_n[index] = record.in_time(contact_n)
+        residual_change, contact_change_n = _projected_change(record, model, projection, change)
+        residual_columns[index] = residual_in_time(record, residual_change)
+        contact_columns_n[index] = record.in_time(contact_change_n)
         if change.displacements is not None:
             eta_change_m = relative_displacements(record, model, change.displacements, change.sensors)
             if np.any(eta_change_m):
-                moving_indices.append(index)
+                eta_parameter_indices.append(index)
                 eta_columns_m.append(eta_change_m.astype(np.complex64))
-    eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving_indices), contact_count, record.omega.size)
+    eta_m = np.array(eta_columns_m, np.complex64).reshape(len(eta_parameter_indices), contact_count, record.omega.size)
     return NuisanceColumns(
         tuple(change.parameter for change in changes),
         residual_columns,
         contact_columns_n,
-        np.array(moving_indices, dtype=int),
+        np.array(eta_parameter_indices, dtype=int),
         eta_m,
-        record.in_finer_time(eta_m),
+        record.at_finer_rate(eta_m),
     )
 
 
@@ -116,8 +116,8 @@ def _free_motion_change(record: Record, model: LinearModel, change: Change) -> C
             acceleration_change += tuning_derivative(mode, response, record.sampling, parameter.kind)
     stated = tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.owner, parameter.mode_number)
     relative_tolerance = stated.frequency if parameter.kind is NuisanceKind.FREQUENCY else stated.damping
-    signals = relative_tolerance * model.sensor_response * acceleration_change
-    return Change(parameter, list(range(len(signals))), signals)
+    signal_change = relative_tolerance * model.sensor_response * acceleration_change
+    return Change(parameter, list(range(len(signal_change))), signal_change)
 
 
 def _projected_change(
@@ -125,7 +125,7 @@ def _projected_change(
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     change = _with_damper_feedback(record, model, change)
-    if change.displacements is None or not has_ground_forces(following_motion(record, model.rig)):
+    if change.displacements is None or not has_ground_forces(with_motion_following_dampers(record, model.rig)):
         return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
@@ -138,21 +138,21 @@ def _with_damper_feedback(record: Record, model: LinearModel, change: Change) ->
     if change.parameter.kind not in MODAL_KINDS or response is None or response.feedback is None:
         return change
     shapes, sensor_response = _shapes_at(record, response, change.sensors), model.sensor_response[change.sensors]
-    count = min(shapes.shape)
+    fitted_count = min(shapes.shape)
     accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    accelerations[:count] = np.linalg.pinv(shapes[:, :count]) @ (change.signals / sensor_response)
-    feedback = shapes @ (response.with_damper_feedback(accelerations) - accelerations)
-    return dataclasses.replace(change, signals=change.signals + sensor_response * feedback)
+    accelerations[:fitted_count] = np.linalg.pinv(shapes[:, :fitted_count]) @ (change.signals / sensor_response)
+    feedback_acceleration = shapes @ (response.with_damper_feedback(accelerations) - accelerations)
+    return dataclasses.replace(change, signals=change.signals + sensor_response * feedback_acceleration)
 
 
-def _shapes_at(record: Record, response: Response, sensors: Sequence[int]) -> Float[np.ndarray, "sensors modes"]:
+def _shapes_at(record: Record, response: Response, sensor_indices: Sequence[int]) -> Float[np.ndarray, "sensors modes"]:
     """Mode shapes of a body at some of the record's sensors, given by their indices."""
-    return response.shapes([record.sensors[index].station for index in sensors])
+    return response.shapes([record.sensors[index].station for index in sensor_indices])
 
 
 def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
-    signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
+    explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
     modal_accelerations = zip(model.responses, _modal_accelerations(record, model), strict=True)
     return ObservedSignals(
         sensors=record.sensors,
@@ -160,10 +160,10 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        signals=signals - model.sensor_response * model.base_at_sensors,
+        signals=explained_signals - model.sensor_response * model.base_at_sensors,
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=model.displacements,
-        bodies=tuple(BodyMotion(r, modal, _parameter_modes(record, r)) for r, modal in modal_accelerations),
+        bodies=tuple(BodyMotion(r, modal, _parameter_mode_indices(record, r)) for r, modal in modal_accelerations),
         base=model.observed_base,
         transverse=_observed_transverse(record, model),
     )
@@ -171,32 +171,32 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
 
 def _observed_transverse(record: Record, model: LinearModel) -> ObservedTransverse | None:
     """Motion in the other direction of a rig in space where both are measured; None without any."""
-    pairs = across([sensor.station for sensor in record.sensors])
+    pairs = transverse_index([sensor.station for sensor in record.sensors])
     if not pairs:
         return None
-    sensors, others = list(pairs), list(pairs.values())
-    signals = model.sensor_response[sensors] * model.accelerations[others]
-    return ObservedTransverse(sensors, signals, model.displacements[others])
+    sensor_indices, transverse_indices = list(pairs), list(pairs.values())
+    signals = model.sensor_response[sensor_indices] * model.accelerations[transverse_indices]
+    return ObservedTransverse(sensor_indices, signals, model.displacements[transverse_indices])
 
 
-def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " some"]:
+def _parameter_mode_indices(record: Record, response: Response) -> Int[np.ndarray, " some"]:
     """Modes with parameters of their own, by the nominal rig, so that all rigs have the same parameters."""
     mode_count = response.mode_count
     natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(mode_count)
     elastic_indices = elastic_modes(response, mode_count)  # whichever springs hold the body
-    return elastic_indices[natural_hz[elastic_indices] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
+    return elastic_indices[natural_hz[elastic_indices] < MODE_FREQUENCY_REACH * record.omega[-1] / (2 * np.pi)]
 
 
 def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
     """Modal accelerations of each body: the modelled ones, corrected by the unexplained part of its sensors."""
     unexplained = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
     accelerations = model.modal_accelerations
-    for response, modal in zip(model.responses, accelerations, strict=True):
-        sensors = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
-        if sensors:
-            count = min(len(sensors), response.mode_count)
-            shapes = _shapes_at(record, response, sensors)[:, :count]
-            modal[:count] += np.linalg.pinv(shapes) @ unexplained[sensors]
+    for response, body_accelerations in zip(model.responses, accelerations, strict=True):
+        sensor_indices = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+        if sensor_indices:
+            sensed_mode_count = min(len(sensor_indices), response.mode_count)
+            shapes = _shapes_at(record, response, sensor_indices)[:, :sensed_mode_count]
+            body_accelerations[:sensed_mode_count] += np.linalg.pinv(shapes) @ unexplained[sensor_indices]
     return accelerations
 
 
@@ -227,27 +227,27 @@ def with_nuisance(
     """
     pull_by_parameter = dict(zip(parameters, pulls.tolist(), strict=True))
 
-    def change(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+    def change_of(kind: NuisanceKind, owner: str, tolerance: float) -> float:
         return tolerance * float(pull_by_parameter.get(Nuisance(kind, owner), 0.0))
 
-    def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
-        return max(0.1, 1 + change(kind, owner, tolerance))
+    def factor_of(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+        return max(0.1, 1 + change_of(kind, owner, tolerance))
 
-    def with_pulls(body: Body) -> Body:
+    def body_with_pulls(body: Body) -> Body:
         name = body.name
-        body = body.scale_mass(factor(NuisanceKind.MASS, name, tolerances.mass))
-        body = body.scale_frequencies(factor(NuisanceKind.FREQUENCY, name, tolerances.frequency))
-        return body.scale_damping(factor(NuisanceKind.DAMPING, name, tolerances.damping))
+        body = body.scale_mass(factor_of(NuisanceKind.MASS, name, tolerances.mass))
+        body = body.scale_frequencies(factor_of(NuisanceKind.FREQUENCY, name, tolerances.frequency))
+        return body.scale_damping(factor_of(NuisanceKind.DAMPING, name, tolerances.damping))
 
     def sensor_with_pulls(sensor: Sensor) -> Sensor:
         name, stated = sensor.name, tolerances.of_sensor(sensor.name)
-        gain = sensor.gain * factor(NuisanceKind.GAIN, name, stated.gain)
-        return replace(sensor, gain=gain, delay_s=sensor.delay_s + change(NuisanceKind.DELAY, name, stated.delay_s))
+        gain = sensor.gain * factor_of(NuisanceKind.GAIN, name, stated.gain)
+        return replace(sensor, gain=gain, delay_s=sensor.delay_s + change_of(NuisanceKind.DELAY, name, stated.delay_s))
 
-    force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
+    force_gain = rig.force_sensor.gain * factor_of(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
-        bodies=tuple(map(with_pulls, rig.bodies)),
+        bodies=tuple(map(body_with_pulls, rig.bodies)),
         sensors=tuple(map(sensor_with_pulls, rig.sensors)),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )

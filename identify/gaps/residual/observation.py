@@ -22,23 +22,23 @@ CLOSED_SHARE = 0.1
 """... and the share of its rms that it must exceed too where the contact is closed: an open one's error stays below.
 Set by hand."""
 
-ENVELOPE_SAMPLES = 2
+ENVELOPE_SAMPLES_EACH_SIDE = 2
 """Samples on either side over which the errors of a contact's force are as large as its force: low-passed, it rings
 through zero where the contact is closed, and a sample there would weigh far more than its neighbours.
 Derived: a period of the highest frequency."""
-EDGE_SAMPLES = 8
+EDGE_SAMPLE_COUNT = 8
 """Samples at a record's end whose contact force rings on: the law's low-pass lacks what follows them. Set by hand."""
 
 Signal = Float[np.ndarray, "*shape"]
-Results = Float[np.ndarray, "..."]
+LawValues = Float[np.ndarray, "..."]
 
 
-FinerMotions = RecentValues[list[Results]]
+FinerMotions = RecentValues[list[LawValues]]
 """Motions and sample times at the rate at which laws are evaluated, of the last ones of a search."""
 
 
 @dataclass(frozen=True, eq=False)
-class FittedMotion:
+class ForceAndEta:
     """Contact force before its law, and relative displacement and its rate, with the drift and what parameters add."""
 
     force_n: Float[np.ndarray, " times"]
@@ -66,27 +66,27 @@ class ContactSignals:
     finer_motions: FinerMotions = field(repr=False)
 
     def low_passed(
-        self, law_function: Callable[..., Results], motion: FittedMotion, depends_on_time: bool, rate_multiple: int = 1
+        self, law_function: Callable[..., LawValues], motion: ForceAndEta, depends_on_time: bool, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
         """Law of a motion, and of the time if it takes that, low-passed to `rate_multiple` times the force's rate."""
 
-        def finer_signals() -> list[Results]:
+        def finer_signals() -> list[LawValues]:
             signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if depends_on_time else [])]
             return list(finer_signal_batches(np.stack(signals), self.sample_rate_hz))
 
         batches = self.finer_motions.get((motion, depends_on_time), finer_signals)
-        results = evaluated_on_batches(
+        law_values = evaluated_on_batches(
             law_function, batches, motion.eta_m.size, self.sample_rate_hz, self.decimation, rate_multiple
         )
-        return results[..., : (self.force_n.size - 1) * rate_multiple + 1]
+        return law_values[..., : (self.force_n.size - 1) * rate_multiple + 1]
 
 
 def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerMotions) -> tuple[ContactSignals, ...]:
     """Signals of every contact by a linear model: the data that its law has to explain."""
-    eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
-    time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
-    forces_n = record.in_time(model.contact_n) + model.static_contact_n[:, None]
-    slow_stiffnesses = np.diag(model.slow_n_per_m)
+    eta_m, eta_rate_m_per_s = record.eta_at_sample_rate(model.eta_m), record.eta_at_sample_rate(model.eta_m, 1)
+    time_s = record.counted_slice.start / record.residual_rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
+    forces_n = record.in_time(model.contact_force_n) + model.static_contact_n[:, None]
+    slow_stiffnesses = np.diag(model.slow_stiffness_n_per_m)
     return tuple(
         ContactSignals(
             force_n,
@@ -95,7 +95,7 @@ def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerM
             time_s,
             record.sample_rate_hz,
             record.decimation,
-            record.product_multiple,
+            record.slope_rate_multiple,
             stiffness,
             finer_motions,
         )
@@ -109,15 +109,14 @@ def contact_signals_of(record: Record, model: LinearModel, finer_motions: FinerM
 class ContactObservation:
     """Observation of one contact, independent of its law.
 
-    weights are reciprocal standard deviations of its force (1/N), closed_mask is 1 where it is closed, drift_spline the
-    spline of its drift. law_prior_deviations are the tolerances of clearance and stiffness (relative) and of damping
-    over stiffness (s).
+    force_weights are reciprocal standard deviations of its force (1/N), closed_mask is 1 where it is closed.
+    law_prior_deviations are the tolerances of clearance and stiffness (relative) and of damping over stiffness (s).
     """
 
-    weights: Float[np.ndarray, " times"]
+    force_weights: Float[np.ndarray, " times"]
     closed_mask: Float[np.ndarray, " times"]
     drift_spline: Spline
-    sample_ratio: float
+    oversampling: float
     law_prior_deviations: tuple[float, float, float]
 
     @property
@@ -127,35 +126,31 @@ class ContactObservation:
 
     @property
     def prior_weight(self) -> float:
-        """Weight of a pull of one standard deviation, sqrt(sample_ratio)."""
-        return float(self.sample_ratio**0.5)
+        """Weight of a pull of one standard deviation, sqrt(oversampling)."""
+        return float(self.oversampling**0.5)
 
 
 def contact_observations(
-    record: Record, model: LinearModel, laws: Sequence[GroupLaw], residual_levels: Sequence[float]
+    record: Record, model: LinearModel, laws: Sequence[GroupLaw], contact_variances: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
     """Observations of a record's contacts by the linear model and the laws of the nominal rig.
 
-    residual_levels are the variances of the contact residuals relative to those by noise and the unmodelled share.
+    contact_variances are the variances of the contact residuals relative to those by noise and the unmodelled share.
     """
-    forces_n, errors_n, tolerances = (
-        record.in_time(model.contact_n),
-        model.contact_force_error_n(record),
-        record.tolerances,
-    )
-    observations = []
+    forces_n, errors_n = record.in_time(model.contact_force_n), model.contact_force_error_n(record)
+    tolerances, observations = record.tolerances, []
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
-    for force_n, error_n, law, drift, level in zip(
-        forces_n, errors_n, laws, record.drifts, residual_levels, strict=True
+    for force_n, error_n, group_law, drift, contact_variance in zip(
+        forces_n, errors_n, laws, record.drifts, contact_variances, strict=True
     ):
-        envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES + 1)
-        is_clear = envelope_n > CLOSED_DEVIATIONS * error_n
+        envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES_EACH_SIDE + 1)
+        is_clearly_closed = envelope_n > CLOSED_DEVIATIONS * error_n
         unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_noise_m
-        stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
+        stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in group_law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         deviation_n = np.sqrt(
             error_n**2
-            + (stiffness_n_per_m * unfollowed_drift_m * is_clear) ** 2
+            + (stiffness_n_per_m * unfollowed_drift_m * is_clearly_closed) ** 2
             + (tolerances.unmodelled_contact * envelope_n) ** 2
             + _cutoff_ringing_n(record, force_n) ** 2
         )
@@ -165,10 +160,10 @@ def contact_observations(
             counted_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[counted_samples])
         observations.append(
             ContactObservation(
-                is_moving / np.sqrt(level) / deviation_n,
+                is_moving / np.sqrt(contact_variance) / deviation_n,
                 is_closed(force_n, error_n).astype(float),
-                spline(force_n.size, record.rate_hz, counted_drift),
-                record.sample_ratio,
+                spline(force_n.size, record.residual_rate_hz, counted_drift),
+                record.oversampling,
                 law_prior_deviations,
             )
         )
@@ -184,8 +179,8 @@ def is_closed(
 
 def _cutoff_ringing_n(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Ringing F / (pi n) of an ideal low-pass n samples from where a force is cut off, N."""
-    samples = np.arange(force_n.size) + 1.0
-    ringing_n = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples[::-1])
+    sample_numbers = np.arange(force_n.size) + 1.0
+    ringing_n = np.max(np.abs(force_n[-EDGE_SAMPLE_COUNT:])) / (np.pi * sample_numbers[::-1])
     if record.counted_slice.start > 0:
-        ringing_n = np.hypot(ringing_n, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples))
+        ringing_n = np.hypot(ringing_n, np.max(np.abs(force_n[:EDGE_SAMPLE_COUNT])) / (np.pi * sample_numbers))
     return np.asarray(ringing_n)

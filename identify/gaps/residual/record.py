@@ -45,8 +45,8 @@ class Record:
     slow parts (None where integration loses nothing).
     excitation_start_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the
     rig. responses_windowed: without contacts, the response of held bodies is windowed instead of the force.
-    counts_from_blow: a free motion whose initial state is estimated; first_states: displacement and velocity that each
-    displacement sensor shows there; measured_modes: its modes, without contacts or of held beams.
+    fits_initial_state: a free motion whose initial state is estimated; initial_sensor_states: displacement and velocity
+    that each displacement sensor shows there; measured_modes: its modes, without contacts or of held beams.
     """
 
     rig: Rig
@@ -69,8 +69,8 @@ class Record:
     corner_hz: float
     eta_above_band: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[DriftPrior | None, ...]
-    counts_from_blow: bool
-    first_states: Float[np.ndarray, "sensors 2"]
+    fits_initial_state: bool
+    initial_sensor_states: Float[np.ndarray, "sensors 2"]
     measured_modes: tuple[MeasuredMode, ...]
     counted_slice: slice
     responses_windowed: bool
@@ -104,22 +104,22 @@ class Record:
     @property
     def counted_part(self) -> CountedPart:
         """Band and end of the samples that count, for other records of the same test."""
-        return CountedPart(self.decimation, self.counted_slice.stop / self.rate_hz)
+        return CountedPart(self.decimation, self.counted_slice.stop / self.residual_rate_hz)
 
     @property
-    def rate_hz(self) -> float:
+    def residual_rate_hz(self) -> float:
         """Rate of the residuals over time, Hz."""
         return self.sample_rate_hz / self.decimation
 
     @property
     def repeats_per_sample(self) -> float:
         """Repetition frequency of the force, per sample of the residuals over time; 0 if it does not repeat."""
-        return 1 / (self.period_s * self.rate_hz) if self.period_s else 0.0
+        return 1 / (self.period_s * self.residual_rate_hz) if self.period_s else 0.0
 
     @property
     def residual_times_s(self) -> Float[np.ndarray, " times"]:
         """Times of the residuals' samples, s."""
-        return np.arange(self.counted_slice.start, self.counted_slice.stop) / self.rate_hz
+        return np.arange(self.counted_slice.start, self.counted_slice.stop) / self.residual_rate_hz
 
     @property
     def sample_times_s(self) -> Float[np.ndarray, " samples"]:
@@ -131,7 +131,7 @@ class Record:
         line_indices = np.round(self.omega * self.transform_length / (2 * np.pi * self.sample_rate_hz)).astype(int)
         return np.asarray(rfft(signal * self.window, self.transform_length)[line_indices])
 
-    def sampled(
+    def eta_at_sample_rate(
         self, eta_spectra: Complex[np.ndarray, "contacts lines"], derivative_order: int = 0, upper_band: bool = True
     ) -> Float[np.ndarray, "contacts samples"]:
         """Relative displacements or velocities at the recording's rate, from the first to the last time that counts.
@@ -143,23 +143,23 @@ class Record:
         if derivative_order:
             spectra *= 2j * np.pi * self.sample_rate_hz / self.transform_length * np.arange(spectra.shape[1])
         signals = irfft(spectra, self.transform_length)
-        if self.counts_from_blow and not derivative_order:
+        if self.fits_initial_state and not derivative_order:
             signals[:, 0] *= 2  # the window halves the first sample
         first, last = self.counted_slice.start * self.decimation, (self.counted_slice.stop - 1) * self.decimation
         return signals[:, first : last + 1].copy()
 
     @cached_property
-    def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
+    def displacement_per_acceleration(self) -> Complex[np.ndarray, " lines"]:
         """Transfer from an acceleration to a displacement, high-passed."""
         return omega_power(self.omega, -2, self.corner_hz)
 
     @property
-    def sample_ratio(self) -> float:
+    def oversampling(self) -> float:
         """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
-        return max(1.0, len(self.sensors) * self.rate_hz / INDEPENDENT_RATE_HZ)
+        return max(1.0, len(self.sensors) * self.residual_rate_hz / INDEPENDENT_RATE_HZ)
 
     @property
-    def product_multiple(self) -> int:
+    def slope_rate_multiple(self) -> int:
         """Multiple of `rate_hz` at which laws' slopes are multiplied by displacements."""
         return product_rate_multiple(self.sample_rate_hz, self.decimation)
 
@@ -168,9 +168,9 @@ class Record:
         signals = irfft(spectra, self.transform_length // self.decimation) / self.decimation
         return np.asarray(signals[..., self.counted_slice])
 
-    def in_finer_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
-        """Signals from the first to the last time that counts, at `product_multiple` times `rate_hz`."""
-        multiple, counted = self.product_multiple, self.counted_slice
-        signals = irfft(spectra[..., :-1], self.transform_length // self.decimation * multiple)
-        signals = signals * (multiple / self.decimation)
-        return np.asarray(signals[..., counted.start * multiple : (counted.stop - 1) * multiple + 1])
+    def at_finer_rate(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
+        """Signals from the first to the last time that counts, at `slope_rate_multiple` times `rate_hz`."""
+        rate_multiple, counted = self.slope_rate_multiple, self.counted_slice
+        signals = irfft(spectra[..., :-1], self.transform_length // self.decimation * rate_multiple)
+        signals = signals * (rate_multiple / self.decimation)
+        return np.asarray(signals[..., counted.start * rate_multiple : (counted.stop - 1) * rate_multiple + 1])

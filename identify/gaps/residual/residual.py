@@ -1,6 +1,6 @@
 """The residual of the diagnosis, a rig's model against a record, its nuisance parameters, and its derivative.
 
-cost = |linear residual|^2 + sum over contacts |contact residual|^2 + sample_ratio |nuisance|^2 + log determinant
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + oversampling |nuisance|^2 + log determinant
 """
 
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.law import ContactResidual, contact_motion, contact_residual, initial_unknowns
+from identify.gaps.residual.law import ContactResidual, contact_residual, force_and_motion, initial_unknowns
 from identify.gaps.residual.linear import LinearModel, linear_model, sensor_response_of
 from identify.gaps.residual.lines import outstanding_frequencies, without_lines
 from identify.gaps.residual.nuisance import (
     NuisanceColumns,
     apply_nuisance,
-    columns_of,
+    nuisance_columns_of,
     relative_displacements,
     residual_in_time,
     with_nuisance,
@@ -51,7 +51,7 @@ class SearchCache:
         self.finer_motions = FinerMotions(len(record.rig.contacts))
 
     def columns(self, model: LinearModel) -> NuisanceColumns:
-        return self._columns.get(model, lambda: columns_of(model.record, model))
+        return self._columns.get(model, lambda: nuisance_columns_of(model.record, model))
 
 
 @dataclass(frozen=True)
@@ -82,25 +82,25 @@ class Linearization:
         return linearized(self.record, rig, residual, scales, observations, self.cache)
 
     @cached_property
-    def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
+    def expansion_pulls(self) -> Float[np.ndarray, " nuisances"]:
         """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
-        pulls = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
-        return pulls + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else pulls
+        applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
+        return applied + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else applied
 
     @cached_property
     def column_gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
-        """Gram matrix of the linear residual's columns."""
-        return self.columns.products(self.columns.flat_residual)
+        """Gram matrix of the columns of the linear residual by the nuisance parameters."""
+        return self.columns.products_with(self.columns.flat_residual)
 
     @cached_property
-    def line_frequencies(self) -> tuple[float, ...]:
+    def line_frequencies_per_sample(self) -> tuple[float, ...]:
         """Frequencies, per sample, of outstanding lines in the linearised rig's residual; none for a free decay, whose
         modes ring as sharply."""
         if not self.record.has_force:
             return ()
-        residual = residual_in_time(self.record, self.model.residual[: len(self.record.sensors)])
-        return outstanding_frequencies(residual, self.record.repeats_per_sample)
+        sensor_residual = residual_in_time(self.record, self.model.residual[: len(self.record.sensors)])
+        return outstanding_frequencies(sensor_residual, self.record.repeats_per_sample)
 
     @property
     def columns(self) -> NuisanceColumns:
@@ -126,43 +126,43 @@ class Residual:
     contacts: tuple[ContactResidual, ...]
     nuisance_pulls: Float[np.ndarray, " nuisances"]
     parameters: tuple[Nuisance, ...]
-    sample_ratio: float
+    oversampling: float
 
     @property
     def residual_count(self) -> int:
         """Number of residuals, which is the expected cost of noise alone."""
-        return int(self.linear_residual.size + sum(contact.residual.size for contact in self.contacts))
+        return int(self.linear_residual.size + sum(contact_fit.residual.size for contact_fit in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance_pulls, *(contact.pulls for contact in self.contacts)])
+        return np.concatenate([self.nuisance_pulls, *(contact_fit.pulls for contact_fit in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for group, fitted in zip(contact_groups(rig), self.contacts, strict=True):
-            for index, law in zip(group.contact_indices, fitted.fitted_laws, strict=True):
-                contacts[index] = replace(contacts[index], law=law)
+        for group, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
+            for contact_index, law in zip(group.contact_indices, contact_fit.fitted_laws, strict=True):
+                contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
 
     @property
-    def contact_levels(self) -> tuple[float, ...]:
+    def contact_mean_squares(self) -> tuple[float, ...]:
         """Mean square of each contact's weighted residual while the rig moves."""
-        levels = []
-        for contact in self.contacts:
-            is_moving = contact.observation.weights > 0
-            residual = contact.residual[: is_moving.size][is_moving]
-            levels.append(float(np.mean(residual**2)) if residual.size else 0.0)
-        return tuple(levels)
+        mean_squares = []
+        for contact_fit in self.contacts:
+            is_moving = contact_fit.observation.force_weights > 0
+            moving_residual = contact_fit.residual[: is_moving.size][is_moving]
+            mean_squares.append(float(np.mean(moving_residual**2)) if moving_residual.size else 0.0)
+        return tuple(mean_squares)
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance_pulls @ self.nuisance_pulls)
-            + sum(contact.cost for contact in self.contacts)
+            float(np.sum(self.linear_without_lines**2) + self.oversampling * self.nuisance_pulls @ self.nuisance_pulls)
+            + sum(contact_fit.cost for contact_fit in self.contacts)
             + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         )
 
@@ -187,11 +187,12 @@ def linearized(
     else:
         expansion_rig, applied_pulls, tuning = rig, None, tuned_modes(record, rig)
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, tuning.factors)
-    observations = observations or contact_observations(record, model, group_laws(expansion_rig), scales.variances)
+    if not observations:
+        observations = contact_observations(record, model, group_laws(expansion_rig), scales.contact_variances)
     return Linearization(record, rig, scales, model, observations, applied_pulls, tuning, cache)
 
 
-def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
+def with_estimated_scales(linearization: Linearization, residual: Residual) -> Linearization:
     """Linearisation with the scales estimated from one of its residuals."""
     return linearization.relinearized(linearization.rig, residual, scales_at(linearization, residual))
 
@@ -199,10 +200,10 @@ def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
 def scales_at(linearization: Linearization, residual: Residual) -> Scales:
     """Scales of the unmodelled, estimated from a residual."""
     record, scales = linearization.record, linearization.scales
-    return estimated_scales(record, scales, residual.linear_without_lines, residual.contact_levels)
+    return estimated_scales(record, scales, residual.linear_without_lines, residual.contact_mean_squares)
 
 
-def linear_of(linearization: Linearization, rig: Rig) -> LinearModel:
+def model_of_rig(linearization: Linearization, rig: Rig) -> LinearModel:
     """Linear model of a rig with the nuisance parameters that the linearisation applies."""
     record, applied_pulls = linearization.record, linearization.applied_nuisance
     if applied_pulls is not None and applied_pulls.any():
@@ -223,63 +224,62 @@ def residual_of(
     Defaults: those of the linearisation, and `initial_unknowns`. Unchanged parts of `reusable`, one of it, are reused.
     """
     record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
-    nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
+    nuisance_pulls = linearization.expansion_pulls if nuisance_pulls is None else nuisance_pulls
     if reusable is not None and same_but_laws(reusable.rig, rig):
-        model, signals, linear_at_expansion = reusable.model, reusable.signals, reusable.linear_before_nuisance
+        model, contact_signals, linear_at_expansion = reusable.model, reusable.signals, reusable.linear_before_nuisance
     else:
-        model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
-        signals = contact_signals_of(record, model, linearization.cache.finer_motions)
+        model = linearization.model if same_but_laws(linearization.rig, rig) else model_of_rig(linearization, rig)
+        contact_signals = contact_signals_of(record, model, linearization.cache.finer_motions)
         linear_at_expansion = residual_in_time(record, model.residual)
     observations = linearization.observations
     if unknowns is None:
-        contacts_and_laws = zip(signals, observations, laws, strict=True)
-        unknowns = tuple(initial_unknowns(*inputs, record.rate_hz) for inputs in contacts_and_laws)
-    nuisance_change = nuisance_pulls - linearization.expansion_point
+        contacts_and_laws = zip(contact_signals, observations, laws, strict=True)
+        unknowns = tuple(initial_unknowns(*inputs, record.residual_rate_hz) for inputs in contacts_and_laws)
+    pull_change = nuisance_pulls - linearization.expansion_pulls
     if reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls:
         linear_residual, linear_without_lines = reusable.linear_residual, reusable.linear_without_lines
         previous = reusable.contacts
     else:
         linear_residual, previous = linear_at_expansion, ()
-        if nuisance_change.any():
-            linear_residual = linear_at_expansion - columns.residual_decrease(nuisance_change)
-        linear_without_lines = linear_residual
-        if not rig.tones:
-            linear_without_lines = without_lines(linear_residual, linearization.line_frequencies)
+        if pull_change.any():
+            linear_residual = linear_at_expansion - columns.residual_decrease(pull_change)
+        line_frequencies = () if rig.tones else linearization.line_frequencies_per_sample
+        linear_without_lines = without_lines(linear_residual, line_frequencies)
     same_motion = bool(previous) and all(c.unknowns is unknown for c, unknown in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
-    if laws and nuisance_change.any() and not same_motion:
-        eta_decrease_m = np.tensordot(nuisance_change[columns.moving_indices], columns.eta_m, 1)
-        added_eta_m = record.sampled(-eta_decrease_m, upper_band=False)
+    if laws and pull_change.any() and not same_motion:
+        eta_decrease_m = np.tensordot(pull_change[columns.eta_parameter_indices], columns.eta_m, 1)
+        added_eta_m = record.eta_at_sample_rate(-eta_decrease_m, upper_band=False)
     splines = [observation.drift_spline for observation in observations]
-    drift_m = [spline.value @ u[: spline.knot_count] for spline, u in zip(splines, unknowns, strict=True)]
-    coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
+    drifts_m = [spline.value @ u[: spline.knot_count] for spline, u in zip(splines, unknowns, strict=True)]
+    coupling_n_per_m = model.slow_stiffness_n_per_m - np.diag(np.diag(model.slow_stiffness_n_per_m))
 
-    def contact(j: int) -> ContactResidual:
+    def residual_of_contact(j: int) -> ContactResidual:
         law, coupled_contacts = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
         if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled_contacts):
             return previous[j]
         if same_motion:
-            return contact_residual(signals[j], observations[j], law, unknowns[j], previous[j].motion)
-        added_force_n = -nuisance_change @ columns.contact_n[:, j]
-        added_force_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled_contacts)
-        motion = contact_motion(signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
-        return contact_residual(signals[j], observations[j], law, unknowns[j], motion)
+            return contact_residual(contact_signals[j], observations[j], law, unknowns[j], previous[j].motion)
+        added_force_n = -pull_change @ columns.contact_force_n[:, j]
+        added_force_n -= sum(coupling_n_per_m[j, i] * drifts_m[i] for i in coupled_contacts)
+        motion = force_and_motion(contact_signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
+        return contact_residual(contact_signals[j], observations[j], law, unknowns[j], motion)
 
     return Residual(
         rig=rig,
         model=model,
-        signals=signals,
+        signals=contact_signals,
         linear_before_nuisance=linear_at_expansion,
         linear_residual=linear_residual,
         linear_without_lines=linear_without_lines,
-        contacts=tuple(contact(j) for j in range(len(laws))),
+        contacts=tuple(residual_of_contact(j) for j in range(len(laws))),
         nuisance_pulls=nuisance_pulls,
         parameters=columns.parameters,
-        sample_ratio=record.sample_ratio,
+        oversampling=record.oversampling,
     )
 
 
-def derivative(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
+def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
     """Decrease of the linear and the contact residuals from a residual's rig to a slightly changed one.
 
     A changed law is evaluated. A changed linear model changes contact forces and relative displacements, through the
@@ -288,28 +288,29 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     """
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
-        unknowns = tuple(contact.unknowns for contact in residual.contacts)
+        unknowns = tuple(contact_fit.unknowns for contact_fit in residual.contacts)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, reusable=residual)
         contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         return residual.linear_residual - changed.linear_residual, contact_decreases
     if same_but_sensors(residual.rig, changed_rig):
-        return _sensor_column(linearization, changed_rig, residual)
-    changed_model = linear_of(linearization, changed_rig)
+        return _decreases_by_sensors(linearization, changed_rig, residual)
+    changed_model = model_of_rig(linearization, changed_rig)
     sensor_count = len(record.sensors)
-    residual_decrease = model.residual - changed_model.residual
-    input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, residual_decrease[sensor_count:]])
-    sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
+    spectral_decrease = model.residual - changed_model.residual
+    separated_decrease_n = model.contact_force_n - changed_model.contact_force_n
+    input_decrease = np.concatenate([separated_decrease_n, spectral_decrease[sensor_count:]])
+    sensor_decrease = spectral_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
     linear_decrease, contact_force_spectra = model.projection.applied_to(sensor_decrease * model.error_deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
     contact_force_decrease_n = record.in_time(contact_force_spectra) + static_decrease_n[:, None]
-    stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
-    for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
-        contact_force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
+    stiffness_increase_n_per_m = changed_model.slow_stiffness_n_per_m - model.slow_stiffness_n_per_m
+    for increase_n_per_m, contact_fit in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
+        contact_force_decrease_n += np.outer(increase_n_per_m, contact_fit.drift_m)
     contact_decreases = contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 
 
-def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
+def _decreases_by_sensors(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
     """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
     record, model = linearization.record, residual.model
     change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
@@ -328,11 +329,11 @@ def contact_columns(
 ) -> list[Float[np.ndarray, " _"]]:
     """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
     if np.any(eta_decrease_m):
-        contacts_and_motions = zip(residual.contacts, record.in_finer_time(eta_decrease_m), strict=True)
+        contacts_and_motions = zip(residual.contacts, record.at_finer_rate(eta_decrease_m), strict=True)
         law_decrease_n = [contact.tangent.force_change_n(decrease) for contact, decrease in contacts_and_motions]
         contact_force_decrease_n = contact_force_decrease_n - np.array(law_decrease_n)
     return [
-        np.append(contact.observation.weights * decrease, np.zeros(contact.residual.size - decrease.size))
+        np.append(contact.observation.force_weights * decrease, np.zeros(contact.residual.size - decrease.size))
         for contact, decrease in zip(residual.contacts, contact_force_decrease_n, strict=True)
     ]
 

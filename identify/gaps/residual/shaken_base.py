@@ -33,37 +33,37 @@ sampling rate."""
 class BaseSpectra:
     """Motion of a shaken base on a record's lines, under the record's window.
 
-    sensor is that on the ground. acceleration is the windowed acceleration, at_sensors what each sensor on a body shows
-    of it: without a window correction the derivative of the windowed signal. noise_variance is that of its lines.
+    sensor is that on the ground. acceleration is the windowed acceleration, acceleration_at_sensors what each sensor on
+    a body shows of it: without a window correction the derivative of the windowed signal. noise_variance is by line.
     """
 
     sensor: Sensor
     acceleration: Complex[np.ndarray, " lines"]
-    at_sensors: Complex[np.ndarray, "sensors lines"]
+    acceleration_at_sensors: Complex[np.ndarray, "sensors lines"]
     displacement: Complex[np.ndarray, " lines"]
     noise_variance: Float[np.ndarray, " lines"]
 
     def in_rig(self, rig: Rig, omega: Float[np.ndarray, " lines"]) -> "BaseSpectra":
         """Motion behind these signals by the sensor's gain, delay and high-pass in a rig."""
         sensor = next(base_sensor for base_sensor in rig.base_sensors if base_sensor.name == self.sensor.name)
-        response = sensor.response(omega)
+        sensor_response = sensor.response(omega)
         return with_fields(
             self,
             sensor=sensor,
-            acceleration=self.acceleration / response,
-            at_sensors=self.at_sensors / response,
-            displacement=self.displacement / response,
+            acceleration=self.acceleration / sensor_response,
+            acceleration_at_sensors=self.acceleration_at_sensors / sensor_response,
+            displacement=self.displacement / sensor_response,
             noise_variance=self.noise_variance / sensor.gain**2,
         )
 
-    def thinned(self, lines: slice) -> "BaseSpectra":
+    def thinned(self, kept_lines: slice) -> "BaseSpectra":
         """Motion on a selection of the lines."""
         return with_fields(
             self,
-            acceleration=self.acceleration[lines],
-            at_sensors=self.at_sensors[:, lines],
-            displacement=self.displacement[lines],
-            noise_variance=self.noise_variance[lines],
+            acceleration=self.acceleration[kept_lines],
+            acceleration_at_sensors=self.acceleration_at_sensors[:, kept_lines],
+            displacement=self.displacement[kept_lines],
+            noise_variance=self.noise_variance[kept_lines],
         )
 
 
@@ -71,11 +71,11 @@ def check_base(rig: Rig) -> None:
     """Check what measures a shaken base; raises RigError with what the diagnosis takes."""
     if not rig.base_sensors:
         return
-    if forces := [force for force in rig.forces if not rig.is_on_ground(force)]:
+    if body_forces := [force for force in rig.forces if not rig.is_on_ground(force)]:
         raise RigError(
-            f"identify gap takes a base that alone shakes a rig, and {rig.name!r} has a force on {forces[0].body!r} "
-            f"beside {rig.base_sensors[0].name!r} on the ground; record without that force and leave force_at out, or "
-            "record by the force with the base at rest and take the sensor off the ground"
+            f"identify gap takes a base that alone shakes a rig, and {rig.name!r} has a force on "
+            f"{body_forces[0].body!r} beside {rig.base_sensors[0].name!r} on the ground; record without that force and "
+            "leave force_at out, or record by the force with the base at rest and take the sensor off the ground"
         )
     if read_quantity(rig) is None:
         raise RigError(
@@ -114,13 +114,13 @@ def with_inertial_force(recording: Recording) -> Recording:
     """
     if not recording.rig.base_sensors:
         return recording
-    sensor, force = base_sensor(recording.rig), recording.signals["force"]
-    signal = recording.values_of(sensor) / sensor.gain
+    sensor, force_signals = base_sensor(recording.rig), recording.signals["force"]
+    base_signal = recording.values_of(sensor) / sensor.gain
     if sensor.measures.order == 0:
-        samples = np.arange(signal.size)
-        spline = make_interp_spline(samples, signal, SPLINE_DEGREE)
-        signal = spline.derivative(2)(samples) * recording.rig.sample_rate_hz**2
-    inertial_force = with_fields(force, values=-signal[None])
+        samples = np.arange(base_signal.size)
+        spline = make_interp_spline(samples, base_signal, SPLINE_DEGREE)
+        base_signal = spline.derivative(2)(samples) * recording.rig.sample_rate_hz**2
+    inertial_force = with_fields(force_signals, values=-base_signal[None])
     return with_fields(recording, signals={**recording.signals, "force": inertial_force})
 
 

@@ -15,18 +15,18 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.contacts.separation import drift_of
 from identify.gaps.residual.extent import (
-    BAND_REACH,
+    FORCE_BAND_RATIO,
     LEAST_COUNTED_S,
     RecordBeginning,
     beginning_of,
     check_length,
     end_of_motion_s,
     force_noise_n,
-    high_hz_of,
-    is_free,
+    highest_hz_of,
+    is_free_mass,
     noise_corner_hz,
     read_sensors,
-    sensor_densities,
+    sensor_noise_densities,
 )
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
@@ -43,13 +43,13 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.period import period_of
 
-FIRST_SAMPLES = 10
+INITIAL_SAMPLE_COUNT = 10
 """Samples from which the first state of a decay is read. Set by hand."""
-SMOOTHED_HZ = 1.0
+SMOOTHING_BANDWIDTH_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
 
 
-SETTLED_SHARE = 1 / 3
+UNSETTLED_FREQUENCY_SHARE = 1 / 3
 """Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
 by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and frames vibrate above 3 Hz."""
 
@@ -67,33 +67,33 @@ def record_of(
     sensors = read_sensors(recording)
     beginning = beginning_of(recording, sensors)
     check_length(recording, beginning)
-    noise_densities = sensor_densities(recording, sensors, beginning.quiet_samples)
-    high_hz = high_hz_of(recording, sensors, noise_densities, tolerances)
+    noise_densities = sensor_noise_densities(recording, sensors, beginning.quiet_sample_count)
+    highest_hz = highest_hz_of(recording, sensors, noise_densities, tolerances)
     modes: tuple[MeasuredMode, ...] = ()
     is_floating = rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
-    if beginning.counts_from_blow and not is_floating:
+    if beginning.fits_initial_state and not is_floating:
         signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-        modes = measured_modes(signals, rate_hz, high_hz, noise_densities)
-        high_hz = min(high_hz, BAND_REACH * max((mode.frequency_hz for mode in modes), default=np.inf))
-    decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
+        modes = measured_modes(signals, rate_hz, highest_hz, noise_densities)
+        highest_hz = min(highest_hz, FORCE_BAND_RATIO * max((mode.frequency_hz for mode in modes), default=np.inf))
+    decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * highest_hz)))
     transform = transform_of(recording, beginning, decimation)
     omega = transform.omega
-    sensor_spectra, eta_above_band = _spectra(recording, transform, joined_rig, sensors)
+    sensor_spectra, eta_above_band = _sensor_spectra_and_eta_above(recording, transform, joined_rig, sensors)
     noise_per_line, corner_hz = sample_count * noise_densities**2 * rate_hz / 2, CORNER_HZ
     if not (rig.contacts or beginning.zero_known):  # contacts have drifts for the slow motion
         corner_hz = noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line)
-    to_acceleration, to_displacement = (
+    acceleration_per_signal, displacement_per_signal = (
         np.stack([omega_power(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
         for order in (2, 0)
     )
     velocity_correction, accelerations = _window_corrections(recording, transform, sensors, omega, beginning.zero_known)
-    accelerations += sensor_spectra * to_acceleration
-    base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
-    period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
-    acceleration_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
-    unsettled_factor = _unsettled_noise_factors(rig, sensors, omega) if beginning.counts_from_blow else 1.0
+    accelerations += sensor_spectra * acceleration_per_signal
+    base, base_velocity_correction = _base_and_velocity_corrections(recording, transform, beginning, corner_hz)
+    period_samples = _period_samples(recording.forces_n[:, beginning.excitation_start_sample :])
+    noise_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
+    unsettled_noise_factor = _unsettled_noise_factors(rig, sensors, omega) if beginning.fits_initial_state else 1.0
     static_ratio = np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors])
-    end_s = counted_part.end_s if counted_part else None
+    counted_end_s = counted_part.end_s if counted_part else None
     return Record(
         rig=rig,
         sensors=sensors,
@@ -106,11 +106,11 @@ def record_of(
         omega=omega,
         force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
         acceleration_signals=accelerations,
-        displacement_signals=sensor_spectra * to_displacement,
+        displacement_signals=sensor_spectra * displacement_per_signal,
         base=base,
-        velocity_correction=velocity_correction - base_correction,
-        force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
-        noise_variance=noise_per_line[:, None] * acceleration_factor**2 * unsettled_factor,
+        velocity_correction=velocity_correction - base_velocity_correction,
+        force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_sample_count, tolerances) ** 2,
+        noise_variance=noise_per_line[:, None] * noise_factor**2 * unsettled_noise_factor,
         smoothed_power=_smoothed_power(accelerations, static_ratio, transform),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
@@ -118,18 +118,18 @@ def record_of(
         excitation_start_s=beginning.excitation_start_sample / rate_hz,
         period_s=None if period_samples is None else period_samples / rate_hz,
         tolerances=tolerances,
-        counts_from_blow=beginning.counts_from_blow,
-        first_states=np.array([_first_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
+        fits_initial_state=beginning.fits_initial_state,
+        initial_sensor_states=np.array([_initial_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
         measured_modes=modes,
-        counted_slice=_counted_samples(sample_count, transform, beginning, accelerations, end_s),
+        counted_slice=_counted_slice(sample_count, transform, beginning, accelerations, counted_end_s),
         responses_windowed=not rig.contacts,
     )
 
 
-def _first_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
+def _initial_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
     """Value and slope of a signal at its first sample, by a cubic through its first samples."""
-    time_s = np.arange(FIRST_SAMPLES) / rate_hz
-    return np.polynomial.polynomial.polyfit(time_s, signal[:FIRST_SAMPLES], 3)[:2]
+    time_s = np.arange(INITIAL_SAMPLE_COUNT) / rate_hz
+    return np.polynomial.polynomial.polyfit(time_s, signal[:INITIAL_SAMPLE_COUNT], 3)[:2]
 
 
 def _drifts(
@@ -142,15 +142,15 @@ def _drifts(
     """Drift of each relative displacement: what is known of the slow part that integration loses."""
     if not beginning.integrates:
         return (None,) * len(joined_rig.contacts)
-    motion = kinematics(recording, sensors[0].quantity, least_order=2)
-    noise_deviations = acceleration_noise(motion, recording.rig)
+    sensor_kinematics = kinematics(recording, sensors[0].quantity, least_order=2)
+    noise_deviations = acceleration_noise(sensor_kinematics, recording.rig)
     return tuple(
-        drift_of(joined_rig, motion, contact_index, noise_deviations, tolerances, recording.samples)
+        drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples)
         for contact_index in range(len(joined_rig.contacts))
     )
 
 
-def _spectra(
+def _sensor_spectra_and_eta_above(
     recording: Recording, transform: RecordTransform, joined_rig: Rig, sensors: tuple[Sensor, ...]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
     """Spectrum of each sensor on the lines, and the measured relative displacements beyond them."""
@@ -175,21 +175,21 @@ def _static_acceleration_ratio(
     free body, and for accelerometers, which show noise there.
     """
     body = rig.body(sensor.station.body)
-    first_omega = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
-    return omega**2 / (omega**2 + first_omega**2) if sensor.measures.order < 2 else np.ones_like(omega)
+    first_natural_omega = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
+    return omega**2 / (omega**2 + first_natural_omega**2) if sensor.measures.order < 2 else np.ones_like(omega)
 
 
 def _unsettled_noise_factors(
     rig: Rig, sensors: tuple[Sensor, ...], omega: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, "sensors lines"]:
     """Factor of the noise's variance for AC-coupled sensors whose high-passes have not settled where a record begins in
-    motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `SETTLED_SHARE`."""
+    motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `UNSETTLED_FREQUENCY_SHARE`."""
     factors = np.ones((len(sensors), omega.size))
     for k, sensor in enumerate(sensors):
         body = rig.body(sensor.station.body)
         natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
         if sensor.measures.ac_coupled and np.any(natural_hz > 0):
-            factors[k] += (2 * np.pi * SETTLED_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
+            factors[k] += (2 * np.pi * UNSETTLED_FREQUENCY_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
     return factors
 
 
@@ -199,9 +199,9 @@ def _smoothed_power(
     transform: RecordTransform,
 ) -> Float[np.ndarray, "sensors lines"]:
     """Mean square of the accelerations per line, smoothed after division by their fall per force."""
-    smoothing_lines = max(1, round(SMOOTHED_HZ * transform.padded_length / transform.sample_rate_hz))
+    smoothing_line_count = max(1, round(SMOOTHING_BANDWIDTH_HZ * transform.padded_length / transform.sample_rate_hz))
     power = np.abs(acceleration_signals / acceleration_ratio) ** 2
-    return np.asarray(uniform_filter1d(power, smoothing_lines, axis=1) * acceleration_ratio**2)
+    return np.asarray(uniform_filter1d(power, smoothing_line_count, axis=1) * acceleration_ratio**2)
 
 
 def _window_corrections(
@@ -216,12 +216,12 @@ def _window_corrections(
     is not the faded motion."""
     corrections = np.zeros((2, len(sensors), omega.size), dtype=complex)
     for k, sensor in enumerate(sensors):
-        if zero_known and is_free(recording.rig, sensor.station.body):
+        if zero_known and is_free_mass(recording.rig, sensor.station.body):
             corrections[:, k] = transform.window_correction(recording.values_of(sensor))
     return corrections[0], corrections[1]
 
 
-def _base_spectra(
+def _base_and_velocity_corrections(
     recording: Recording, transform: RecordTransform, beginning: RecordBeginning, corner_hz: float
 ) -> tuple[BaseSpectra | None, Complex[np.ndarray, "sensors lines"] | float]:
     """Spectra of a measured base, and its part in the velocity corrections of the sensors; None, 0 without one."""
@@ -229,24 +229,24 @@ def _base_spectra(
         return None, 0.0
     rig, omega, sensors = recording.rig, transform.omega, read_sensors(recording)
     sensor = base_sensor(rig)
-    signal, order = recording.values_of(sensor), sensor.measures.order
-    spectrum = transform.spectrum(signal)[: omega.size]
-    velocity_correction, acceleration_correction = transform.window_correction(signal)
-    sensed_acceleration = spectrum * omega_power(omega, 2 - order, corner_hz)
-    (noise_density,) = sensor_densities(recording, (sensor,), beginning.quiet_samples)
-    noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
-    is_corrected = np.array([beginning.zero_known and is_free(rig, sensor.station.body) for sensor in sensors])
+    base_signal, base_order = recording.values_of(sensor), sensor.measures.order
+    spectrum = transform.spectrum(base_signal)[: omega.size]
+    velocity_correction, acceleration_correction = transform.window_correction(base_signal)
+    sensed_acceleration = spectrum * omega_power(omega, 2 - base_order, corner_hz)
+    (noise_density,) = sensor_noise_densities(recording, (sensor,), beginning.quiet_sample_count)
+    noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - base_order))
+    is_corrected = np.array([beginning.zero_known and is_free_mass(rig, sensor.station.body) for sensor in sensors])
     base = BaseSpectra(
         sensor,
         sensed_acceleration + beginning.zero_known * acceleration_correction,
         sensed_acceleration + np.outer(is_corrected, acceleration_correction),
-        spectrum * omega_power(omega, -order, corner_hz),
+        spectrum * omega_power(omega, -base_order, corner_hz),
         noise_variance,
     )
     return base, np.outer(is_corrected, velocity_correction / sensor.gain)
 
 
-def _counted_samples(
+def _counted_slice(
     sample_count: int,
     transform: RecordTransform,
     beginning: RecordBeginning,
@@ -264,14 +264,14 @@ def _counted_samples(
     return slice(round(start_s * rate_hz), int(end_s * rate_hz))
 
 
-def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
+def _period_samples(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
     """Common period of all forces in samples; None if there is none."""
     first_period, *further_periods = {period_of(force_n) for force_n in forces_n if np.any(force_n)} or {None}
     return None if further_periods else first_period
 
 
 def _add_eta_above_band(
-    eta_above: Complex[np.ndarray, "contacts lines"],
+    eta_above_band: Complex[np.ndarray, "contacts lines"],
     rig: Rig,
     sensor: Sensor,
     sensor_spectrum: Complex[np.ndarray, " lines"],
@@ -279,8 +279,8 @@ def _add_eta_above_band(
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
     is_in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-    to_displacement = omega_power(omega_above_band, -sensor.measures.order, CORNER_HZ)
+    displacement_per_signal = omega_power(omega_above_band, -sensor.measures.order, CORNER_HZ)
     for k, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == (station or ON_GROUND):
-                eta_above[k] += sign * is_in_passband * sensor_spectrum * to_displacement
+                eta_above_band[k] += sign * is_in_passband * sensor_spectrum * displacement_per_signal

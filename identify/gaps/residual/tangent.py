@@ -17,7 +17,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 from identify.signals.spectra import decimated
 
-MARGIN_SAMPLES = 32
+MARGIN_SAMPLE_COUNT = 32
 """Samples of the force on either side of a spline's support that its column keeps; the low-pass rings on beyond, as
 1/n. Set by hand: the changes are then right within 2 % (`test_tangent`)."""
 
@@ -38,26 +38,26 @@ class LawTangent:
         if not spline_values.shape[1]:
             return csc_matrix(spline_values.shape)
         first_samples, splines = _windows(spline_values)
-        samples, multiple = splines.shape[1], self.rate_multiple
-        increments = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1) - splines
-        finer_splines = splines[..., None] + increments[..., None] * (np.arange(multiple) / multiple)
-        finer_samples = samples * multiple
+        window_sample_count, rate_multiple = splines.shape[1], self.rate_multiple
+        spline_increments = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1) - splines
+        finer_splines = splines[..., None] + spline_increments[..., None] * (np.arange(rate_multiple) / rate_multiple)
+        finer_samples = window_sample_count * rate_multiple
         padded_stiffness = np.pad(self.stiffness_n_per_m, finer_samples)
-        first_finer = finer_samples + multiple * first_samples[:, None]
+        first_finer = finer_samples + rate_multiple * first_samples[:, None]
         products = padded_stiffness[first_finer + np.arange(finer_samples)] * finer_splines.reshape(len(splines), -1)
-        forces = irfft(rfft(products)[:, : samples // 2 + 1] / multiple, samples)
-        sample_indices = first_samples[:, None] + np.arange(samples)
+        forces = irfft(rfft(products)[:, : window_sample_count // 2 + 1] / rate_multiple, window_sample_count)
+        sample_indices = first_samples[:, None] + np.arange(window_sample_count)
         is_inside = (sample_indices >= 0) & (sample_indices < spline_values.shape[0])
         column_starts = np.append(0, np.cumsum(np.count_nonzero(is_inside, axis=1)))
         return csc_matrix((forces[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape)
 
 
 def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
-    """First sample of each spline's window, which reaches MARGIN_SAMPLES beyond its support, and its values there."""
+    """First sample of each spline's window, MARGIN_SAMPLE_COUNT before its support, and the spline's values in it."""
     columns = spline_values.tocsc()
     support = np.diff(columns.indptr)
-    first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLES
-    splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLES, real=True)))
+    first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLE_COUNT
+    splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLE_COUNT, real=True)))
     spline_of_entry = np.repeat(np.arange(len(support)), support)
     splines[spline_of_entry, columns.indices - first_samples[spline_of_entry]] = columns.data
     return first_samples, splines

@@ -41,8 +41,8 @@ class RecordTransform:
     @property
     def omega_above_band(self) -> Float[np.ndarray, " morelines"]:
         """Circular frequencies from the last of the lines to half the sample rate, rad/s."""
-        lines = np.arange(self.line_count - 1, self.padded_length // 2 + 1)
-        return 2 * np.pi * self.sample_rate_hz / self.padded_length * lines
+        line_numbers = np.arange(self.line_count - 1, self.padded_length // 2 + 1)
+        return 2 * np.pi * self.sample_rate_hz / self.padded_length * line_numbers
 
     def spectrum(self, signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         """Spectrum of a signal under the window, up to half the sample rate."""
@@ -53,21 +53,21 @@ class RecordTransform:
     ) -> tuple[Complex[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
         """Windowed velocity and acceleration less the derivatives of a windowed displacement x: -w' x and
         w'' x - 2 (w' x)'."""
-        slope = np.gradient(self.window) * self.sample_rate_hz
-        curvature = np.gradient(slope) * self.sample_rate_hz
-        spectra = rfft(np.stack([slope, curvature]) * signal, self.padded_length)[:, : self.line_count]
+        window_slope = np.gradient(self.window) * self.sample_rate_hz
+        window_curvature = np.gradient(window_slope) * self.sample_rate_hz
+        spectra = rfft(np.stack([window_slope, window_curvature]) * signal, self.padded_length)[:, : self.line_count]
         return -spectra[0], spectra[1] - 2j * self.omega * spectra[0]
 
 
 def transform_of(recording: Recording, beginning: RecordBeginning, decimation: int) -> RecordTransform:
     """Transform of the lowest lines; the record fades out, and in unless it starts quiet or with a blow."""
     rate_hz, sample_count = recording.rig.sample_rate_hz, recording.samples
-    ringing_samples = round(_ring_down_s(recording.rig) * rate_hz)
-    padded_length = decimation * next_fast_len(-(-(sample_count + ringing_samples) // decimation), real=True)
+    ringing_sample_count = round(_ring_down_s(recording.rig) * rate_hz)
+    padded_length = decimation * next_fast_len(-(-(sample_count + ringing_sample_count) // decimation), real=True)
     window = taper(sample_count, max(2, round(beginning.fade_length_s * rate_hz)))
-    if beginning.zero_known and not beginning.counts_from_blow:  # differentiated twice, a kink in w'' would ring
+    if beginning.zero_known and not beginning.fits_initial_state:  # differentiated twice, a kink in w'' would ring
         window = np.sin(np.pi / 2 * window) ** 2
-    if beginning.counts_from_blow:
+    if beginning.fits_initial_state:
         window[0] = 0.5  # half a sample: the signal starts there
     elif not beginning.starts_quiet:
         window = window * window[::-1]
@@ -78,9 +78,9 @@ def _ring_down_s(rig: Rig) -> float:
     """Padding in which a rig rings down, s: without contacts until its slowest mode has decayed."""
     if rig.contacts:
         return RING_S
-    rates_per_s = []
+    decay_rates_per_s = []
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), body.max_modes
-        rates_per_s += (2 * np.pi * modes.frequencies_hz(count) * modes.damping_ratios(count)).tolist()
-    slowest_per_s = min((rate for rate in rates_per_s if rate > 0), default=np.inf)
-    return float(np.clip(DECAY_TIMES / slowest_per_s, RING_S, LONGEST_RING_S))
+        modes, mode_count = modes_of(rig, body), body.max_modes
+        decay_rates_per_s += (2 * np.pi * modes.frequencies_hz(mode_count) * modes.damping_ratios(mode_count)).tolist()
+    slowest_decay_per_s = min((rate for rate in decay_rates_per_s if rate > 0), default=np.inf)
+    return float(np.clip(DECAY_TIMES / slowest_decay_per_s, RING_S, LONGEST_RING_S))

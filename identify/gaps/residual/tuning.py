@@ -22,7 +22,7 @@ from rig.model.modes import modes_of
 
 TUNED_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
 """Kinds of parameters in which the residual is nonlinear around a resonance."""
-LEAST_FACTOR = 0.05
+LEAST_TUNING_FACTOR = 0.05
 """Least factor on a frequency or on a damping ratio."""
 
 
@@ -47,22 +47,22 @@ class MatchedMode:
 
 def matched_modes(modes_of_record: tuple[MeasuredMode, ...], rig: Rig) -> list[MatchedMode]:
     """Assignment of measured modes to those of the rig with the least sum of |ln frequency ratio|."""
-    names, numbers, nominal_modes = [], [], []
+    body_names, mode_numbers, nominal_modes = [], [], []
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), body.max_modes
+        modes, mode_count = modes_of(rig, body), body.max_modes
         for number, natural_hz, damping_ratio in zip(
-            range(1, count + 1), modes.frequencies_hz(count), modes.damping_ratios(count), strict=True
+            range(1, mode_count + 1), modes.frequencies_hz(mode_count), modes.damping_ratios(mode_count), strict=True
         ):
             if natural_hz > 0:
-                names.append(body.name)
-                numbers.append(number)
+                body_names.append(body.name)
+                mode_numbers.append(number)
                 nominal_modes.append((natural_hz, max(damping_ratio, 1e-12)))
     if not (modes_of_record and nominal_modes):
         return []
-    measured = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of_record])
-    log_ratios = measured[:, None] - np.log(nominal_modes)
-    pairs = zip(*linear_sum_assignment(np.abs(log_ratios[..., 0])), strict=True)
-    return [MatchedMode(names[j], numbers[j], modes_of_record[i], log_ratios[i, j]) for i, j in pairs]
+    measured_logs = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of_record])
+    log_ratios = measured_logs[:, None] - np.log(nominal_modes)
+    index_pairs = zip(*linear_sum_assignment(np.abs(log_ratios[..., 0])), strict=True)
+    return [MatchedMode(body_names[j], mode_numbers[j], modes_of_record[i], log_ratios[i, j]) for i, j in index_pairs]
 
 
 def tuned_modes(
@@ -83,10 +83,10 @@ def tuned_modes(
     else:
         for mode in matched_modes(() if has_ground_forces(rig) else record.measured_modes, rig):
             name, number = mode.body_name, mode.mode_number
-            for kind, increase in zip(TUNED_KINDS, np.expm1(mode.log_ratios), strict=True):
+            for kind, relative_increase in zip(TUNED_KINDS, np.expm1(mode.log_ratios), strict=True):
                 tolerance = _mode_tolerance(record, name, number, kind)
                 if tolerance and not rig.body(name).is_mass:
-                    pull = float(np.clip(increase / tolerance, -PULL_LIMIT, PULL_LIMIT))
+                    pull = float(np.clip(relative_increase / tolerance, -PULL_LIMIT, PULL_LIMIT))
                     pulls[Nuisance(kind, name, number)] = pull
     factors = {}
     for name in {parameter.owner for parameter in pulls}:
@@ -103,7 +103,7 @@ def _mode_factor(
 ) -> float:
     """Factor 1 + tolerance * pull on the frequency or on the damping ratio of a mode."""
     pull = pulls.get(Nuisance(kind, body_name, mode_number), 0.0)
-    return max(LEAST_FACTOR, 1 + _mode_tolerance(record, body_name, mode_number, kind) * pull)
+    return max(LEAST_TUNING_FACTOR, 1 + _mode_tolerance(record, body_name, mode_number, kind) * pull)
 
 
 def _mode_tolerance(record: Record, body_name: str, mode_number: int, kind: NuisanceKind) -> float:

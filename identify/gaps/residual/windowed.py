@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 from scipy.fft import irfft, rfft
 
-from identify.gaps.residual.extent import is_free
+from identify.gaps.residual.extent import is_free_mass
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, real_product
 from identify.signals.kinematics import omega_power
@@ -26,37 +26,38 @@ LEAST_WINDOW = 1e-2
 """Window below which signals are not restored from windowed ones."""
 
 Spectrum = Complex[np.ndarray, " lines"]
-Motions = Complex[np.ndarray, "sensors lines"]
+MotionSpectra = Complex[np.ndarray, "sensors lines"]
+SensorStations = list[Station | None]
 
 
 @dataclass(frozen=True, eq=False)
 class SensedMotion:
     """Windowed displacements, m, and velocities, m/s, at the sensors."""
 
-    displacements: Motions
-    velocities: Motions
+    displacements: MotionSpectra
+    velocities: MotionSpectra
 
 
-GroundForceChanges = Callable[[Motions], list[tuple[Station, Spectrum]]]
+GroundForceChanges = Callable[[MotionSpectra], list[tuple[Station, Spectrum]]]
 """Stations and changes of forces to the ground, N, as a function of the change of the sensors' displacements, m."""
 
 
 def known_forces_of(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> tuple[tuple[Station, Spectrum], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion
     (against a shaken base, whose inertial force on each kilogram is the measured one)."""
     if record.base is None:
-        lag = np.exp(-1j * record.omega * rig.force_sensor.lag_s)
-        measured_forces_n = record.force_spectra * lag / rig.force_sensor.gain
+        lag_factor = np.exp(-1j * record.omega * rig.force_sensor.lag_s)
+        measured_forces_n = record.force_spectra * lag_factor / rig.force_sensor.gain
     else:
         measured_forces_n = -record.base.in_rig(rig, record.omega).acceleration[None]
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    reactions, following_rig = [], following_motion(record, rig)
+    ground_reactions, following_rig = [], with_motion_following_dampers(record, rig)
     if has_ground_forces(following_rig):
-        reactions = ground_forces(record, following_rig, responses, stations, motion)
-    measured = zip(rig.forces, measured_forces_n, strict=True)
-    return (*measured, *tone_forces, *_loads_from_rest(record, rig), *reactions)
+        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
+    measured_forces = zip(rig.forces, measured_forces_n, strict=True)
+    return (*measured_forces, *tone_forces, *_loads_from_rest(record, rig), *ground_reactions)
 
 
 def response_to_force(
@@ -82,18 +83,18 @@ def modal_response(
     body_name = response.body.name
     if not _rings_on(record, rig, body_name):
         return response.modal_accelerations(modal_force_spectra)
-    order = next((sensor.measures.order for sensor in record.sensors if sensor.station.body == body_name), 2)
-    unwindowed = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
-    return _windowed_accelerations(record, unwindowed, [order] * len(unwindowed))
+    derivative_order = next((sensor.measures.order for sensor in record.sensors if sensor.station.body == body_name), 2)
+    unwindowed_response = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
+    return _windowed_accelerations(record, unwindowed_response, [derivative_order] * len(unwindowed_response))
 
 
 def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
     """Windowed static loads that move free bodies from the record's start on, each with its station."""
-    unit_spectrum = record.spectrum(np.ones(record.sample_count)) if rig.loads else np.zeros(0)
+    spectrum_of_one = record.spectrum(np.ones(record.sample_count)) if rig.loads else np.zeros(0)
     return [
-        (load.station, load.force_n * unit_spectrum)
+        (load.station, load.force_n * spectrum_of_one)
         for load in _loads_without_contacts(record, rig)
-        if is_free(rig, load.station.body)
+        if is_free_mass(rig, load.station.body)
     ]
 
 
@@ -102,7 +103,7 @@ def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.
     displacements phi F / omega^2 in each mode."""
     body_name = response.body.name
     loads = [load for load in _loads_without_contacts(record, rig) if load.station.body == body_name]
-    if not loads or is_free(rig, body_name):
+    if not loads or is_free_mass(rig, body_name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
     displacements = modal_load_n / (2 * np.pi * response.dynamics.natural_hz) ** 2
@@ -117,7 +118,7 @@ def _loads_without_contacts(record: Record, rig: Rig) -> list[StaticLoad]:
 
 def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
     """True for a held body in a record whose responses are windowed."""
-    return record.responses_windowed and not is_free(rig, body_name)
+    return record.responses_windowed and not is_free_mass(rig, body_name)
 
 
 def _unwindowed_force(
@@ -133,9 +134,9 @@ def _windowed_accelerations(
     record: Record, accelerations: Complex[np.ndarray, "rows lines"], derivative_orders: Sequence[int]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
-    window = _window_fall(record)
+    window_fall = _window_fall(record)
     per_acceleration = np.stack([omega_power(record.omega, 2 - order, 0.0) for order in derivative_orders])
-    return np.asarray(rfft(irfft(accelerations / per_acceleration, window.size) * window) * per_acceleration)
+    return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
 
 
 def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
@@ -147,77 +148,77 @@ def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
 
 
 def ground_forces(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    displacements = displaced_at(responses, stations, springs, motion.displacements)
-    velocities = displaced_at(responses, stations, dampers, motion.velocities)
-    reactions = []
-    for spring, displacement in zip(springs, displacements, strict=True):
-        fine_m, window = _oversampled(record, 3, displacement)
-        force_n = window * spring.law.force_n(fine_m / window)
-        reactions.append((spring.station, -_spectrum_on_lines(record, force_n)))
-    for damper, velocity in zip(dampers, velocities, strict=True):
+    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
+    ground_reactions = []
+    for spring, displacement in zip(springs, spring_displacements, strict=True):
+        fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
+        force_n = window * spring.law.force_n(fine_eta_m / window)
+        ground_reactions.append((spring.station, -_spectrum_on_lines(record, force_n)))
+    for damper, velocity in zip(dampers, damper_velocities, strict=True):
         if damper.friction_n:
-            fine_m_per_s, window = _oversampled(record, _oversampling_factor(record), velocity)
-            force_n = window * damper.law.force_n(np.zeros_like(fine_m_per_s), fine_m_per_s / window)
-            reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
+            fine_velocity_m_per_s, window = _oversampled_with_window(record, _oversampling_factor(record), velocity)
+            force_n = window * damper.law.force_n(np.zeros_like(fine_velocity_m_per_s), fine_velocity_m_per_s / window)
+            ground_reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
         else:
-            reactions.append((damper.station, -damper.damping_n_s_per_m * velocity))
-    return reactions
+            ground_reactions.append((damper.station, -damper.damping_n_s_per_m * velocity))
+    return ground_reactions
 
 
 def ground_force_derivative(
-    record: Record, rig: Rig, responses: tuple[Response, ...], stations: list[Station | None], motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
 ) -> GroundForceChanges:
     """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    displacements = displaced_at(responses, stations, springs, motion.displacements)
-    velocities = displaced_at(responses, stations, dampers, motion.velocities)
-    slopes: list[Float[np.ndarray, " fine"]] = []
-    for spring, displacement in zip(springs, displacements, strict=True):
-        fine_m, window = _oversampled(record, 3, displacement)
-        slopes.append(spring.law.by_eta_n_per_m(fine_m / window))
-    for damper, velocity in zip(dampers, velocities, strict=True):
+    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
+    force_slopes: list[Float[np.ndarray, " fine"]] = []
+    for spring, displacement in zip(springs, spring_displacements, strict=True):
+        fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
+        force_slopes.append(spring.law.by_eta_n_per_m(fine_eta_m / window))
+    for damper, velocity in zip(dampers, damper_velocities, strict=True):
         if damper.friction_n:
-            fine_m_per_s, window = _oversampled(record, _oversampling_factor(record), velocity)
-            slopes.append(damper.law.by_rate_n_s_per_m(np.zeros_like(fine_m_per_s), fine_m_per_s / window))
+            fine_m_per_s, window = _oversampled_with_window(record, _oversampling_factor(record), velocity)
+            force_slopes.append(damper.law.by_rate_n_s_per_m(np.zeros_like(fine_m_per_s), fine_m_per_s / window))
         else:
-            slopes.append(np.array([damper.damping_n_s_per_m]))
+            force_slopes.append(np.array([damper.damping_n_s_per_m]))
 
-    def force_changes(displacement_changes: Motions) -> list[tuple[Station, Spectrum]]:
+    def force_changes(displacement_changes: MotionSpectra) -> list[tuple[Station, Spectrum]]:
         motion_changes = (
-            *displaced_at(responses, stations, springs, displacement_changes),
-            *displaced_at(responses, stations, dampers, 1j * record.omega * displacement_changes),
+            *displacements_at_elements(responses, sensor_stations, springs, displacement_changes),
+            *displacements_at_elements(responses, sensor_stations, dampers, 1j * record.omega * displacement_changes),
         )
-        padded_samples = record.transform_length // record.decimation
-        stations_of_forces = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
-        changes = []
-        for station, slope, motion_change in zip(stations_of_forces, slopes, motion_changes, strict=True):
+        padded_sample_count = record.transform_length // record.decimation
+        force_stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
+        changes_by_station = []
+        for station, slope, motion_change in zip(force_stations, force_slopes, motion_changes, strict=True):
             if slope.size > 1:
-                fine_change = _finer(record, slope.size // padded_samples, motion_change)
-                changes.append((station, -_spectrum_on_lines(record, slope * fine_change)))
+                fine_motion_change = _oversampled_signal(record, slope.size // padded_sample_count, motion_change)
+                changes_by_station.append((station, -_spectrum_on_lines(record, slope * fine_motion_change)))
             else:
-                changes.append((station, -slope * motion_change))
-        return changes
+                changes_by_station.append((station, -slope * motion_change))
+        return changes_by_station
 
     return force_changes
 
 
-def following_motion(record: Record, rig: Rig) -> Rig:
+def with_motion_following_dampers(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
     return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
-    """Dampers that the linear model holds; see `following_motion`."""
+    """Dampers that the linear model holds; see `with_motion_following_dampers`."""
     return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 
 def _is_linear(record: Record, rig: Rig, damper: PointDamper) -> bool:
-    is_moving_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
+    is_moving_freely = record.fits_initial_state or (record.zero_known and is_free_mass(rig, damper.station.body))
     return not (damper.friction_n or is_moving_freely)
 
 
@@ -235,41 +236,41 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
     return [spring for spring in rig.springs if spring.cubic_n_per_m3]
 
 
-def displaced_at(
+def displacements_at_elements(
     responses: tuple[Response, ...],
-    stations: list[Station | None],
+    sensor_stations: SensorStations,
     attached_elements: Sequence[PointSpring | PointDamper | PointMass],
-    displacements: Motions,
+    sensor_displacements: MotionSpectra,
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    weights = np.sum([response.sensor_weights(stations, element_stations) for response in responses], axis=0)
-    return real_product(weights, displacements)
+    weights = np.sum([response.sensor_weights(sensor_stations, element_stations) for response in responses], axis=0)
+    return real_product(weights, sensor_displacements)
 
 
 def _oversampling_factor(record: Record) -> int:
     """Multiple of the record's rate that resolves a friction force."""
-    return max(3, oversampling(record.rate_hz))
+    return max(3, oversampling(record.residual_rate_hz))
 
 
-def _oversampled(
-    record: Record, factor: int, spectrum: Spectrum
+def _oversampled_with_window(
+    record: Record, rate_multiple: int, spectrum: Spectrum
 ) -> tuple[Float[np.ndarray, " fine"], Float[np.ndarray, " fine"]]:
     """Signal over the padded record at a multiple of its rate, and its window, bounded below by LEAST_WINDOW."""
-    fine_samples = factor * (record.transform_length // record.decimation)
-    sample_positions = np.arange(fine_samples) * (record.decimation / factor)
+    fine_sample_count = rate_multiple * (record.transform_length // record.decimation)
+    sample_positions = np.arange(fine_sample_count) * (record.decimation / rate_multiple)
     window = np.interp(sample_positions, np.arange(record.sample_count), record.window, right=0.0)
-    return _finer(record, factor, spectrum), np.maximum(window, LEAST_WINDOW)
+    return _oversampled_signal(record, rate_multiple, spectrum), np.maximum(window, LEAST_WINDOW)
 
 
-def _finer(record: Record, factor: int, spectrum: Spectrum) -> Float[np.ndarray, " fine"]:
+def _oversampled_signal(record: Record, rate_multiple: int, spectrum: Spectrum) -> Float[np.ndarray, " fine"]:
     """Signal over the padded record at a multiple of its rate."""
-    fine_samples = factor * (record.transform_length // record.decimation)
-    return factor * np.fft.irfft(spectrum / record.decimation, fine_samples)
+    fine_sample_count = rate_multiple * (record.transform_length // record.decimation)
+    return rate_multiple * np.fft.irfft(spectrum / record.decimation, fine_sample_count)
 
 
 def _spectrum_on_lines(record: Record, fine_signal: Float[np.ndarray, " fine"]) -> Spectrum:
     """Spectrum of an oversampled signal on the record's lines, without aliasing."""
-    padded_samples = record.transform_length // record.decimation
-    lines = np.fft.rfft(fine_signal)[: padded_samples // 2 + 1]
-    return np.asarray(lines * record.decimation * padded_samples / fine_signal.size)
+    padded_sample_count = record.transform_length // record.decimation
+    spectrum = np.fft.rfft(fine_signal)[: padded_sample_count // 2 + 1]
+    return np.asarray(spectrum * record.decimation * padded_sample_count / fine_signal.size)

@@ -36,7 +36,7 @@ from rig.model.modes import modes_of
 from rig.recording import Recording
 from rig.recording.interfaces import Predict
 
-MAX_WINDOWS = 240
+MAX_WINDOW_COUNT = 240
 """Largest number of windows of a record. Effort."""
 BLOCK_S, LEAST_BLOCKS = 1.0, 5
 """Length of the blocks over which windows are averaged, and their least number in a test. Set by hand."""
@@ -45,9 +45,9 @@ VETO_P_VALUE = 0.01
 WORSE_LOG_RATIO, BETTER_LOG_RATIO = 0.05, 0.05
 """Least mean log ratios of errors for a veto: by which the corrected rig is worse, or would be better if right. Set by
 hand."""
-SHOWN_SAMPLES = 1000
+MAX_SHOWN_SAMPLES = 1000
 """Samples of the example at most. Display."""
-BOOTSTRAP_DRAWS = 400
+BOOTSTRAP_DRAW_COUNT = 400
 """Bootstrap draws. Effort."""
 MATCHED_FREQUENCY_DIFFERENCE = 0.2
 """Relative difference of frequencies below which a predicted mode is the measured one. Set by hand."""
@@ -70,37 +70,37 @@ def judge_correction(
         measured_motion(recording, corrected_fit.corrected_rig, corrected_fit),
     ]
     nominal, _, corrected = motions
-    start, stop = _common_samples(motions)
+    first_sample, stop = _common_samples(motions)
     rate_hz = recording.rig.sample_rate_hz
-    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
+    if stop - first_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
-    window_starts = disjoint_starts(start, stop - start, horizon_samples, MAX_WINDOWS)
+    window_starts = disjoint_starts(first_sample, stop - first_sample, horizon_samples, MAX_WINDOW_COUNT)
     record = nominal_fit.model.record
     try:
         nominal_errors, fitted_errors, corrected_errors = (
             prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motions
         )
-        decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, start, stop)
+        decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, first_sample, stop)
     except RigError:
         return Rollout(code="not_simulated")
-    ratios = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
-    whole, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
+    ratios_by_block = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
+    errors_of_all, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
     shrunk_95 = None
-    if whole.shrunk is not None:
-        window_blocks = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
+    if errors_of_all.shrunk is not None:
+        block_of_window = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
         nominal_rms, corrected_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
-        shrunk_95 = _shrinkage_interval(nominal_rms, corrected_rms, whole.null_median, window_blocks)
+        shrunk_95 = _shrinkage_interval(nominal_rms, corrected_rms, errors_of_all.null_median, block_of_window)
     return Rollout(
-        code=veto(ratios),
+        code=veto_code(ratios_by_block),
         horizon_s=horizon_samples / rate_hz,
         windows=window_starts.size,
-        whole=whole,
+        whole=errors_of_all,
         shrunk_95=shrunk_95,
         within=float(np.median(rms_by_window(fitted_errors))),
-        log_ratio=float(ratios.log_ratios.mean()),
-        log_ratio_error=standard_error(ratios.log_ratios),
-        expected_log_ratio=float(ratios.expected_log_ratios.mean()),
-        falls_short=falls_short(ratios),
+        log_ratio=float(ratios_by_block.log_ratios.mean()),
+        log_ratio_error=standard_error_of_mean(ratios_by_block.log_ratios),
+        expected_log_ratio=float(ratios_by_block.expected_log_ratios.mean()),
+        falls_short=falls_short(ratios_by_block),
         by_sensor=dict(zip(nominal.sensor_names, by_sensor, strict=True)),
         decay=decay_modes,
         example=_example(nominal, corrected, predict, window_starts, nominal_errors),
@@ -117,11 +117,11 @@ def _measured_and_both_predicted(
     corrected: MeasuredMotion,
     predict: Predict,
     starts: Int[np.ndarray, " windows"],
-    samples: int,
+    window_samples: int,
 ) -> tuple[Windows, Windows, Windows]:
     """Measured signals in each window, and those predicted by the nominal and by the corrected rig."""
-    measured_windows, nominal_windows = measured_and_predicted(nominal, predict, starts, samples)
-    return measured_windows, nominal_windows, measured_and_predicted(corrected, predict, starts, samples)[1]
+    measured_windows, nominal_windows = measured_and_predicted(nominal, predict, starts, window_samples)
+    return measured_windows, nominal_windows, measured_and_predicted(corrected, predict, starts, window_samples)[1]
 
 
 def _example(
@@ -132,19 +132,19 @@ def _example(
     nominal_errors: Windows,
 ) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
-    rms_errors, samples = rms_by_window(nominal_errors), nominal_errors.shape[2]
-    window = int(np.argsort(rms_errors)[rms_errors.size // 2])
-    sensor = int(np.argmax(np.mean(nominal_errors[window] ** 2, axis=1)))
-    start, shown = window_starts[[window]], slice(-min(samples, SHOWN_SAMPLES), None)
-    time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
+    rms_errors, window_samples = rms_by_window(nominal_errors), nominal_errors.shape[2]
+    window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
+    sensor_index = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
+    start, shown_slice = window_starts[[window_index]], slice(-min(window_samples, MAX_SHOWN_SAMPLES), None)
+    time_s = (start + np.arange(window_samples)) / nominal.sample_rate_hz
     measured_values, nominal_values, corrected_values = (
-        tuple(np.nan_to_num(signals[0, sensor, shown]).tolist())
-        for signals in _measured_and_both_predicted(nominal, corrected, predict, start, samples)
+        tuple(np.nan_to_num(signals[0, sensor_index, shown_slice]).tolist())
+        for signals in _measured_and_both_predicted(nominal, corrected, predict, start, window_samples)
     )
     return PredictionExample(
-        sensor=nominal.sensor_names[sensor],
-        unit=("m", "m/s")[nominal.shown_derivatives[sensor]],
-        time_s=tuple(time_s[shown].tolist()),
+        sensor=nominal.sensor_names[sensor_index],
+        unit=("m", "m/s")[nominal.compared_derivatives[sensor_index]],
+        time_s=tuple(time_s[shown_slice].tolist()),
         measured=measured_values,
         nominal=nominal_values,
         corrected=corrected_values,
@@ -152,15 +152,15 @@ def _example(
 
 
 def _decay_modes(
-    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, start: int, stop: int
+    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, first_sample: int, stop: int
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
     rig, rate_hz, highest_hz = nominal.rig, nominal.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
-    mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
-    decays = _measured_and_both_predicted(nominal, corrected, predict, np.array([start]), stop - start)
+    max_mode_count = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
+    decays = _measured_and_both_predicted(nominal, corrected, predict, np.array([first_sample]), stop - first_sample)
     return compared_modes(
-        *(modes_of_decay(np.nan_to_num(decay[0]), rate_hz, highest_hz, mode_limit) for decay in decays)
+        *(modes_of_decay(np.nan_to_num(decay[0]), rate_hz, highest_hz, max_mode_count) for decay in decays)
     )
 
 
@@ -169,7 +169,7 @@ def compared_modes(
 ) -> tuple[DecayMode, ...]:
     """Measured modes, each with the nearest mode of both predictions."""
 
-    def nearest(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
+    def nearest_mode(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
         def distance(predicted: RingingMode) -> float:
             return float(abs(np.log(predicted.frequency_hz / mode.frequency_hz)))
 
@@ -181,8 +181,8 @@ def compared_modes(
     return tuple(
         DecayMode(
             measured=(mode.frequency_hz, mode.damping_ratio),
-            nominal=nearest(mode, nominal_modes),
-            corrected=nearest(mode, corrected_modes),
+            nominal=nearest_mode(mode, nominal_modes),
+            corrected=nearest_mode(mode, corrected_modes),
         )
         for mode in measured_modes
     )
@@ -212,22 +212,22 @@ def block_ratios(
     least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
-    blocks = np.floor(middle_s / BLOCK_S).ravel()
-    return BlockRatios(*(_means_by_block(ratios.ravel(), blocks) for ratios in log_ratios))
+    block_numbers = np.floor(middle_s / BLOCK_S).ravel()
+    return BlockRatios(*(_means_by_block(ratios.ravel(), block_numbers) for ratios in log_ratios))
 
 
 def _means_by_block(
-    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
+    values: Float[np.ndarray, " all"], block_numbers: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
-    """Mean of the values in each block."""
-    return np.array([values[blocks == block].mean() for block in np.unique(blocks)])
+    """Mean in each block of values whose blocks are numbered."""
+    return np.array([values[block_numbers == block_number].mean() for block_number in np.unique(block_numbers)])
 
 
-def veto(ratios_by_block: BlockRatios) -> Code:
+def veto_code(ratios_by_block: BlockRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
     log_ratios = ratios_by_block.log_ratios
-    least_worse = max(WORSE_LOG_RATIO, _veto_quantile(log_ratios.size) * standard_error(log_ratios))
-    return "worse" if log_ratios.mean() > least_worse else "not_vetoed"
+    veto_limit = max(WORSE_LOG_RATIO, _veto_quantile(log_ratios.size) * standard_error_of_mean(log_ratios))
+    return "worse" if log_ratios.mean() > veto_limit else "not_vetoed"
 
 
 def _veto_quantile(value_count: int) -> float:
@@ -235,26 +235,26 @@ def _veto_quantile(value_count: int) -> float:
     return float(student.ppf(1 - VETO_P_VALUE, value_count - 1))
 
 
-def falls_short(blocks: BlockRatios) -> bool:
+def falls_short(ratios: BlockRatios) -> bool:
     """True if the predictions differ but do not improve as those of a right correction would.
 
     This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
     """
-    log_ratios, shortfalls = blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios
+    log_ratios, shortfalls = ratios.log_ratios, ratios.log_ratios - ratios.expected_log_ratios
     quantile = _veto_quantile(log_ratios.size)
-    is_behind = shortfalls.mean() > quantile * standard_error(shortfalls)
-    is_different = blocks.expected_log_ratios.mean() < -BETTER_LOG_RATIO and is_behind
-    return bool(is_different and log_ratios.mean() > -quantile * standard_error(log_ratios))
+    is_behind = shortfalls.mean() > quantile * standard_error_of_mean(shortfalls)
+    is_different = ratios.expected_log_ratios.mean() < -BETTER_LOG_RATIO and is_behind
+    return bool(is_different and log_ratios.mean() > -quantile * standard_error_of_mean(log_ratios))
 
 
 def log_ratio_of(
-    recording: Recording, nominal_fit: Residual, corrected_fit: Residual, samples: int, predict: Predict
+    recording: Recording, nominal_residual: Residual, corrected_residual: Residual, horizon: int, predict: Predict
 ) -> float:
-    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon of `samples`."""
-    motions = [measured_motion(recording, fit.corrected_rig, fit) for fit in (nominal_fit, corrected_fit)]
-    start, stop = _common_samples(motions)
-    starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
-    nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
+    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon in samples."""
+    motions = [measured_motion(recording, fit.corrected_rig, fit) for fit in (nominal_residual, corrected_residual)]
+    first_sample, stop_sample = _common_samples(motions)
+    starts = disjoint_starts(first_sample, stop_sample - first_sample, horizon, MAX_WINDOW_COUNT)
+    nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, horizon) for motion in motions)
     return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
 
@@ -268,13 +268,13 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
         return rollout
     mean_log_ratio, simulation_count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
     scatter = np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count)
-    margin = _veto_quantile(simulation_count) * float(np.hypot(scatter, rollout.log_ratio_error or 0.0))
-    limit = mean_log_ratio + margin
-    is_no_better = limit < -BETTER_LOG_RATIO / 2 and rollout.log_ratio > limit
+    limit_margin = _veto_quantile(simulation_count) * float(np.hypot(scatter, rollout.log_ratio_error or 0.0))
+    log_ratio_limit = mean_log_ratio + limit_margin
+    is_no_better = log_ratio_limit < -BETTER_LOG_RATIO / 2 and rollout.log_ratio > log_ratio_limit
     return replace(rollout, code="no_improvement") if is_no_better else rollout
 
 
-def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
+def standard_error_of_mean(blocks: Float[np.ndarray, " blocks"]) -> float:
     """Standard error of the mean of a series, increased by the correlation of neighbours."""
     deviations = blocks - blocks.mean()
     squares = float(deviations @ deviations)
@@ -286,10 +286,10 @@ def null_bounds(nulls: Sequence[NullErrors], horizon_samples: int) -> list[tuple
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
     rows = [(null, null.samples.index(horizon_samples)) for null in nulls if horizon_samples in null.samples]
-    medians, count = np.median([null.within[k] for null, k in rows], axis=0), len(rows)
+    medians, null_count = np.median([null.within[k] for null, k in rows], axis=0), len(rows)
     log_errors = np.log(np.maximum([null.nominal[k] for null, k in rows], 1e-300))
-    limit_deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
-    limits = np.exp(log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, count - 1)))
+    limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
+    limits = np.exp(log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, null_count - 1)))
     return list(zip(medians.tolist(), limits.tolist(), strict=True))
 
 
@@ -325,7 +325,7 @@ def _shrinkage_interval(
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
     rng, block_windows = np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)]
     shares = []
-    for _ in range(BOOTSTRAP_DRAWS):
+    for _ in range(BOOTSTRAP_DRAW_COUNT):
         drawn = np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
         shares.append(shrunk_share(float(np.median(nominal[drawn])), float(np.median(corrected[drawn])), null_error))
     lower, upper = np.quantile(shares, [0.025, 0.975])

@@ -35,7 +35,7 @@ FORCE_ERROR_SHARE, SENSOR_ERROR_SHARE = 1e-2, 3e-3
 """Relative errors of a mode's displacement by forces, and of a station's displacement by its sensor."""
 SOFTEST_HZ = 0.05
 """Frequency at which free modes are taken to be held when slow motion is shared out among the modes."""
-EDGE_SAMPLES = 16
+EDGE_SAMPLE_COUNT = 16
 """Samples at either end of a record whose derivatives are inaccurate."""
 
 
@@ -61,18 +61,18 @@ class MeasuredMotion:
     stop_sample: int
 
     @property
-    def valid_samples(self) -> slice:
+    def valid_slice(self) -> slice:
         return slice(self.first_sample, self.stop_sample)
 
     @property
-    def shown_derivatives(self) -> list[int]:
+    def compared_derivatives(self) -> list[int]:
         """Derivative in which each sensor's motion is compared: 0 of displacement sensors, else 1, the velocity."""
         return [min(order, 1) for order in self.derivative_orders]
 
     @property
-    def shown_signals(self) -> list[Float[np.ndarray, " samples"]]:
+    def compared_signals(self) -> list[Float[np.ndarray, " samples"]]:
         motions = (self.displacement_m, self.velocity_m_per_s)
-        return [motions[derivative][sensor] for sensor, derivative in enumerate(self.shown_derivatives)]
+        return [motions[derivative][sensor] for sensor, derivative in enumerate(self.compared_derivatives)]
 
 
 def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> MeasuredMotion:
@@ -85,24 +85,24 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]
     counted_start = record.counted_slice.start * record.decimation
     has_drift = any(drift is not None for drift in record.drifts)
-    first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
-    stop_sample = min(motion.sample_count, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
-    valid, by_force = slice(first_sample, stop_sample), modes.is_force_determined
+    first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLE_COUNT)
+    stop_sample = min(motion.sample_count, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLE_COUNT
+    valid_slice, is_by_force = slice(first_sample, stop_sample), modes.is_force_determined
 
     inverse_shapes = modes.inverse_shapes()
-    coordinates_m = _complete_displacements(inverse_shapes @ displacement_m, modes, record)
-    station_errors_m = SENSOR_ERROR_SHARE * _rms_by_row(displacement_m[:, valid])
+    modal_displacements_m = _complete_displacements(inverse_shapes @ displacement_m, modes, record)
+    station_errors_m = SENSOR_ERROR_SHARE * _rms_by_row(displacement_m[:, valid_slice])
     mode_errors_m = np.sqrt(inverse_shapes**2 @ station_errors_m**2)
-    mode_errors_m[by_force] = FORCE_ERROR_SHARE * _rms_by_row(coordinates_m[by_force, valid])
+    mode_errors_m[is_by_force] = FORCE_ERROR_SHARE * _rms_by_row(modal_displacements_m[is_by_force, valid_slice])
     covariance = mode_errors_m[:, None] ** 2 * modes.contact_shapes.T
     contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
-    eta_errors_m = modes.contact_shapes @ coordinates_m
+    eta_errors_m = modes.contact_shapes @ modal_displacements_m
     for error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
         fitted_eta_m = contact.motion.eta_m[: motion.sample_count - counted_start]
         counted_stop = counted_start + fitted_eta_m.size
         error_m[:counted_start], error_m[counted_stop:] = 0.0, 0.0
         error_m[counted_start:counted_stop] -= fitted_eta_m
-    coordinates_m -= contact_to_modes @ eta_errors_m
+    modal_displacements_m -= contact_to_modes @ eta_errors_m
     return MeasuredMotion(
         rig=rig,
         stations=motion.stations,
@@ -112,7 +112,7 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
         forces_n=motion.forces_n,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        modal_states=np.stack([modes.shapes @ coordinates_m, modes.shapes @ inverse_shapes @ velocity_m_per_s]),
+        modal_states=np.stack([modes.shapes @ modal_displacements_m, modes.shapes @ inverse_shapes @ velocity_m_per_s]),
         first_sample=first_sample,
         stop_sample=stop_sample,
     )
@@ -130,7 +130,7 @@ class _StationModes:
     shapes: Float[np.ndarray, "stations modes"]
     contact_shapes: Float[np.ndarray, "contacts modes"]
     is_force_determined: Bool[np.ndarray, " modes"]
-    coordinates_by_force_m: np.ndarray
+    displacement_spectra_by_force_m: np.ndarray
 
     def inverse_shapes(self) -> Float[np.ndarray, "modes stations"]:
         """Least-squares map from displacements at the stations to modal coordinates."""
@@ -147,7 +147,7 @@ class _StationModes:
 def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...]) -> _StationModes:
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
     record, contacts = residual.model.record, group_rig_of(rig).contacts
-    motions = {
+    modal_motions = {
         response.body.name: (motion, response.dynamics.high_passed_modes)
         for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
     }
@@ -155,15 +155,15 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
     modes_by_body = []
     for body in rig.bodies:
         modes = modes_of(rig, body)
-        count = min(sum(station.body == body.name for station in stations), body.max_modes)
-        modal_acceleration, high_passed = motions[body.name]
-        natural_hz = modes.frequencies_hz(count)
+        mode_count = min(sum(station.body == body.name for station in stations), body.max_modes)
+        modal_acceleration, high_passed_indices = modal_motions[body.name]
+        natural_hz = modes.frequencies_hz(mode_count)
         station_shapes, at_shapes, against_shapes = (
-            _shapes_at_stations(body, modes, count, places) for places in (stations, at_stations, against_stations)
+            _shapes_at_stations(body, modes, mode_count, places) for places in (stations, at_stations, against_stations)
         )
-        is_high_passed = np.isin(np.arange(count), high_passed)
+        is_high_passed = np.isin(np.arange(mode_count), high_passed_indices)
         is_force_determined = ~is_high_passed & (CROSSOVER_RATIO * natural_hz > 2 * CORNER_HZ)
-        spectra_m = -modal_acceleration[:count] / record.omega**2
+        spectra_m = -modal_acceleration[:mode_count] / record.omega**2
         spectra_m[:, 0] = 0.0
         modes_by_body.append((natural_hz, station_shapes, at_shapes - against_shapes, is_force_determined, spectra_m))
     all_hz, all_shapes, all_contact_shapes, all_determined, all_spectra_m = zip(*modes_by_body, strict=True)
@@ -191,26 +191,26 @@ def _complete_displacements(
     sensed_m: Float[np.ndarray, "modes samples"], station_modes: _StationModes, record: Record
 ) -> Float[np.ndarray, "modes samples"]:
     """Modal displacements, with the slow part by forces for the modes that forces determine."""
-    completed_m, by_force_m = sensed_m.copy(), station_modes.coordinates_by_force_m
+    completed_m, by_force_m = sensed_m.copy(), station_modes.displacement_spectra_by_force_m
     lines_hz, line_count = np.fft.rfftfreq(record.transform_length, 1 / record.sample_rate_hz), by_force_m.shape[1]
-    for mode in np.flatnonzero(station_modes.is_force_determined):
-        crossover_hz = min(CROSSOVER_RATIO * station_modes.natural_hz[mode], record.highest_hz)
+    for mode_index in np.flatnonzero(station_modes.is_force_determined):
+        crossover_hz = min(CROSSOVER_RATIO * station_modes.natural_hz[mode_index], record.highest_hz)
         high_pass_gain = np.sin(np.pi / 2 * np.clip(2 * lines_hz / crossover_hz - 1, 0, 1)) ** 2
-        spectrum = high_pass_gain * rfft(sensed_m[mode], record.transform_length)
-        spectrum[:line_count] += (1 - high_pass_gain[:line_count]) * by_force_m[mode]
-        completed_m[mode] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
+        spectrum = high_pass_gain * rfft(sensed_m[mode_index], record.transform_length)
+        spectrum[:line_count] += (1 - high_pass_gain[:line_count]) * by_force_m[mode_index]
+        completed_m[mode_index] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
     return completed_m
 
 
 def _slow_relative_motion(residual: Residual, sample_count: int) -> Float[np.ndarray, "2 contacts samples"]:
     """Slow relative displacement of each contact (m) and its rate (m/s) at all samples of a record."""
-    record, samples = residual.model.record, np.arange(sample_count)
+    record, sample_indices = residual.model.record, np.arange(sample_count)
     counted_samples = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
     slow_motion = np.zeros((2, len(residual.contacts), sample_count))
-    for index, contact in enumerate(residual.contacts):
+    for contact_index, contact in enumerate(residual.contacts):
         spline = contact.observation.drift_spline
-        for row, value_per_knot in zip(slow_motion[:, index], (spline.value, spline.rate), strict=True):
-            row[:] = np.interp(samples, counted_samples, value_per_knot @ contact.unknowns[: spline.knot_count])
+        for row, value_per_knot in zip(slow_motion[:, contact_index], (spline.value, spline.rate), strict=True):
+            row[:] = np.interp(sample_indices, counted_samples, value_per_knot @ contact.unknowns[: spline.knot_count])
     return slow_motion
 
 

@@ -24,7 +24,7 @@ LADDER_END_ERROR = 0.15
 SHORTEST_HORIZON_SAMPLES, WINDOW_GROWTH = 16, 4
 """Samples of the shortest horizon (each next one is longer by sqrt(2)), and the growth of the windows of null
 simulations, which first hold 16 of it. Effort."""
-NULL_WINDOWS = 24
+MAX_NULL_WINDOWS = 24
 """Largest number of windows of a null simulation. Effort."""
 DIVERGED_ERROR = 1e3
 """Error assigned to a diverged prediction, and bound of all errors."""
@@ -37,9 +37,9 @@ def measured_and_predicted(
     """Measured and predicted signals in each window: velocities, or displacements of displacement sensors."""
     start_states = motion.modal_states[:, :, window_starts].transpose(2, 0, 1)
     prediction = predict(motion.rig, motion.forces_n, window_starts, window_samples, motion.stations, start_states)
-    signals = motion.shown_signals
+    signals = motion.compared_signals
     measured = np.stack([sliding_window_view(signal, window_samples)[window_starts] for signal in signals], axis=1)
-    return measured, prediction[:, motion.shown_derivatives, np.arange(len(signals))]
+    return measured, prediction[:, motion.compared_derivatives, np.arange(len(signals))]
 
 
 def prediction_errors(
@@ -47,8 +47,8 @@ def prediction_errors(
 ) -> Windows:
     """Predicted less measured motion in each window, over each sensor's standard deviation."""
     measured_windows, predicted_windows = measured_and_predicted(motion, predict, window_starts, window_samples)
-    deviations = [np.std(signal[motion.valid_samples]) for signal in motion.shown_signals]
-    relative_errors = (predicted_windows - measured_windows) / np.maximum(deviations, 1e-300)[:, None]
+    signal_deviations = [np.std(signal[motion.valid_slice]) for signal in motion.compared_signals]
+    relative_errors = (predicted_windows - measured_windows) / np.maximum(signal_deviations, 1e-300)[:, None]
     return np.clip(np.nan_to_num(relative_errors, nan=DIVERGED_ERROR), -DIVERGED_ERROR, DIVERGED_ERROR)
 
 
@@ -72,16 +72,16 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     first_sample, available_samples = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
     horizons, window_samples = horizon_ladder(available_samples), 16 * SHORTEST_HORIZON_SAMPLES
     nominal: list[tuple[float, ...]] = []
-    within: list[tuple[float, ...]] = []
-    while len(within) < len(horizons) and (not within or within[-1][0] < LADDER_END_ERROR):
+    fitted: list[tuple[float, ...]] = []
+    while len(fitted) < len(horizons) and (not fitted or fitted[-1][0] < LADDER_END_ERROR):
         window_samples = min(window_samples, horizons[-1])
-        window_starts = disjoint_starts(first_sample, available_samples, window_samples, NULL_WINDOWS)
-        new_horizons = [horizon for horizon in horizons[len(within) :] if horizon <= window_samples]
-        for medians, motion in zip((nominal, within), motions, strict=True):
+        window_starts = disjoint_starts(first_sample, available_samples, window_samples, MAX_NULL_WINDOWS)
+        new_horizons = [horizon for horizon in horizons[len(fitted) :] if horizon <= window_samples]
+        for medians, motion in zip((nominal, fitted), motions, strict=True):
             errors = prediction_errors(motion, predict, window_starts, window_samples)
             medians += [tuple(median_errors(errors[:, :, :horizon])) for horizon in new_horizons]
         window_samples *= WINDOW_GROWTH
-    return NullErrors(samples=tuple(horizons[: len(within)]), nominal=tuple(nominal), within=tuple(within))
+    return NullErrors(samples=tuple(horizons[: len(fitted)]), nominal=tuple(nominal), within=tuple(fitted))
 
 
 def horizon_ladder(available_samples: int) -> list[int]:
@@ -106,9 +106,9 @@ def horizon_of(nulls: Sequence[NullErrors]) -> int | None:
     errors_by_horizon = [
         dict(zip(null.samples, (all_sensors for all_sensors, *_ in null.within), strict=True)) for null in nulls
     ]
-    reached = [
+    predicted_horizons = [
         horizon
         for horizon in set[int]().union(*errors_by_horizon)
         if np.median([errors.get(horizon, np.inf) for errors in errors_by_horizon]) < HORIZON_ERROR
     ]
-    return max(reached, default=None)
+    return max(predicted_horizons, default=None)

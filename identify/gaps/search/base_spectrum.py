@@ -18,7 +18,7 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import residual_scale
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.spectra import SMOOTHED_HZ
+from identify.gaps.residual.spectra import SMOOTHING_BANDWIDTH_HZ
 from identify.gaps.search.candidates import Candidate
 from rig.model.description import BaseMotion
 
@@ -87,18 +87,18 @@ def _pattern_spectra(linearization: Linearization, residual: Residual) -> _Patte
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
     shaken_rig, shares = changed(linearization.rig, base_motion=unit_motion), linearization.scales.unmodelled_shares
-    per_input = linear_model(record, shaken_rig, shares, linearization.cache.responses).signal_per_input
+    signal_per_input = linear_model(record, shaken_rig, shares, linearization.cache.responses).signal_per_input
     contact_count = len(linearization.observations)
-    pattern = per_input[contact_count]
+    pattern = signal_per_input[contact_count]
     contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
-    pattern = pattern - np.einsum("isl,il->sl", per_input[:contact_count], contact_forces)
+    pattern = pattern - np.einsum("isl,il->sl", signal_per_input[:contact_count], contact_forces)
     spectra = _windowed_spectra(linearization, residual)
-    smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
-    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, pattern / sensor_level)
-    remaining_power = np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power
+    smoothing_line_count = max(1, round(SMOOTHING_BANDWIDTH_HZ * record.transform_length / record.sample_rate_hz))
+    sensor_rms = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_line_count, axis=1), 1e-300))
+    pattern_power, pattern_size = _power_and_size(spectra / sensor_rms, pattern / sensor_rms)
+    remaining_power = np.sum(np.abs(spectra / sensor_rms) ** 2, axis=0) - pattern_power
     remaining_power = remaining_power / max(1, len(spectra) - contact_count - 1)
-    noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
+    noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_line_count), 1e-300)
     noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
     return _PatternSpectra(
         lines_hz,
@@ -123,20 +123,20 @@ def _band_estimate(
         interval_gain, interval_lines = _interval_of_largest_sum(gain_by_line)
         if interval_gain > largest_gain:
             largest_gain, best_lines, best_density = interval_gain, interval_lines, trial_density
-    counted_count = (record.counted_slice.stop - record.counted_slice.start) * record.decimation
-    counted_share = counted_count / record.transform_length
+    counted_sample_count = (record.counted_slice.stop - record.counted_slice.start) * record.decimation
+    counted_share = counted_sample_count / record.transform_length
     if not 2 * largest_gain * counted_share / WINDOW_BANDWIDTH_LINES > min_gain:
         return None
-    in_band = pattern_power[best_lines], pattern_size[best_lines]
-    best_density, relative_error = _fitted_density(best_density, *in_band, counted_share)
+    band_power_and_size = pattern_power[best_lines], pattern_size[best_lines]
+    best_density, relative_error = _fitted_density(best_density, *band_power_and_size, counted_share)
     gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
-    gain_by_line = gain_by_line * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES
-    cumulative = np.concatenate([[0.0], np.cumsum(gain_by_line)])
-    resolution_hz = record.sample_rate_hz / counted_count
+    gain_by_line = gain_by_line * counted_sample_count / record.transform_length / WINDOW_BANDWIDTH_LINES
+    cumulative_gain = np.concatenate([[0.0], np.cumsum(gain_by_line)])
+    resolution_hz = record.sample_rate_hz / counted_sample_count
     middle_line = (best_lines.start + best_lines.stop) // 2
-    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative[:middle_line], resolution_hz)
-    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative[middle_line:-1], resolution_hz)
-    rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
+    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative_gain[:middle_line], resolution_hz)
+    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative_gain[middle_line:-1], resolution_hz)
+    rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_sample_count * (high_hz - low_hz)))
     base_motion_values = np.array([np.clip(rms_m_per_s2, 0, ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
     return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])

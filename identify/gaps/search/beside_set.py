@@ -15,7 +15,7 @@ from identify.gaps.search.hypothesis import (
     FittedHypothesis,
     Hypothesis,
     Search,
-    combined,
+    combined_hypothesis,
     fit_briefly,
     fit_spectrum,
     fit_with_values,
@@ -23,7 +23,7 @@ from identify.gaps.search.hypothesis import (
     reset_saturated_nuisance,
 )
 from identify.gaps.search.nominal import fitted_nuisance
-from identify.gaps.search.singles import single_effects
+from identify.gaps.search.singles import single_effect_fits
 from rig.model.description import Rig
 
 
@@ -50,10 +50,10 @@ def with_tone(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     if not tone_candidates or is_stochastic(best_set.hypothesis) or best_set.hypothesis.misfit.line_cost <= MIN_GAIN:
         return best_set
     tone_search = search_about(search, best_set, tone_candidates)
-    tone_fits = single_effects(tone_search, tone_search.nominal_fit())
+    tone_fits = single_effect_fits(tone_search, tone_search.nominal_fit())
     if not tone_fits:
         return best_set
-    joined_hypothesis = combined(best_set, tone_fits[0])
+    joined_hypothesis = combined_hypothesis(best_set, tone_fits[0])
     start_residual = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(
         search, joined_hypothesis.candidates, joined_hypothesis.values, start_residual, best_set.linearization
@@ -82,6 +82,6 @@ def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypoth
             other_fit = fit_with_values(base_search, set_fit, candidate, values, np.sqrt(variances))
             base_motion_fit = min(filter(None, (base_motion_fit, other_fit)), key=lambda fitted: fitted.cost)
         if best_set.cost - base_motion_fit.cost > MIN_GAIN:
-            joined_hypothesis = combined(best_set, base_motion_fit)
+            joined_hypothesis = combined_hypothesis(best_set, base_motion_fit)
             return FittedHypothesis(joined_hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
     return best_set

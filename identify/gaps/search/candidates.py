@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import LinearModel, delivered_by, sensor_stations_of
+from identify.gaps.residual.linear import LinearModel, sensor_stations_of, signals_by_forces
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, derivative
-from identify.gaps.residual.windowed import displaced_at, ground_forces
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, residual_decrease
+from identify.gaps.residual.windowed import displacements_at_elements, ground_forces
 from identify.linear.joined import contact_groups
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
@@ -97,7 +97,7 @@ class Candidate:
                 trial_values.append(np.geomspace(parameter.low, parameter.high, PLACE_GRID_COUNT + 2)[1:-1])
             else:
                 trial_values.append(np.linspace(parameter.low, parameter.high, PLACE_GRID_COUNT))
-        return [np.array(values) for values in product(*trial_values)]
+        return [np.array(trial) for trial in product(*trial_values)]
 
     def trial_strengths(self, multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
@@ -122,9 +122,9 @@ class Candidate:
         return changed_rig if self.twin_place is None else replace(effect, **self.twin_place).applied_to(changed_rig)
 
 
-def contains(container: Candidate, member: Candidate) -> bool:
+def contains(container: Candidate, contained: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return member.kind.name in container.kind.contains and member.place == container.place
+    return contained.kind.name in container.kind.contains and contained.place == container.place
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:
@@ -153,7 +153,7 @@ def candidates(scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_
     force where several act or the base alone shakes, and on a base's motion where it is measured; those that change
     nothing, or that separate contacts between the same places.
     """
-    possible, rig = [], scale.rig
+    possible_candidates, rig = [], scale.rig
     for kind in effects().values():
         if (kind.needs_zero and not zero_known) or (kind.stochastic and rig.base_sensors):
             continue
@@ -169,8 +169,8 @@ def candidates(scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_
             if not has_force:
                 changed_rig = replace(changed_rig, sensors=rig.sensors, force_at=rig.force_at)
             if changed_rig != rig and len(contact_groups(changed_rig)) == len(contact_groups(rig)):
-                possible.append(candidate)
-    return possible
+                possible_candidates.append(candidate)
+    return possible_candidates
 
 
 def is_possible(candidate: Candidate, rig: Rig) -> bool:
@@ -197,7 +197,8 @@ def strength_columns(
         values = start_values.copy()
         values[index] = start_values[index] + candidate.step_sizes[index]
         rig = candidate.applied(linearization.rig, values)
-        decreases.append(attached_column(linearization, rig, residual) or derivative(linearization, rig, residual))
+        column = attached_column(linearization, rig, residual)
+        decreases.append(column or residual_decrease(linearization, rig, residual))
     return decreases
 
 
@@ -217,10 +218,10 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     attachments = attachments_of(rig, changed_rig)
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
-    forces = _attached_forces(record, model, attachments)
-    delivered = delivered_by(model, sensor_stations_of(record, model.rig), forces)
-    linear_decrease, contact_decrease_n = model.projection.applied_to(delivered)
-    eta_decrease_m = -model.unobserved_eta_m(forces, -contact_decrease_n)
+    attached_forces = _attached_forces(record, model, attachments)
+    attachment_signals = signals_by_forces(model, sensor_stations_of(record, model.rig), attached_forces)
+    linear_decrease, contact_decrease_n = model.projection.applied_to(attachment_signals)
+    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 
@@ -229,14 +230,14 @@ def _attached_forces(
     record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
-    stations, responses = sensor_stations_of(record, model.rig), model.responses
-    forces = ground_forces(record, attachments, responses, stations, model.motion)
+    sensor_stations, responses = sensor_stations_of(record, model.rig), model.responses
+    forces = ground_forces(record, attachments, responses, sensor_stations, model.motion)
     springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
-    displacements = displaced_at(responses, stations, springs, model.displacements)
+    displacements = displacements_at_elements(responses, sensor_stations, springs, model.displacements)
     for spring, displacement in zip(springs, displacements, strict=True):
         forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     base_acceleration = model.base.acceleration if model.base else 0.0
-    accelerations = displaced_at(responses, stations, attachments.masses, model.accelerations)
+    accelerations = displacements_at_elements(responses, sensor_stations, attachments.masses, model.accelerations)
     for mass, acceleration in zip(attachments.masses, accelerations, strict=True):
         forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]

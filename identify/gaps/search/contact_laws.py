@@ -27,7 +27,7 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import DAMPING_GRADIENT, LAW, OFFSET_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import separate
-from identify.gaps.search.hypothesis import Hypothesis, steps_of
+from identify.gaps.search.hypothesis import Hypothesis, step_sizes_of
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import ForceSensor, Rig
@@ -67,12 +67,12 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
 
     Unmeasured excitation (a base motion, a tone) stays in the scatter.
     """
-    names = [contact.name for contact in rig.contacts]
+    contact_names = [contact.name for contact in rig.contacts]
     if unmodelled_part := _unmodelled_part(rig):
         refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
-        return LawOutcomes((), dict.fromkeys(names, refusal))
-    force = recording.signals["force"]
-    signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
+        return LawOutcomes((), dict.fromkeys(contact_names, refusal))
+    force_data = recording.signals["force"]
+    signals = {**recording.signals, "force": replace(force_data, values=force_data.values / rig.force_sensor.gain)}
     # the diagnosis uses no strain gauges
     motion_sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates)
     separated_rig = msgspec.structs.replace(
@@ -82,7 +82,7 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         separation = separate(replace(recording, rig=separated_rig, signals=signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes
     except ContactRefusedError as error:
-        return LawOutcomes((), dict.fromkeys(names, error.refusal))
+        return LawOutcomes((), dict.fromkeys(contact_names, error.refusal))
     except RigError:
         return LawOutcomes()
     estimates = tuple(_law_estimate(name, estimate) for name, estimate in outcomes.estimates.items())
@@ -102,29 +102,29 @@ def _unmodelled_part(rig: Rig) -> str:
 
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
-    most_quantities = max(len(estimate.quantity_values) for estimate in estimates)
-    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == most_quantities]
-    weights = comparable[0].quantity_weights
-    comparable = [estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, weights)]
-    values, covariance = _pooled_values(
+    max_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
+    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == max_quantity_count]
+    quantity_weights = comparable[0].quantity_weights
+    comparable = [estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, quantity_weights)]
+    values, covariance = _pooled_values_and_covariance(
         [(estimate.quantity_values, estimate.covariance, estimate.tolerance_covariance) for estimate in comparable]
     )
-    shared = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
-    return replace(comparable[0], quantity_values=values, covariance=covariance, tolerance_covariance=shared)
+    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
+    return replace(comparable[0], quantity_values=values, covariance=covariance, tolerance_covariance=shared_covariance)
 
 
 def _law_estimate(contact_name: str, estimate: JointEstimate) -> LawEstimate:
-    rows = [] if estimate.is_spring else [estimate.clearance_gradient]
-    rows += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
+    gradients = [] if estimate.is_spring else [estimate.clearance_gradient]
+    gradients += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
     if estimate.sides_known and all(estimate.touched):
-        rows.append(OFFSET_GRADIENT)
-    weights = np.array(rows)
+        gradients.append(OFFSET_GRADIENT)
+    quantity_weights = np.array(gradients)
     return LawEstimate(
         contact_name,
-        weights,
-        weights @ estimate.values,
-        weights @ estimate.covariance @ weights.T,
-        weights @ estimate.covariances["tolerances"] @ weights.T,
+        quantity_weights,
+        quantity_weights @ estimate.values,
+        quantity_weights @ estimate.covariance @ quantity_weights.T,
+        quantity_weights @ estimate.covariances["tolerances"] @ quantity_weights.T,
     )
 
 
@@ -142,17 +142,17 @@ def with_contact_fit(
     law_change = _law_change(hypothesis, nominal_rig)
     if law_change is None:
         return hypothesis
-    rig, free = hypothesis.applied_to(nominal_rig), law_change.free_parameters
+    rig, free = hypothesis.applied_to(nominal_rig), law_change.free_indices
     solutions = (
         _solution_of_record(nominal_rig, outcomes_of(recording, rig, tolerances).estimates, law_change, values[free])
         for recording in recordings
     )
-    determined = [solution for solution in solutions if solution is not None]
-    if not determined:
+    determined_solutions = [solution for solution in solutions if solution is not None]
+    if not determined_solutions:
         return hypothesis
     covariance = hypothesis.covariance.copy()
     covariance[free] = covariance[:, free] = 0.0
-    pooled_values, covariance[np.ix_(free, free)] = _pooled_values(determined)
+    pooled_values, covariance[np.ix_(free, free)] = _pooled_values_and_covariance(determined_solutions)
     lower_bounds, upper_bounds = hypothesis.parameters.bounds
     values[free] = np.clip(pooled_values, lower_bounds[free], upper_bounds[free])
     return replace(hypothesis, values=values, covariance=covariance)
@@ -160,34 +160,34 @@ def with_contact_fit(
 
 @dataclass(frozen=True)
 class LawChange:
-    """Numbers y of every contact's law under a hypothesis, and dy/dv for the `free_parameters` that change them."""
+    """Numbers y of every contact's law under a hypothesis, and dy/dv for the `free_indices` that change them."""
 
-    law_numbers: Float[np.ndarray, "contacts 4"]
-    number_derivatives: Float[np.ndarray, "free contacts 4"]
-    free_parameters: Int[np.ndarray, " free"]
+    law_parameters: Float[np.ndarray, "contacts 4"]
+    parameter_derivatives: Float[np.ndarray, "free contacts 4"]
+    free_indices: Int[np.ndarray, " free"]
 
 
 def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
-    values, steps = hypothesis.values, steps_of(hypothesis.candidates)
+    values, steps = hypothesis.values, step_sizes_of(hypothesis.candidates)
     steps = DERIVATIVE_STEP * np.where(values + steps > hypothesis.parameters.bounds[1], -steps, steps)
     if not steps.size:
         return None
-    law_numbers = []
+    law_parameters = []
     for value_change in (0 * values, *np.diag(steps)):
-        numbers = _law_numbers(hypothesis, nominal_rig, values + value_change)
-        if numbers is None:
+        parameters = _law_parameters(hypothesis, nominal_rig, values + value_change)
+        if parameters is None:
             return None
-        law_numbers.append(numbers)
-    nominal_numbers, *stepped_numbers = law_numbers
+        law_parameters.append(parameters)
+    nominal_parameters, *stepped_parameters = law_parameters
     derivatives = np.array(
-        [(numbers - nominal_numbers) / step for numbers, step in zip(stepped_numbers, steps, strict=True)]
+        [(parameters - nominal_parameters) / step for parameters, step in zip(stepped_parameters, steps, strict=True)]
     )
-    free = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
-    return LawChange(nominal_numbers, derivatives[free], free) if free.size else None
+    free_indices = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
+    return LawChange(nominal_parameters, derivatives[free_indices], free_indices) if free_indices.size else None
 
 
-def _law_numbers(
+def _law_parameters(
     hypothesis: Hypothesis, nominal_rig: Rig, hypothesis_values: Values
 ) -> Float[np.ndarray, "contacts 4"] | None:
     """Four numbers of every contact's law; None where any other number differs from the nominal law."""
@@ -196,17 +196,17 @@ def _law_numbers(
     except RigError:
         return None
     pairs = zip(contacts, nominal_rig.contacts, strict=True)
-    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in pairs):
+    if not all(parameters_alone_differ(contact.law, nominal.law) for contact, nominal in pairs):
         return None
     return np.array([parameters_of_law(contact.law) for contact in contacts]).reshape(-1, len(LAW))
 
 
-def numbers_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) -> bool:
+def parameters_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) -> bool:
     """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
     if type(changed_law) is not type(nominal_law) or not changed_law.piecewise_linear:
         return False
-    nominal_numbers = {name: getattr(nominal_law, name) for name in LAW.names}
-    return msgspec.structs.replace(changed_law, **nominal_numbers) == nominal_law
+    nominal_parameters = {name: getattr(nominal_law, name) for name in LAW.names}
+    return msgspec.structs.replace(changed_law, **nominal_parameters) == nominal_law
 
 
 def _solution_of_record(
@@ -216,27 +216,27 @@ def _solution_of_record(
     contact_names = [contact.name for contact in nominal_rig.contacts]
     derivatives, differences, covariances, tolerance_covariances = [], [], [], []
     for estimate in estimates:
-        index, weights = contact_names.index(estimate.contact_name), estimate.quantity_weights
-        derivative = weights @ law_change.number_derivatives[:, index].T
-        is_involved = np.any(derivative, axis=1)
-        derivatives.append(derivative[is_involved])
-        differences.append((estimate.quantity_values - weights @ law_change.law_numbers[index])[is_involved])
+        contact_index, weights = contact_names.index(estimate.contact_name), estimate.quantity_weights
+        quantity_derivative = weights @ law_change.parameter_derivatives[:, contact_index].T
+        is_involved = np.any(quantity_derivative, axis=1)
+        derivatives.append(quantity_derivative[is_involved])
+        differences.append((estimate.quantity_values - weights @ law_change.law_parameters[contact_index])[is_involved])
         covariances.append(estimate.covariance[np.ix_(is_involved, is_involved)])
         tolerance_covariances.append(estimate.tolerance_covariance[np.ix_(is_involved, is_involved)])
-    stacked = np.concatenate(derivatives) if derivatives else np.zeros((0, free_values.size))
+    stacked_derivatives = np.concatenate(derivatives) if derivatives else np.zeros((0, free_values.size))
     if (
-        len(stacked) < free_values.size
-        or np.linalg.matrix_rank(stacked / np.abs(stacked).max(axis=0)) < free_values.size
+        len(stacked_derivatives) < free_values.size
+        or np.linalg.matrix_rank(stacked_derivatives / np.abs(stacked_derivatives).max(axis=0)) < free_values.size
     ):
         return None
-    weighted = np.linalg.solve(block_diag(*covariances), stacked)
-    covariance = np.linalg.inv(stacked.T @ weighted)
-    gain = covariance @ weighted.T
-    values = free_values + gain @ np.concatenate(differences)
-    return values, covariance, gain @ block_diag(*tolerance_covariances) @ gain.T
+    weighted_derivatives = np.linalg.solve(block_diag(*covariances), stacked_derivatives)
+    covariance = np.linalg.inv(stacked_derivatives.T @ weighted_derivatives)
+    quantity_gain = covariance @ weighted_derivatives.T
+    values = free_values + quantity_gain @ np.concatenate(differences)
+    return values, covariance, quantity_gain @ block_diag(*tolerance_covariances) @ quantity_gain.T
 
 
-def _pooled_values(
+def _pooled_values_and_covariance(
     solutions: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
 ) -> tuple[Values, Float[np.ndarray, "free free"]]:
     """Pooled v of records and its covariance, from v, its covariance and the shared part of it of each."""

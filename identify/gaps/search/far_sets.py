@@ -36,7 +36,7 @@ from rig.model.description import Rig
 FOLLOWED_SINGLES, REFINED_PAIRS, FITTED_PAIRS = 3, 4, 2
 """Effects that are paired with all others, pairs that are minimised, and those that are fitted beside the best effect
 alone. Effort."""
-EVALUATIONS_PER_PARAMETER = 40
+MAX_EVALUATIONS_PER_PARAMETER = 40
 """Evaluations of the cost per parameter of a simplex at most. Effort."""
 
 Values = Float[np.ndarray, " parameters"]
@@ -77,37 +77,37 @@ class _Landscape:
         candidates, values = start_set.candidates, start_set.values
         lower_bounds, upper_bounds = parameters_of(candidates).bounds
         ranges = upper_bounds - lower_bounds
-        result = minimize(
+        optimum = minimize(
             lambda shares: self.cost(candidates, lower_bounds + shares * ranges),
             (values - lower_bounds) / ranges,
             method="Nelder-Mead",
-            options={"maxfev": EVALUATIONS_PER_PARAMETER * values.size, "xatol": 1e-4, "fatol": 1.0},
+            options={"maxfev": MAX_EVALUATIONS_PER_PARAMETER * values.size, "xatol": 1e-4, "fatol": 1.0},
         )
-        reached_set = FarSet(candidates, lower_bounds + result.x * ranges, float(result.fun))
+        reached_set = FarSet(candidates, lower_bounds + optimum.x * ranges, float(optimum.fun))
         return min(start_set, reached_set, key=attrgetter("cost"))
 
 
 def far_fits(search: Search) -> list[FittedHypothesis]:
     """Refined fits of the best sets, the likeliest first; none for rigs with contacts, single masses or free motion."""
     record, rig = search.linearization.record, search.linearization.rig
-    if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
+    if record.fits_initial_state or not stated_scale_refits(rig) or needs_every_line(rig):
         return []
     thin_record = thinned_record(record)
-    shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
-    landscape = _Landscape(thin_record, rig, shares, ResponseCache(thin_record.omega))
-    effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
+    unmodelled_shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
+    landscape = _Landscape(thin_record, rig, unmodelled_shares, ResponseCache(thin_record.omega))
+    linear_effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
     by_cost = attrgetter("cost")
-    single_starts = [start for effect in effects for start in _best_on_grid(landscape, (), effect)]
-    singles = sorted((landscape.minimum(start) for start in single_starts), key=by_cost)
+    single_starts = [start for effect in linear_effects for start in _best_on_grid(landscape, (), effect)]
+    single_sets = sorted((landscape.minimum(start) for start in single_starts), key=by_cost)
     pair_starts = [
         start
-        for single in singles[:FOLLOWED_SINGLES]
-        for effect in effects
+        for single in single_sets[:FOLLOWED_SINGLES]
+        for effect in linear_effects
         for start in _best_on_grid(landscape, (single,), effect)
     ]
     pair_starts = sorted(pair_starts, key=by_cost)[:REFINED_PAIRS]
-    pairs = sorted((landscape.minimum(start) for start in pair_starts), key=by_cost)
-    return sorted(_fits(search, [*pairs[:FITTED_PAIRS], *singles[:1]]), key=by_cost)
+    pair_sets = sorted((landscape.minimum(start) for start in pair_starts), key=by_cost)
+    return sorted(_refined_fits(search, [*pair_sets[:FITTED_PAIRS], *single_sets[:1]]), key=by_cost)
 
 
 def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
@@ -124,19 +124,19 @@ def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
 def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
     """Best set of present effects and a further one on its grid; none where no point of it makes a rig, or where the
     further one stands nowhere and is there already."""
-    present = tuple(member for far_set in present_sets for member in far_set.candidates)
-    if candidate in present and len(candidate.parameters) == len(candidate.parameters.strengths):
+    present_candidates = tuple(member for far_set in present_sets for member in far_set.candidates)
+    if candidate in present_candidates and len(candidate.parameters) == len(candidate.parameters.strengths):
         return
     present_values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present_sets)])
-    members = (*present, candidate)
-    points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
-    trials = [(landscape.cost(members, point), point) for point in points]
+    members = (*present_candidates, candidate)
+    grid_points = (np.append(present_values, grid_values) for grid_values in grid_values_of(candidate))
+    trials = [(landscape.cost(members, point), point) for point in grid_points]
     cost, point = min(trials, key=itemgetter(0), default=(np.inf, present_values))
     if np.isfinite(cost):
         yield FarSet(members, point, cost)
 
 
-def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
+def _refined_fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
     """Refined fits of those sets of which there are rigs; refinement ends for those that stay far above the best."""
     best_cost = np.inf
     for far_set in far_sets:

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from identify.gaps.residual.fit import MAX_STEPS, BuildRig, Values, fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
+from identify.gaps.residual.residual import Linearization, Residual, scales_at, with_estimated_scales
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
 from identify.gaps.search.base_spectrum import fit_base_spectrum
@@ -71,12 +71,12 @@ class Hypothesis:
         return self.misfit.excess_cost > MIN_GAIN or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > CHANCE_PULL
 
     @property
-    def tolerance_at_limit(self) -> bool:
+    def has_tolerance_at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
         return bool(np.any(np.abs(self.misfit.pulls) > PULL_LIMIT_SHARE * PULL_LIMIT))
 
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
-        """Values of each effect."""
+        """Fitted parameters of each effect."""
         return _values_by_candidate(self.candidates, self.values)
 
     @property
@@ -108,8 +108,8 @@ def with_effects(rig: Rig, candidates: Sequence[Candidate], values: Values) -> R
 
 
 def _values_by_candidate(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
-    ends = np.cumsum([len(candidate.parameters) for candidate in candidates])
-    return np.split(values, ends[:-1]) if candidates else []
+    end_indices = np.cumsum([len(candidate.parameters) for candidate in candidates])
+    return np.split(values, end_indices[:-1]) if candidates else []
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,11 @@ class Search:
 
     nominal_variances: NominalVariances
     linearization: Linearization
-    residual: Residual
+    nominal_residual: Residual
     candidates: tuple[Candidate, ...]
 
     def nominal_fit(self) -> FittedHypothesis:
-        return _fitted_hypothesis(self, (), np.zeros(0), np.zeros((0, 0)), self.linearization, self.residual)
+        return _fitted_hypothesis(self, (), np.zeros(0), np.zeros((0, 0)), self.linearization, self.nominal_residual)
 
 
 def fit_effects(
@@ -161,8 +161,8 @@ def fit_afresh(search: Search, candidates: tuple[Candidate, ...], start_values: 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
     build_rig = _rig_builder(search, candidates)
-    contact_scales = prior_scales(search.linearization.record).variances
-    initial_scales = replace(search.linearization.scales, variances=contact_scales)
+    contact_variances = prior_scales(search.linearization.record).contact_variances
+    initial_scales = replace(search.linearization.scales, contact_variances=contact_variances)
     linearization = search.linearization.relinearized(build_rig(start_values), None, initial_scales)
     return _gauss_newton(search, build_rig, candidates, start_values, linearization)
 
@@ -177,7 +177,7 @@ def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np
     if any(candidate.kind.stochastic for candidate in candidates):
         return initial_fit
     round_limit = REFIT_ROUNDS + extra_relinearizations(rig)
-    return relinearised(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
+    return best_refit(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
 
 
 def fit_from(
@@ -185,12 +185,12 @@ def fit_from(
 ) -> FittedHypothesis:
     """Fit of effects in the rigs of `build_rig` until it settles, from the fit of another rig."""
     linearization = search.linearization.relinearized(build_rig(start_values), None, search.linearization.scales)
-    start_residual = reset_saturated_nuisance(search.residual)
+    start_residual = reset_saturated_nuisance(search.nominal_residual)
     initial_fit = _gauss_newton(search, build_rig, candidates, start_values, linearization, start_residual)
-    return relinearised(search, build_rig, initial_fit, round_limit)
+    return best_refit(search, build_rig, initial_fit, round_limit)
 
 
-def relinearised(
+def best_refit(
     search: Search, build_rig: BuildRig, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Best of successive refits, each linearised at the parameters and with the scales of the one before.
@@ -214,7 +214,7 @@ def relinearised(
         return later
 
     def settled(earlier: FittedHypothesis, later: FittedHypothesis) -> bool:
-        scale_change = earlier.linearization.scales.distance(later.linearization.scales)
+        scale_change = earlier.linearization.scales.log_share_distance(later.linearization.scales)
         is_settled = scale_change < SCALE_TOLERANCE and abs(earlier.cost - later.cost) < COST_TOLERANCE
         return is_settled or later.cost > best_cost + MAX_EXCESS_COST
 
@@ -242,11 +242,11 @@ def _gauss_newton(
 ) -> FittedHypothesis:
     """Gauss-Newton fit of effects and nuisance parameters in a linearisation."""
     bounds = parameters_of(candidates).bounds
-    fitted = fit(linearization, build_rig, start_values, steps_of(candidates), bounds, start_residual, max_steps)
+    fitted = fit(linearization, build_rig, start_values, step_sizes_of(candidates), bounds, start_residual, max_steps)
     return _fitted_hypothesis(search, candidates, fitted.values, fitted.covariance, linearization, fitted.residual)
 
 
-def steps_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
+def step_sizes_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
     return np.concatenate([np.zeros(0), *(candidate.step_sizes for candidate in candidates)])
 
 
@@ -292,7 +292,7 @@ def fit_with_values(
         return None
     scales = nominal_fit.linearization.scales
     linearization = search.linearization.relinearized(rig, nominal_fit.residual, scales)
-    linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
+    linearization = with_estimated_scales(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
     return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 
@@ -317,7 +317,7 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
     return replace(residual, nuisance_pulls=np.where(is_mode_parameter, 0.0, residual.nuisance_pulls))
 
 
-def combined(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
+def combined_hypothesis(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
     """Union of two hypotheses, of which the second was fitted with the first held."""
     base, added = base_fit.hypothesis, added_fit.hypothesis
     values, covariance = np.concatenate([base.values, added.values]), block_diag(base.covariance, added.covariance)

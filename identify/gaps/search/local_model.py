@@ -29,16 +29,16 @@ from jaxtyping import Float, Int
 from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, derivative
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_decrease
 from identify.gaps.search.candidates import Candidate, strength_columns
-from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
+from identify.gaps.search.hypothesis import Hypothesis, parameters_of, step_sizes_of, with_effects
 from identify.gaps.search.local_columns import LocalColumns
-from identify.gaps.search.pooled import without_drift
+from identify.gaps.search.pooled import equations_without_drift
 from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
 from rig.model.description import Rig
 
-MAJORIZATIONS = 5
+MAX_MAJORIZATIONS = 5
 """Steps of the majorisation at most. Effort."""
 STATISTIC_TOLERANCE = 0.1
 """Decrease of S below which the majorisation ends: odds change by 1 %."""
@@ -51,7 +51,7 @@ ELIMINATION_ROUNDING = 1e-9
 MIN_REMAINING_SHARE = 1e-9
 """Least share of a column's weighted square that the nuisance parameters must leave of it."""
 
-ROW_BLOCK = 1 << 12
+ROWS_PER_BLOCK = 1 << 12
 """Rows of the spectra that are multiplied at once. Effort: a weighted copy of all would double the memory."""
 
 Theta = Float[np.ndarray, " columns"]
@@ -72,11 +72,11 @@ class CandidateTerm:
     theta_min: Float[np.ndarray, " selected"]
     theta_max: Float[np.ndarray, " selected"]
 
-    def values(self, theta: Theta) -> Float[np.ndarray, " parameters"]:
+    def values_at(self, theta: Theta) -> Float[np.ndarray, " parameters"]:
         """Parameters of the effect at theta."""
         effect_values = self.start_values.copy()
-        strengths = list(self.strength_indices)
-        effect_values[strengths] += theta[self.column_indices] * self.candidate.step_sizes[strengths]
+        indices = list(self.strength_indices)
+        effect_values[indices] += theta[self.column_indices] * self.candidate.step_sizes[indices]
         return effect_values
 
 
@@ -93,13 +93,13 @@ class LocalModel:
     """Statistic S(theta) about a fitted rig.
 
     column_spectra holds X and residual_spectrum r: windowed, in nominal standard deviations, real and imaginary
-    parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band and sensor.
+    parts, scaled so that the squares of a cell's rows add up to L. cell_of_row is the index of a row's band and sensor.
     present_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
 
     column_spectra: Float[np.ndarray, "columns rows"]
     residual_spectrum: Float[np.ndarray, " rows"]
-    row_cell: Int[np.ndarray, " rows"]
+    cell_of_row: Int[np.ndarray, " rows"]
     contact_matrices: Float[np.ndarray, "contacts columns columns"]
     contact_gradients: Float[np.ndarray, "contacts columns"]
     contact_levels: Float[np.ndarray, " contacts"]
@@ -120,12 +120,12 @@ class LocalModel:
 
     def _levels_at(self, theta: Theta) -> Levels:
         base_count = self.present_columns.size
-        added = base_count + np.flatnonzero(theta[base_count:])
+        added_indices = base_count + np.flatnonzero(theta[base_count:])
         spectrum = self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
-        spectrum -= theta[added].astype(np.float32) @ self.column_spectra[added]
+        spectrum -= theta[added_indices].astype(np.float32) @ self.column_spectra[added_indices]
         contact_levels = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
         contact_levels -= 2 * self.contact_gradients @ theta
-        return np.bincount(self.row_cell, spectrum.astype(float) ** 2), np.maximum(contact_levels, 0.0)
+        return np.bincount(self.cell_of_row, spectrum.astype(float) ** 2), np.maximum(contact_levels, 0.0)
 
     def statistic(self, theta: Theta) -> float:
         """Statistic S, up to a constant of the record."""
@@ -136,47 +136,47 @@ class LocalModel:
         return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
 
     def normal_equations(
-        self, theta: Theta, columns: Int[np.ndarray, " selected"]
+        self, theta: Theta, column_indices: Int[np.ndarray, " selected"]
     ) -> tuple[Float[np.ndarray, "selected selected"], Float[np.ndarray, " selected"]]:
         """Matrix A and right-hand side b of S majorised at theta, whose minimum x solves A x = b."""
         cell_levels, contact_levels = self.levels(theta)
         cell_weights = self.samples_per_cell / (1 + cell_levels)
-        row_weights = np.sqrt(cell_weights[self.row_cell]).astype(np.float32)
-        matrix, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
-        for first_row in range(0, row_weights.size, ROW_BLOCK):
-            rows = slice(first_row, first_row + ROW_BLOCK)
-            weighted_spectra = self.column_spectra[columns, rows]
-            weighted_spectra *= row_weights[rows]
+        row_weights = np.sqrt(cell_weights[self.cell_of_row]).astype(np.float32)
+        matrix, right_side = self.input_matrix[np.ix_(column_indices, column_indices)], self.input_slope[column_indices]
+        for first_row in range(0, row_weights.size, ROWS_PER_BLOCK):
+            row_slice = slice(first_row, first_row + ROWS_PER_BLOCK)
+            weighted_spectra = self.column_spectra[column_indices, row_slice]
+            weighted_spectra *= row_weights[row_slice]
             matrix += weighted_spectra @ weighted_spectra.T
-            right_side += weighted_spectra @ (self.residual_spectrum[rows] * row_weights[rows])
-        for weight, product, gradient in zip(
+            right_side += weighted_spectra @ (self.residual_spectrum[row_slice] * row_weights[row_slice])
+        for contact_weight, contact_matrix, gradient in zip(
             self.samples_per_contact / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
-            matrix += weight * product[np.ix_(columns, columns)]
-            right_side += weight * gradient[columns]
-        is_tolerance = columns < self.pulls.size
+            matrix += contact_weight * contact_matrix[np.ix_(column_indices, column_indices)]
+            right_side += contact_weight * gradient[column_indices]
+        is_tolerance = column_indices < self.pulls.size
         matrix[is_tolerance, is_tolerance] += 1.0
-        right_side[is_tolerance] -= self.pulls[columns[is_tolerance]]
+        right_side[is_tolerance] -= self.pulls[column_indices[is_tolerance]]
         return matrix, right_side
 
     def minimum(self, terms: Sequence[CandidateTerm], start_theta: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start_theta`."""
-        columns = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
+        column_indices = np.concatenate([self.present_columns, *(term.column_indices for term in terms)]).astype(int)
         theta = np.zeros(len(self.column_spectra))
         if start_theta is not None:
-            theta[columns] = start_theta[columns]
+            theta[column_indices] = start_theta[column_indices]
         best_solution = Solution(theta, self.statistic(theta))
-        for _ in range(MAJORIZATIONS):
-            matrix, right_side = self.normal_equations(best_solution.theta, columns)
-            diagonal = np.diag(matrix)
-            ridge = RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max()
-            matrix += np.diag(ridge)  # what is not shown stays zero
+        for _ in range(MAX_MAJORIZATIONS):
+            normal_matrix, right_side = self.normal_equations(best_solution.theta, column_indices)
+            diagonal = np.diag(normal_matrix)
+            diagonal_shift = RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max()
+            normal_matrix += np.diag(diagonal_shift)  # what is not shown stays zero
             theta = np.zeros(len(self.column_spectra))
-            current = best_solution.theta[columns]
-            least_step = self.theta_min[columns] - current
-            greatest_step = self.theta_max[columns] - current
-            step = bounded_minimum(matrix, right_side - matrix @ current, least_step, greatest_step)
-            theta[columns] = current + step
+            current_theta = best_solution.theta[column_indices]
+            least_step = self.theta_min[column_indices] - current_theta
+            greatest_step = self.theta_max[column_indices] - current_theta
+            step = bounded_minimum(normal_matrix, right_side - normal_matrix @ current_theta, least_step, greatest_step)
+            theta[column_indices] = current_theta + step
             solution = Solution(theta, self.statistic(theta))
             statistic_decrease = best_solution.statistic - solution.statistic
             if statistic_decrease > 0:
@@ -207,7 +207,7 @@ class LocalModel:
 def local_model(
     linearization: Linearization,
     residual: Residual,
-    variances: NominalVariances,
+    nominal_variances: NominalVariances,
     rig: Rig,
     present_set: Hypothesis,
     candidates: Sequence[Candidate],
@@ -215,33 +215,33 @@ def local_model(
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
     added_count = sum(len(candidate.start_values()) * len(candidate.parameters.strengths) for candidate in candidates)
     added_count += len(parameters_of(present_set.candidates))
-    columns = LocalColumns(linearization, residual, variances, added_count)
+    local_columns = LocalColumns(linearization, residual, nominal_variances, added_count)
     for column in _present_columns(linearization, residual, rig, present_set):
-        columns.append(column)
-    present_count, terms = columns.count - residual.pulls.size, list[CandidateTerm]()
+        local_columns.append(column)
+    present_count, terms = local_columns.column_count - residual.pulls.size, list[CandidateTerm]()
     for candidate in candidates:
         for start_values in candidate.start_values():
             with suppress(RigError):  # no such rig
                 new_columns = strength_columns(linearization, residual, candidate, start_values)
-                terms.append(_candidate_term(candidate, start_values, columns.count))
+                terms.append(_candidate_term(candidate, start_values, local_columns.column_count))
                 for linear_decrease, contact_decreases in new_columns:
-                    single_precision = [decrease.astype(np.float32) for decrease in contact_decreases]
-                    columns.append((linear_decrease.astype(np.float32), single_precision))
-    return _model_of(columns, variances, present_count, tuple(terms), _set_range(present_set))
+                    single_decreases = [decrease.astype(np.float32) for decrease in contact_decreases]
+                    local_columns.append((linear_decrease.astype(np.float32), single_decreases))
+    return _model_of(local_columns, nominal_variances, present_count, tuple(terms), _present_range(present_set))
 
 
 def _candidate_term(
     candidate: Candidate, start_values: Float[np.ndarray, " parameters"], first_column: int
 ) -> CandidateTerm:
     """Term of a candidate at `start_values`, whose columns begin with `first_column`."""
-    strengths = list(candidate.parameters.strengths)
-    range_ends = [
-        (bound[strengths] - start_values[strengths]) / candidate.step_sizes[strengths]
+    strength_indices = list(candidate.parameters.strengths)
+    theta_ends = [
+        (bound[strength_indices] - start_values[strength_indices]) / candidate.step_sizes[strength_indices]
         for bound in candidate.parameters.bounds
     ]
-    columns = first_column + np.arange(len(strengths))
-    theta_min, theta_max = np.minimum(*range_ends), np.maximum(*range_ends)
-    return CandidateTerm(candidate, start_values, tuple(strengths), columns, theta_min, theta_max)
+    column_indices = first_column + np.arange(len(strength_indices))
+    theta_min, theta_max = np.minimum(*theta_ends), np.maximum(*theta_ends)
+    return CandidateTerm(candidate, start_values, tuple(strength_indices), column_indices, theta_min, theta_max)
 
 
 def _present_columns(
@@ -250,65 +250,66 @@ def _present_columns(
     """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
     candidates, values = present_set.candidates, present_set.values
     build_rig = partial(with_effects, rig, candidates)
-    steps = steps_of(candidates)
+    steps = step_sizes_of(candidates)
     signed_shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
     for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
         stepped_rig = build_rig(values + signed_share * step)
-        linear_decrease, contact_decreases = derivative(linearization, stepped_rig, residual)
+        linear_decrease, contact_decreases = residual_decrease(linearization, stepped_rig, residual)
         yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 
 
-def _set_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
+def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
     if not present_set.candidates:
         return np.zeros(0), np.zeros(0)
     parameter_bounds = parameters_of(present_set.candidates).bounds
-    step_bounds = [(bound - present_set.values) / steps_of(present_set.candidates) for bound in parameter_bounds]
-    return np.minimum(*step_bounds), np.maximum(*step_bounds)
+    theta_bounds = [(bound - present_set.values) / step_sizes_of(present_set.candidates) for bound in parameter_bounds]
+    return np.minimum(*theta_bounds), np.maximum(*theta_bounds)
 
 
 def _model_of(
     columns: LocalColumns,
-    variances: NominalVariances,
+    nominal_variances: NominalVariances,
     present_count: int,
     terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
     record, residual = columns.linearization.record, columns.residual
-    column_count, row_cell, pulls, sample_ratio = columns.count, columns.row_cell, residual.pulls, record.sample_ratio
+    column_count, cell_of_row = columns.column_count, columns.cell_of_row
+    pulls, oversampling = residual.pulls, record.oversampling
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
-    input_rows, input_residual = columns.inputs[:column_count], residual.linear_residual[sensor_count:].ravel()
+    input_rows, input_residual = columns.input_rows[:column_count], residual.linear_residual[sensor_count:].ravel()
     contact_matrices, contact_gradients, contact_levels = [], [], []
-    for index, contact in enumerate(residual.contacts):
-        contact_rows = columns.contact_rows(index)
-        matrix, gradient = without_drift(residual, index, contact_rows)
-        matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
-        sum_of_squares = float(np.sum(contact.residual[: contact.observation.weights.size] ** 2))
-        level = _contact_level(variances, residual, index)
-        contact_matrices.append(matrix * level / sum_of_squares if sum_of_squares else matrix)
-        contact_gradients.append(gradient * level / sum_of_squares if sum_of_squares else gradient)
-        contact_levels.append(level)
+    for contact_index, contact_fit in enumerate(residual.contacts):
+        contact_rows = columns.contact_rows(contact_index)
+        contact_matrix, gradient = equations_without_drift(residual, contact_index, contact_rows)
+        contact_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
+        sum_of_squares = float(np.sum(contact_fit.residual[: contact_fit.observation.force_weights.size] ** 2))
+        contact_level = _contact_level(nominal_variances, residual, contact_index)
+        contact_matrices.append(contact_matrix * contact_level / sum_of_squares if sum_of_squares else contact_matrix)
+        contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
+        contact_levels.append(contact_level)
     theta_min, theta_max = np.full(column_count, -np.inf), np.full(column_count, np.inf)
     theta_min[: pulls.size], theta_max[: pulls.size] = -PULL_LIMIT - pulls, PULL_LIMIT - pulls
     present_effects = slice(pulls.size, pulls.size + present_count)
     theta_min[present_effects], theta_max[present_effects] = present_range
     for term in terms:
         theta_min[term.column_indices], theta_max[term.column_indices] = term.theta_min, term.theta_max
-    band_count = int(row_cell.max()) // sensor_count + 1
-    independent_samples = time_count / sample_ratio
+    band_count = int(cell_of_row.max()) // sensor_count + 1
+    independent_sample_count = time_count / oversampling
     return LocalModel(
         column_spectra=columns.spectra[:column_count],
         residual_spectrum=columns.spectrum(residual.linear_without_lines),
-        row_cell=row_cell,
+        cell_of_row=cell_of_row,
         contact_matrices=np.array(contact_matrices).reshape(len(contact_matrices), column_count, column_count),
         contact_gradients=np.array(contact_gradients).reshape(len(contact_gradients), column_count),
         contact_levels=np.array(contact_levels),
-        input_matrix=(input_rows @ input_rows.T).astype(float) / sample_ratio,
-        input_slope=(input_rows @ input_residual.astype(np.float32)).astype(float) / sample_ratio,
+        input_matrix=(input_rows @ input_rows.T).astype(float) / oversampling,
+        input_slope=(input_rows @ input_residual.astype(np.float32)).astype(float) / oversampling,
         pulls=pulls,
         theta_min=theta_min,
         theta_max=theta_max,
-        samples_per_cell=independent_samples / band_count,
-        samples_per_contact=independent_samples,
+        samples_per_cell=independent_sample_count / band_count,
+        samples_per_contact=independent_sample_count,
         present_columns=np.arange(pulls.size + present_count),
         candidate_terms=terms,
     )
@@ -316,6 +317,6 @@ def _model_of(
 
 def _contact_level(nominal_variances: NominalVariances, residual: Residual, contact_index: int) -> float:
     """Mean square of a contact's residual relative to the nominal rig's variances."""
-    contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.weights
-    residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
-    return float(np.mean((residual_n * nominal_variances.observations[contact_index].weights) ** 2))
+    contact_fit, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.force_weights
+    residual_n = np.divide(contact_fit.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
+    return float(np.mean((residual_n * nominal_variances.observations[contact_index].force_weights) ** 2))

@@ -7,7 +7,7 @@ import numpy as np
 from identify.gaps.residual.fit import ParameterFit, fit
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
+from identify.gaps.residual.residual import Linearization, Residual, linearized, with_estimated_scales
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
@@ -28,7 +28,7 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         return _NuisanceFit(linearization, residual, misfit(record, nominal_variances, residual))
 
     def refit(previous_fit: _NuisanceFit) -> _NuisanceFit:
-        return fit_in(rescaled(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
+        return fit_in(with_estimated_scales(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
 
     def relinearize(previous_fit: _NuisanceFit) -> _NuisanceFit:
         previous_linearization = previous_fit.linearization
@@ -62,15 +62,8 @@ class _NuisanceFit:
 
 def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
-    no_parameters = np.zeros(0)
-    return fit(
-        linearization,
-        lambda _: linearization.rig,
-        no_parameters,
-        no_parameters,
-        (no_parameters, no_parameters),
-        start_residual,
-    )
+    no_values = np.zeros(0)
+    return fit(linearization, lambda _: linearization.rig, no_values, no_values, (no_values, no_values), start_residual)
 
 
 def stated_scale_refits(rig: Rig) -> int:

@@ -15,18 +15,18 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_columns
+from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_residual_columns
 from identify.gaps.residual.likelihood import NominalVariances, misfit
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, derivative
-from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
+from identify.gaps.residual.residual import Linearization, Residual, residual_decrease
+from identify.gaps.search.hypothesis import Hypothesis, parameters_of, step_sizes_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
-POOLING_ROUNDS = 2
+MAX_POOLING_ROUNDS = 2
 """Gauss-Newton steps over several records at most."""
 STEP_TOLERANCE = 0.1
 """Change of a parameter, in standard errors, below which the steps end."""
@@ -49,94 +49,94 @@ class LinearizedRecord:
     linearization: Linearization
     residual: Residual
     tolerance_information: RecordInformation
-    tolerance_columns: tuple[Float[np.ndarray, "_ tolerances"], ...]
+    contact_tolerance_columns: tuple[Float[np.ndarray, "_ tolerances"], ...]
     cost: float
 
-    def with_parameters(
-        self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
+    def information_with(
+        self, build_rig: Callable[[Values], Rig], parameter_values: Values, step_sizes: Values, upper_bounds: Values
     ) -> RecordInformation:
         """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
         information, pulls = self.tolerance_information, self.residual.pulls
-        signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
-        columns = []
-        for signed_share, step in zip(signed_shares, np.diag(steps), strict=True):
+        signed_shares = np.where(parameter_values + step_sizes > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
+        parameter_decreases = []
+        for signed_share, step in zip(signed_shares, np.diag(step_sizes), strict=True):
             rig = build_rig(parameter_values + signed_share * step)
-            linear_decrease, contact_decreases = derivative(self.linearization, rig, self.residual)
-            columns.append([decrease / signed_share for decrease in (linear_decrease, *contact_decreases)])
-        tolerance_count, sample_ratio = len(information.tolerance_names), self.linearization.record.sample_ratio
+            linear_decrease, contact_decreases = residual_decrease(self.linearization, rig, self.residual)
+            parameter_decreases.append([decrease / signed_share for decrease in (linear_decrease, *contact_decreases)])
+        tolerance_count, oversampling = len(information.tolerance_names), self.linearization.record.oversampling
         nuisance_count = len(self.linearization.columns.parameters)
-        unknown_count = tolerance_count + len(columns)
+        unknown_count = tolerance_count + len(parameter_decreases)
         normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
-        if columns:
-            linear_columns = np.array([column[0].ravel() for column in columns])
-            normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products(linear_columns)
+        if parameter_decreases:
+            linear_columns = np.array([column[0].ravel() for column in parameter_decreases])
+            normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products_with(linear_columns)
             normal_matrix[tolerance_count:, tolerance_count:] = linear_columns @ linear_columns.T
             gradient[tolerance_count:] = linear_columns @ self.residual.linear_without_lines.ravel()
-        for index, tolerance_columns in enumerate(self.tolerance_columns, start=1):
-            effect_columns = np.array([column[index] for column in columns])
-            effect_columns = effect_columns.reshape(len(columns), len(tolerance_columns)).T
+        for index, tolerance_columns in enumerate(self.contact_tolerance_columns, start=1):
+            effect_columns = np.array([column[index] for column in parameter_decreases])
+            effect_columns = effect_columns.reshape(len(parameter_decreases), len(tolerance_columns)).T
             all_columns = np.concatenate([tolerance_columns, effect_columns], axis=1)
-            contact_matrix, contact_gradient = without_drift(self.residual, index - 1, all_columns)
+            contact_matrix, contact_gradient = equations_without_drift(self.residual, index - 1, all_columns)
             normal_matrix[:, tolerance_count:] += contact_matrix[:, tolerance_count:]
             gradient[tolerance_count:] += contact_gradient[tolerance_count:]
         normal_matrix[tolerance_count:, :tolerance_count] = normal_matrix[:tolerance_count, tolerance_count:].T
-        normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
+        normal_matrix, gradient = normal_matrix / oversampling, gradient / oversampling
         normal_matrix[:tolerance_count, :tolerance_count] = information.normal_matrix
         gradient[:tolerance_count] = information.right_side - information.normal_matrix @ pulls
-        expansion_point = np.append(pulls, parameter_values / steps)
+        expansion_point = np.append(pulls, parameter_values / step_sizes)
         return _information_at(information.tolerance_names, normal_matrix, gradient, expansion_point, self.cost)
 
 
 def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
     linearization, residual = fit_nuisance(record, rig)
-    nuisance_count, sample_ratio = len(linearization.columns.parameters), record.sample_ratio
-    names: list[Hashable] = [
+    nuisance_count, oversampling = len(linearization.columns.parameters), record.oversampling
+    tolerance_names: list[Hashable] = [
         (id(record), index) if parameter.kind == "initial state" else parameter
         for index, parameter in enumerate(linearization.columns.parameters)
     ]
-    for rig_contact, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True):
-        names += [(rig_contact.name, index) for index in range(contact.pulls.size)]
-    normal_matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
+    for rig_contact, contact_fit in zip(residual.model.rig.contacts, residual.contacts, strict=True):
+        tolerance_names += [(rig_contact.name, index) for index in range(contact_fit.pulls.size)]
+    normal_matrix, gradient = np.zeros((len(tolerance_names), len(tolerance_names))), np.zeros(len(tolerance_names))
     normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
-    gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
+    gradient[:nuisance_count] = linearization.columns.products_with(residual.linear_without_lines.ravel())
     columns_by_contact = []
     for contact_index in range(len(residual.contacts)):
-        columns = contact_columns(linearization, residual, contact_index, len(names))
-        contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
+        columns = contact_residual_columns(linearization, residual, contact_index, len(tolerance_names))
+        contact_matrix, contact_gradient = equations_without_drift(residual, contact_index, columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
         columns_by_contact.append(columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
-    normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
-    information = _information_at(tuple(names), normal_matrix, gradient, residual.pulls, cost)
+    normal_matrix, gradient = normal_matrix / oversampling, gradient / oversampling
+    information = _information_at(tuple(tolerance_names), normal_matrix, gradient, residual.pulls, cost)
     return LinearizedRecord(linearization, residual, information, tuple(columns_by_contact), cost)
 
 
 def _information_at(
     tolerance_names: tuple[Hashable, ...],
     normal_matrix: Float[np.ndarray, "unknowns unknowns"],
-    gradient: Float[np.ndarray, " unknowns"],
+    cost_gradient: Float[np.ndarray, " unknowns"],
     expansion_point: Float[np.ndarray, " unknowns"],
     cost_at_point: float,
 ) -> RecordInformation:
     """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
-    pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
-    constant_cost = cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + gradient))
+    pulls, right_side = expansion_point[: len(tolerance_names)], cost_gradient + normal_matrix @ expansion_point
+    constant_cost = cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + cost_gradient))
     return RecordInformation(tolerance_names, normal_matrix, right_side, constant_cost)
 
 
-def without_drift(
+def equations_without_drift(
     residual: Residual, contact_index: int, unknown_columns: Float[np.ndarray, "_ unknowns"]
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
-    contact = residual.contacts[contact_index]
-    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact.residual
-    if not contact.observation.drift_spline.knot_count:
+    contact_fit = residual.contacts[contact_index]
+    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact_fit.residual
+    if not contact_fit.observation.drift_spline.knot_count:
         return normal_matrix, gradient
-    solver, drift_columns = contact.drift_solver, contact.drift_columns
+    drift_solver, drift_columns = contact_fit.drift_solver, contact_fit.drift_columns
     coupling = drift_columns.T @ unknown_columns
-    normal_matrix = normal_matrix - coupling.T @ solver.solve(coupling)
-    return normal_matrix, gradient - coupling.T @ solver.solve(drift_columns.T @ contact.residual)
+    normal_matrix = normal_matrix - coupling.T @ drift_solver.solve(coupling)
+    return normal_matrix, gradient - coupling.T @ drift_solver.solve(drift_columns.T @ contact_fit.residual)
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ class PooledEstimate:
 
 
 def pooled(
-    records: Sequence[RecordInformation],
-    steps: Values,
+    information_by_record: Sequence[RecordInformation],
+    step_sizes: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
     differs_by_record: bool = False,
@@ -159,32 +159,32 @@ def pooled(
 
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
-    names = list(dict.fromkeys(name for record in records for name in record.tolerance_names))
-    tolerance_count, parameter_count = len(names), len(steps)
-    copies = len(records) if differs_by_record else 1
-    bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
-    prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], copies)
-    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, copies)])
+    names = list(dict.fromkeys(name for information in information_by_record for name in information.tolerance_names))
+    tolerance_count, parameter_count = len(names), len(step_sizes)
+    copy_count = len(information_by_record) if differs_by_record else 1
+    bounds_in_steps = np.sort(np.stack(bounds) / step_sizes, axis=0)
+    prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], copy_count)
+    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / step_sizes, copy_count)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
-    for record_index, record in enumerate(records):
+    for record_index, information in enumerate(information_by_record):
         first = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
-        indices = [*(names.index(name) for name in record.tolerance_names), *range(first, first + parameter_count)]
-        normal_matrix[np.ix_(indices, indices)] += record.normal_matrix
-        right_side[indices] += record.right_side
+        indices = [*(names.index(name) for name in information.tolerance_names), *range(first, first + parameter_count)]
+        normal_matrix[np.ix_(indices, indices)] += information.normal_matrix
+        right_side[indices] += information.right_side
     lower_bounds, upper_bounds = (
-        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, copies)) - prior_means
+        np.append(np.full(tolerance_count, sign * PULL_LIMIT), np.tile(bound, copy_count)) - prior_means
         for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
     slope = right_side - normal_matrix @ prior_means
     unknowns = prior_means + bounded_minimum(normal_matrix, slope, lower_bounds, upper_bounds)
-    cost = sum(record.constant_cost for record in records) + float(
+    cost = sum(information.constant_cost for information in information_by_record) + float(
         unknowns @ normal_matrix @ unknowns - 2 * right_side @ unknowns + prior_means @ (prior_precisions * prior_means)
     )
-    tiled_steps = np.tile(steps, copies)
+    tiled_steps = np.tile(step_sizes, copy_count)
     covariance = np.linalg.inv(normal_matrix)[tolerance_count:, tolerance_count:] * np.outer(tiled_steps, tiled_steps)
     # the bounds of `bounded_minimum` have slack
-    values = np.clip(unknowns[tolerance_count:] * tiled_steps, *(np.tile(bound, copies) for bound in bounds))
+    values = np.clip(unknowns[tolerance_count:] * tiled_steps, *(np.tile(bound, copy_count) for bound in bounds))
     return PooledEstimate(values, covariance, cost)
 
 
@@ -199,7 +199,7 @@ def fitted_together(
     candidates = hypothesis.candidates
     if not candidates or any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         return hypothesis
-    rig, steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
+    rig, step_sizes, bounds = records[0].rig, step_sizes_of(candidates), parameters_of(candidates).bounds
     build_rig = partial(with_effects, rig, candidates)
 
     def pooled_about(values: Values) -> _PooledFit:
@@ -207,8 +207,8 @@ def fitted_together(
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
             record_fit = linearized_record(record, nominal_variances, build_rig(values))
             cost += record_fit.cost
-            information_by_record.append(record_fit.with_parameters(build_rig, values, steps, bounds[1]))
-        return _PooledFit(values, pooled(information_by_record, steps, bounds, values), cost)
+            information_by_record.append(record_fit.information_with(build_rig, values, step_sizes, bounds[1]))
+        return _PooledFit(values, pooled(information_by_record, step_sizes, bounds, values), cost)
 
     def refit(earlier: _PooledFit) -> _PooledFit:
         if earlier.has_settled:
@@ -220,7 +220,7 @@ def fitted_together(
         return earlier if later.cost > earlier.cost else later
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, max_rounds=POOLING_ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, max_rounds=MAX_POOLING_ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

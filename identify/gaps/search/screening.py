@@ -68,12 +68,12 @@ def score_screening(
     screened = []
     for candidate in candidates:
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
-        starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
-        screened.append(max(starts, key=attrgetter("cost_decrease")))
-    return _best_first(screened)
+        screened_starts = _screened_strengths(linearization, candidate_equations, candidate, peaks_hz)
+        screened.append(max(screened_starts, key=attrgetter("cost_decrease")))
+    return _by_cost_decrease(screened)
 
 
-def _best_first(screened: list[ScreenedCandidate]) -> list[ScreenedCandidate]:
+def _by_cost_decrease(screened: list[ScreenedCandidate]) -> list[ScreenedCandidate]:
     return sorted(screened, key=lambda start: -start.cost_decrease)
 
 
@@ -83,11 +83,11 @@ def peak_frequencies_hz(
     """Frequencies of the lines that stand out most in the linear and the contact residuals."""
     linear_residual, record = residual.linear_residual, linearization.record
     contact_rows = (contact.residual[None, : linear_residual.shape[1]] for contact in residual.contacts)
-    rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.rate_hz
-    return rate_hz * sharpest_frequencies(rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample)
+    residual_rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.residual_rate_hz
+    return rate_hz * sharpest_frequencies(residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample)
 
 
-def _strength_gains(
+def _screened_strengths(
     linearization: Linearization, equations: ReducedEquations, candidate: Candidate, peaks_hz: Sequence[float]
 ) -> list[ScreenedCandidate]:
     """Gains of the strengths at every start, within their bounds; none where the record shows no change."""
@@ -103,21 +103,21 @@ def _strength_gains(
     matrix, gradient, nuisance_count = normal_equations.matrix, normal_equations.gradient, len(equations.gradient)
     free = np.flatnonzero(np.abs(residual.nuisance_pulls) < PULL_LIMIT - 1e-6)
     nuisance_response = np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, nuisance_count:])
-    steps = candidate.step_sizes[strengths]
+    strength_steps = candidate.step_sizes[strengths]
     lower_bounds, upper_bounds = (bound[strengths] for bound in candidate.parameters.bounds)
     for start_index, start_values in enumerate(possible_starts):
-        first = start_index * len(strengths)
-        response = nuisance_response[:, first : first + len(strengths)]
-        columns = slice(nuisance_count + first, nuisance_count + first + len(strengths))
-        curvature = matrix[columns, columns] - matrix[columns][:, free] @ response
-        slope = gradient[columns] - response.T @ gradient[free]
-        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(matrix)[columns], 1.0)):
+        first_column = start_index * len(strengths)
+        response = nuisance_response[:, first_column : first_column + len(strengths)]
+        column_slice = slice(nuisance_count + first_column, nuisance_count + first_column + len(strengths))
+        curvature = matrix[column_slice, column_slice] - matrix[column_slice][:, free] @ response
+        slope = gradient[column_slice] - response.T @ gradient[free]
+        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(matrix)[column_slice], 1.0)):
             continue  # without influence, such as a force on a clamp
-        newton_strengths = start_values[strengths] + np.linalg.solve(curvature, slope) * steps
-        scaled_step = (np.clip(newton_strengths, lower_bounds, upper_bounds) - start_values[strengths]) / steps
+        newton_strengths = start_values[strengths] + np.linalg.solve(curvature, slope) * strength_steps
+        scaled_step = (np.clip(newton_strengths, lower_bounds, upper_bounds) - start_values[strengths]) / strength_steps
         gain = float(2 * slope @ scaled_step - scaled_step @ curvature @ scaled_step)
         best_values = start_values.copy()
-        best_values[strengths] = start_values[strengths] + scaled_step * steps
+        best_values[strengths] = start_values[strengths] + scaled_step * strength_steps
         screened.append(ScreenedCandidate(candidate, gain, best_values))
     return screened
 
@@ -153,7 +153,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         if trials:
             least_cost, grid_values = min(trials, key=itemgetter(0))
             screened.append(ScreenedCandidate(candidate, nominal_cost - least_cost, grid_values))
-    return _best_first(screened)
+    return _by_cost_decrease(screened)
 
 
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -177,7 +177,7 @@ def law_screening(
     screened = []
     for candidate in candidates:
         start_values = candidate.start_values()[0]
-        best = ScreenedCandidate(candidate, 0.0, start_values)
+        best_trial = ScreenedCandidate(candidate, 0.0, start_values)
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             values = np.append(strength, start_values[1:])
             with suppress(RigError):  # no such law
@@ -185,14 +185,14 @@ def law_screening(
                 trial_residual = residual_of(
                     linearization, rig, nuisance_pulls, contact_unknowns, reusable=law_free_residual
                 )
-                trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
-                best = max(best, trial, key=attrgetter("cost_decrease"))
-        screened.append(best)
-    return _best_first(screened)
+                screened_trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), values)
+                best_trial = max(best_trial, screened_trial, key=attrgetter("cost_decrease"))
+        screened.append(best_trial)
+    return _by_cost_decrease(screened)
 
 
 def _log_scatter(residual: Residual) -> float:
-    return float(sum(contact.residual.size * np.log(contact.cost) for contact in residual.contacts))
+    return float(sum(contact_fit.residual.size * np.log(contact_fit.cost) for contact_fit in residual.contacts))
 
 
 def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
@@ -203,16 +203,16 @@ def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " paramet
 
 
 def thinned_record(record: Record) -> Record:
-    """Record on every `LINE_STRIDE`-th line."""
-    lines = slice(1, None, LINE_STRIDE)
-    names = ["force_spectra", "acceleration_signals", "displacement_signals", "velocity_correction"]
-    names += ["noise_variance", "smoothed_power"]
+    """Record on every `LINE_STRIDE`-th line of its spectra."""
+    line_slice = slice(1, None, LINE_STRIDE)
+    field_names = ["force_spectra", "acceleration_signals", "displacement_signals", "velocity_correction"]
+    field_names += ["noise_variance", "smoothed_power"]
     return replace(
         record,
-        omega=record.omega[lines],
+        omega=record.omega[line_slice],
         responses_windowed=False,
-        base=record.base and record.base.thinned(lines),
-        **{name: getattr(record, name)[..., lines] for name in names},
+        base=record.base and record.base.thinned(line_slice),
+        **{name: getattr(record, name)[..., line_slice] for name in field_names},
     )
 
 
@@ -221,7 +221,7 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
     if not record.measured_modes:
         return []
     nominal_cost = float(np.sum(mode_mismatch(record, rig) ** 2))
-    return _best_first(
+    return _by_cost_decrease(
         [
             ScreenedCandidate(candidate, nominal_cost - least_cost, best_values)
             for candidate in candidates
@@ -234,11 +234,11 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
 def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
     """Deviation z of the measured modes from a rig's, whitened by their errors and the tolerances."""
     modes, tolerances = matched_modes(record.measured_modes, rig), record.tolerances
-    bodies, measured_modes = [mode.body_name for mode in modes], [mode.measured_mode for mode in modes]
+    body_names, measured_modes = [mode.body_name for mode in modes], [mode.measured_mode for mode in modes]
     stated = [tolerances.of_mode(mode.body_name, mode.mode_number) for mode in modes]
     frequency_variances = [m.frequency_error**2 + s.frequency**2 for m, s in zip(measured_modes, stated, strict=True)]
     damping_variances = [m.damping_error**2 + s.damping**2 for m, s in zip(measured_modes, stated, strict=True)]
-    is_same_body = np.equal.outer(bodies, bodies)
+    is_same_body = np.equal.outer(body_names, body_names)
     covariance = block_diag(
         np.diag(frequency_variances) + is_same_body * tolerances.frequency**2,
         np.diag(damping_variances) + is_same_body * tolerances.damping**2,
@@ -260,22 +260,22 @@ def _cost_minima(
 
     lower_bounds, upper_bounds = candidate.parameters.bounds
     ranges = upper_bounds - lower_bounds
-    best_of_places = []
+    best_by_place = []
     for place_values in candidate.start_values():
-        trials = []
+        strength_trials = []
         for strength in candidate.trial_strengths(STRENGTH_MULTIPLES):
             values = np.append(strength, place_values[1:])
             with suppress(RigError):
-                trials.append((float(np.sum(mismatch_at(values) ** 2)), values))
-        best_of_places += [min(trials, key=itemgetter(0))] if trials else []
+                strength_trials.append((float(np.sum(mismatch_at(values) ** 2)), values))
+        best_by_place += [min(strength_trials, key=itemgetter(0))] if strength_trials else []
     minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
     options = {"method": "dogbox", "diff_step": RELATIVE_STEP, "x_scale": ranges, "max_nfev": MAX_EVALUATIONS}
-    for cost, values in sorted(best_of_places, key=itemgetter(0))[:FOLLOWED_PLACES]:
+    for cost, values in sorted(best_by_place, key=itemgetter(0))[:FOLLOWED_PLACES]:
         minimum = cost, values
         with suppress(RigError, ValueError):
             start_values = np.clip(values, lower_bounds, upper_bounds)
             solution = least_squares(mismatch_at, start_values, bounds=(lower_bounds, upper_bounds), **options)
             minimum = 2 * float(solution.cost), solution.x
-        if all(np.any(np.abs(minimum[1] - known) > DISTINCT_SHARE * ranges) for _, known in minima):
+        if all(np.any(np.abs(minimum[1] - found_values) > DISTINCT_SHARE * ranges) for _, found_values in minima):
             minima.append(minimum)
     return minima

@@ -50,9 +50,9 @@ class _BestFits:
             del self.by_name[dropped_name]
 
 
-def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
+def single_effect_fits(search: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
     """Refined fits of single effects, the likeliest first."""
-    linearization, residual = search.linearization, reset_saturated_nuisance(search.residual)
+    linearization, residual = search.linearization, reset_saturated_nuisance(search.nominal_residual)
     law_free_residual = residual_of(linearization, linearization.rig, residual.nuisance_pulls)
     time_fitted = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
     law_effects = law_candidates(linearization.rig, time_fitted)
@@ -64,7 +64,7 @@ def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[Fitted
     ):
         best_fits.keep_if_better(single_fit)
     refined_fits = _refined_all(search, _rival_fits(best_fits.by_name.values(), nominal_fit))
-    if not min(refined_fits, key=attrgetter("cost"), default=nominal_fit).hypothesis.tolerance_at_limit:
+    if not min(refined_fits, key=attrgetter("cost"), default=nominal_fit).hypothesis.has_tolerance_at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
     for single_fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
@@ -129,11 +129,11 @@ def _typical_fits(
 
 
 def _worth_fitting(
-    linearization: Linearization, ranked: Sequence[ScreenedCandidate], fit_count: int
+    linearization: Linearization, ranked_candidates: Sequence[ScreenedCandidate], fit_count: int
 ) -> list[ScreenedCandidate]:
     """Best candidates of a screening, as far as they gain enough for a fit."""
-    least_gain = MIN_GAIN * linearization.record.sample_ratio
-    return [screened for screened in ranked[:fit_count] if screened.cost_decrease > least_gain]
+    least_gain = MIN_GAIN * linearization.record.oversampling
+    return [screened for screened in ranked_candidates[:fit_count] if screened.cost_decrease > least_gain]
 
 
 def _score_screened(
@@ -149,12 +149,12 @@ def _score_screened(
     hide its gain.
     """
     screened = score_screening(linearization, residual, candidates)
-    tones = [start for start in screened if start.candidate.kind.grid_screened]
-    others = [start for start in screened if not start.candidate.kind.grid_screened]
-    promising = _worth_fitting(linearization, others, fit_count)
+    tone_candidates = [start for start in screened if start.candidate.kind.grid_screened]
+    other_candidates = [start for start in screened if not start.candidate.kind.grid_screened]
+    promising = _worth_fitting(linearization, other_candidates, fit_count)
     if not promising and nominal_fit.hypothesis.is_incomplete:
-        promising = others[:1]
-    return promising + (tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
+        promising = other_candidates[:1]
+    return promising + (tone_candidates if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 
 
 def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:

@@ -1,8 +1,8 @@
 """Search for any number of effects: joint sparse selection in the local model, refined by fits of the set.
 
 Notes for maintainers
-1. Select (`selected`): from the local model about the fitted rig, candidates enter one at a time, the six that promise
-   most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
+1. Select (`best_selection`): from the local model about the fitted rig, candidates enter one at a time, the six that
+   promise most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
    candidate may stand at two places of a body (two cables are two masses).
 2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
    selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing is selected,
@@ -36,41 +36,41 @@ from identify.gaps.search.hypothesis import (
     FittedHypothesis,
     Hypothesis,
     Search,
-    combined,
+    combined_hypothesis,
     fit_briefly,
     refined,
     reset_saturated_nuisance,
 )
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
-from identify.gaps.search.singles import single_effects
+from identify.gaps.search.singles import single_effect_fits
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 
-SOLVED_CANDIDATES = 6
+SOLVED_CANDIDATE_COUNT = 6
 """Candidates solved for each entry, those that promise most. Effort."""
-PLACES_PER_CANDIDATE = 2
+MAX_PLACES_PER_CANDIDATE = 2
 """Places of one candidate among these at most. Effort."""
-LARGEST_SET = 8
+MAX_SET_SIZE = 8
 """Effects of a set at most. Set by hand."""
 MAX_EQUAL_EFFECTS = 2
 """Effects of one kind on one body at most. Set by hand."""
-SELECTION_ROUNDS = 4
+MAX_SELECTION_ROUNDS = 4
 """Refinements at most. Effort."""
 MIN_REFINED_GAIN = 3.0
 """Decrease of S below which a refined set is dropped: odds of e^(3/12) on this record. Set by hand."""
 HINT_GAIN, MAX_HINTS = MIN_GAIN / 3, 3
 """Gain in the local model from which a candidate is fitted if none gains `MIN_GAIN`; number at most. Set by hand: a
 third of `MIN_GAIN`."""
-DOMINANT_SHARE = 0.5
+DOMINANT_MISFIT_SHARE = 0.5
 """Share of the mismatch above which a set is compared with one that starts from a single effect. Derived: more is left
 than removed."""
 
-DOUBTFUL_SIZE = 3
+DOUBTFUL_SET_SIZE = 3
 """Number of effects in a set from which single effects are compared with it. Set by hand: a supported beam that was
 10 % softer was taken for two masses, a gain and a base motion."""
 
 Progress = Callable[[float], None]
-Values = Float[np.ndarray, " _"]
+EffectValues = Float[np.ndarray, " _"]
 """Parameters of one effect, whose number differs among effects."""
 
 
@@ -79,8 +79,8 @@ class Selection:
     """Candidates chosen in a local model with the values of their parameters; hint_candidates gain too little."""
 
     candidates: tuple[Candidate, ...]
-    values_by_candidate: tuple[Values, ...]
-    hint_candidates: tuple[tuple[Candidate, Values], ...] = ()
+    values_by_candidate: tuple[EffectValues, ...]
+    hint_candidates: tuple[tuple[Candidate, EffectValues], ...] = ()
 
 
 def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
@@ -106,7 +106,7 @@ def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothes
         start_set,
         lambda fitted: refined_set(search, fitted),
         lambda before, after: before is after,
-        max_rounds=SELECTION_ROUNDS,
+        max_rounds=MAX_SELECTION_ROUNDS,
     )
 
 
@@ -122,17 +122,17 @@ def _with_single_effects(
     if search.linearization.record.measured_modes:
         is_doubtful = best_set.hypothesis.is_incomplete
     else:
-        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess_cost)
+        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_MISFIT_SHARE * nominal_misfit.excess_cost)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
-        is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SIZE
-    start_fits = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []
+        is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SET_SIZE
+    start_fits = [*single_effect_fits(search, nominal_fit), *far_fits(search)] if is_doubtful else []
     if not start_fits:
         return best_set, []
     likeliest = min(start_fits, key=attrgetter("cost"))
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
-    continued = _base_motion_with_set if is_stochastic(likeliest.hypothesis) else _refined_from
-    return continued(search, likeliest), []
+    continue_fit = _base_motion_with_set if is_stochastic(likeliest.hypothesis) else _refined_from
+    return continue_fit(search, likeliest), []
 
 
 def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
@@ -142,15 +142,15 @@ def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> Fitt
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
-    return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
+    return FittedHypothesis(combined_hypothesis(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
 def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Set fitted together with what the local model selects beside it; the set itself where that gains too little."""
     if not best_set.hypothesis.is_incomplete:
         return best_set
-    linearization, residual, model = _local_model_of(search, best_set)
-    selection = selected(model, best_set.hypothesis)
+    linearization, residual, model = _linearized_local_model(search, best_set)
+    selection = best_selection(model, best_set.hypothesis)
     del model  # it is large, and so are the fits
     hint_additions = [((candidate,), (values,)) for candidate, values in selection.hint_candidates]
     additions = [(selection.candidates, selection.values_by_candidate)] if selection.candidates else hint_additions
@@ -163,39 +163,39 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     return refined_fit if best_set.cost - refined_fit.cost > min_gain else best_set
 
 
-def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
+def _linearized_local_model(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
     nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     rig = present_set.applied_to(nominal_rig)
     linearization, residual = linearized_about(set_fit, rig)
-    further = [
+    further_candidates = [
         candidate
         for candidate in search.candidates
         if not (candidate.kind.stochastic or candidate.kind.grid_screened) and is_possible(candidate, rig)
     ]
-    model = local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further)
+    model = local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further_candidates)
     return linearization, residual, model
 
 
 def _brief_fit_with(
     search: Search,
-    present: Hypothesis,
+    present_set: Hypothesis,
     candidates: tuple[Candidate, ...],
-    values: tuple[Values, ...],
+    values: tuple[EffectValues, ...],
     residual: Residual,
     linearization: Linearization,
 ) -> FittedHypothesis | None:
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
     values_by_member = list(
-        zip((*present.candidates, *candidates), (*present.values_by_candidate(), *values), strict=True)
+        zip((*present_set.candidates, *candidates), (*present_set.values_by_candidate(), *values), strict=True)
     )
-    kept = [
+    kept_members = [
         (member, member_values)
         for member, member_values in values_by_member
-        if not any(contains(other, member) for other, _ in values_by_member)
+        if not any(contains(container, member) for container, _ in values_by_member)
     ]
-    members, start_values = zip(*kept, strict=True)
+    members, start_values = zip(*kept_members, strict=True)
     try:
         return fit_briefly(
             search, members, np.concatenate(start_values), reset_saturated_nuisance(residual), linearization
@@ -204,39 +204,39 @@ def _brief_fit_with(
         return None
 
 
-def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
+def best_selection(model: LocalModel, present_set: Hypothesis) -> Selection:
     """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
     chosen_terms: list[CandidateTerm] = []
     solution = model.minimum(chosen_terms)
-    hint_candidates: tuple[tuple[Candidate, Values], ...] = ()
-    while len(present_set.candidates) + len(chosen_terms) < LARGEST_SET:
+    hint_candidates: tuple[tuple[Candidate, EffectValues], ...] = ()
+    while len(present_set.candidates) + len(chosen_terms) < MAX_SET_SIZE:
         promising_terms = _promising_terms(model, chosen_terms, present_set, solution)
         trials = [(model.minimum([*chosen_terms, term], solution.theta), term) for term in promising_terms]
         if not trials:
             break
         best_solution, term = min(trials, key=lambda pair: pair[0].statistic)
         if solution.statistic - best_solution.statistic < MIN_GAIN:
-            hint_candidates = _hint_values(trials, solution)
+            hint_candidates = _hint_candidates(trials, solution)
             break
         is_dominant = solution.statistic - best_solution.statistic > MAX_EXCESS_COST
-        chosen_terms, solution = _without_superfluous(model, [*chosen_terms, term], best_solution)
+        chosen_terms, solution = _without_superfluous_terms(model, [*chosen_terms, term], best_solution)
         if is_dominant:  # the local model does not hold that far: fit first, then select further
             break
     return Selection(
         tuple(term.candidate for term in chosen_terms),
-        tuple(term.values(solution.theta) for term in chosen_terms),
+        tuple(term.values_at(solution.theta) for term in chosen_terms),
         hint_candidates,
     )
 
 
-def _hint_values(
+def _hint_candidates(
     trials: Sequence[tuple[Solution, CandidateTerm]], current_solution: Solution
-) -> tuple[tuple[Candidate, Values], ...]:
+) -> tuple[tuple[Candidate, EffectValues], ...]:
     """Best candidates that gain `HINT_GAIN`, each at one place."""
-    ranked = sorted(trials, key=lambda pair: pair[0].statistic)
+    ranked_trials = sorted(trials, key=lambda pair: pair[0].statistic)
     values_by_hint = {
-        term.candidate.name: (term.candidate, term.values(solution.theta))
-        for solution, term in reversed(ranked)
+        term.candidate.name: (term.candidate, term.values_at(solution.theta))
+        for solution, term in reversed(ranked_trials)
         if current_solution.statistic - solution.statistic > HINT_GAIN
     }
     return tuple(reversed(values_by_hint.values()))[:MAX_HINTS]
@@ -245,25 +245,25 @@ def _hint_values(
 def _promising_terms(
     model: LocalModel, chosen_terms: Sequence[CandidateTerm], present_set: Hypothesis, solution: Solution
 ) -> list[CandidateTerm]:
-    """Terms that promise most: of each candidate at most `PLACES_PER_CANDIDATE`, and none too often in the set."""
+    """Terms that promise most: of each candidate at most `MAX_PLACES_PER_CANDIDATE`, and none too often in the set."""
     selected_candidates = [*present_set.candidates, *(term.candidate for term in chosen_terms)]
     promised_decreases = model.promised_decreases(chosen_terms, solution)
     promising: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
-        if len(promising) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
+        if len(promising) == SOLVED_CANDIDATE_COUNT or promised_decreases[term_index] <= 0:
             break
         term = model.candidate_terms[term_index]
         candidate = term.candidate
         equal_count = sum(member.name == candidate.name for member in selected_candidates)
         max_equal_count = MAX_EQUAL_EFFECTS if len(candidate.parameters) > len(term.strength_indices) else 1
-        place_count = sum(other.candidate is candidate for other in promising)
+        place_count = sum(chosen_term.candidate is candidate for chosen_term in promising)
         is_contained = any(contains(member, candidate) for member in selected_candidates)
-        if not is_contained and equal_count < max_equal_count and place_count < PLACES_PER_CANDIDATE:
+        if not is_contained and equal_count < max_equal_count and place_count < MAX_PLACES_PER_CANDIDATE:
             promising.append(term)
     return promising
 
 
-def _without_superfluous(
+def _without_superfluous_terms(
     model: LocalModel, chosen_terms: list[CandidateTerm], solution: Solution
 ) -> tuple[list[CandidateTerm], Solution]:
     """Set without the members that the others have made superfluous, and its solution."""
@@ -284,21 +284,21 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     candidates = best_set.hypothesis.candidates
     if not candidates or is_stochastic(best_set.hypothesis):
         return best_set, []
-    members = range(len(candidates))
+    member_indices = range(len(candidates))
     costs_without_member: list[float] = []
     variants: list[Hypothesis] = []
-    for member in members:
-        reduced_fit = _subset_fit(search, best_set, [index for index in members if index != member])
+    for member_index in member_indices:
+        reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
         costs_without_member.append(reduced_fit.cost)
         variants.append(reduced_fit.hypothesis)
-        if (look_alike := _look_alike_fit(search, reduced_fit, candidates[member], best_set)) is not None:
-            variants.append(look_alike.hypothesis)
-    by_importance = np.argsort(costs_without_member)  # the least important first
+        if (look_alike_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
+            variants.append(look_alike_fit.hypothesis)
+    indices_by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
-        retained = sorted(by_importance[dropped_count:].tolist())
-        variants.append(_subset_fit(search, best_set, retained).hypothesis)
+        retained_indices = sorted(indices_by_importance[dropped_count:].tolist())
+        variants.append(_subset_fit(search, best_set, retained_indices).hypothesis)
     return best_set, variants
 
 
@@ -306,30 +306,30 @@ def _look_alike_fit(
     search: Search, reduced_fit: FittedHypothesis, member: Candidate, best_set: FittedHypothesis
 ) -> FittedHypothesis | None:
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
-    linearization, residual, model = _local_model_of(search, reduced_fit)
-    without_member = model.minimum([])
-    terms = _promising_terms(model, [], reduced_fit.hypothesis, without_member)
+    linearization, residual, model = _linearized_local_model(search, reduced_fit)
+    solution_without = model.minimum([])
+    terms = _promising_terms(model, [], reduced_fit.hypothesis, solution_without)
     trials = [
-        (model.minimum([term], without_member.theta), term) for term in terms if term.candidate.name != member.name
+        (model.minimum([term], solution_without.theta), term) for term in terms if term.candidate.name != member.name
     ]
     if not trials:
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)
     del model
-    term_values = (term.values(solution.theta),)
+    term_values = (term.values_at(solution.theta),)
     brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), term_values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:
         return None
     return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best_set: FittedHypothesis, indices: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
-    if not indices:
+    if not member_indices:
         return search.nominal_fit()
     candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    members = tuple(candidates[index] for index in indices)
-    start_values = np.concatenate([values[index] for index in indices])
+    members = tuple(candidates[index] for index in member_indices)
+    start_values = np.concatenate([values[index] for index in member_indices])
     start_residual = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(search, members, start_values, start_residual, best_set.linearization)
     return refined(search, brief_fit, best_set.cost)

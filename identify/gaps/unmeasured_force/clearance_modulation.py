@@ -18,13 +18,13 @@ from rig.model.unmeasured_force import UnmeasuredForce
 
 LOWEST_MODULATION_HZ = 0.2
 """Lowest frequency of a harmonic change of the clearance. Set by hand."""
-PRESSED_SHARE = 0.5
+PRESSED_STIFFNESS_SHARE = 0.5
 """A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest. Set by
 hand."""
-NAMED_SHARE = 0.3
+MIN_NAMED_SHARE = 0.3
 """Share of the variance of the clearance from which a harmonic change is named; chance makes a hundredth. Set by
 hand."""
-FEWEST_SAMPLES = 50
+MIN_PRESSED_SAMPLE_COUNT = 50
 """Count of pressed samples below which a contact is not analysed. Set by hand."""
 
 
@@ -58,32 +58,32 @@ class ClearanceModulation:
 
 
 def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulation | None:
-    """Modulation with the largest share among the contacts; None if none reaches `NAMED_SHARE`."""
+    """Modulation with the largest share among the contacts; None if none reaches `MIN_NAMED_SHARE`."""
     modulations = [
         _contact_modulation(record, contact.name, contact_residual)
         for contact, contact_residual in zip(residual.model.rig.contacts, residual.contacts, strict=True)
     ]
-    nameable = [modulation for modulation in modulations if modulation and modulation.variance_share > NAMED_SHARE]
+    nameable = [modulation for modulation in modulations if modulation and modulation.variance_share > MIN_NAMED_SHARE]
     return max(nameable, key=lambda modulation: modulation.variance_share, default=None)
 
 
-def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
+def _contact_modulation(record: Record, contact_name: str, contact: ContactResidual) -> ClearanceModulation | None:
     """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
-    weights = contact.observation.weights
+    weights = contact.observation.force_weights
     tangent_n_per_m, signed_slope_n_per_m, *_ = contact.slopes.sum(axis=1)
-    is_pressed = (weights > 0) & (tangent_n_per_m > PRESSED_SHARE * max(float(tangent_n_per_m.max()), 1e-300))
-    if np.count_nonzero(is_pressed) < FEWEST_SAMPLES:
+    is_pressed = (weights > 0) & (tangent_n_per_m > PRESSED_STIFFNESS_SHARE * max(float(tangent_n_per_m.max()), 1e-300))
+    if np.count_nonzero(is_pressed) < MIN_PRESSED_SAMPLE_COUNT:
         return None
     times_s = record.residual_times_s[is_pressed]
-    force_n = contact.residual[: weights.size][is_pressed] / weights[is_pressed]
-    change_m = -force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
+    residual_force_n = contact.residual[: weights.size][is_pressed] / weights[is_pressed]
+    clearance_change_m = -residual_force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
     resolution_hz = 1 / (times_s[-1] - times_s[0])
-    lines_hz, shares = _periodogram(change_m, is_pressed, record.rate_hz)
-    trial_hz = lines_hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
+    lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.residual_rate_hz)
+    trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
     share, amplitude_m, frequency_hz = max(
-        _fitted_harmonic(times_s, change_m, frequency_hz) for frequency_hz in trial_hz if frequency_hz > 0
+        _fitted_harmonic(times_s, clearance_change_m, frequency_hz) for frequency_hz in trial_hz if frequency_hz > 0
     )
-    return ClearanceModulation(name, amplitude_m, frequency_hz, share)
+    return ClearanceModulation(contact_name, amplitude_m, frequency_hz, share)
 
 
 def _periodogram(
@@ -98,26 +98,26 @@ def _periodogram(
     """
     centred_m = np.zeros(is_pressed.size)
     centred_m[is_pressed] = clearance_change_m - clearance_change_m.mean()
-    padded_samples = next_fast_len(3 * is_pressed.size, real=True)
-    mask_spectrum = rfft(is_pressed.astype(float), padded_samples)
-    lines = np.arange(int(np.ceil(LOWEST_MODULATION_HZ * padded_samples / rate_hz)), padded_samples // 4)
-    change_at_lines, mask_at_double = rfft(centred_m, padded_samples)[lines], mask_spectrum[2 * lines]
+    padded_sample_count = next_fast_len(3 * is_pressed.size, real=True)
+    mask_spectrum = rfft(is_pressed.astype(float), padded_sample_count)
+    lines = np.arange(int(np.ceil(LOWEST_MODULATION_HZ * padded_sample_count / rate_hz)), padded_sample_count // 4)
+    change_spectrum, mask_at_double_lines = rfft(centred_m, padded_sample_count)[lines], mask_spectrum[2 * lines]
     pressed_count = float(mask_spectrum[0].real)
     harmonic_squares = (
         2
-        * (pressed_count * np.abs(change_at_lines) ** 2 - (mask_at_double * change_at_lines.conj() ** 2).real)
-        / (pressed_count**2 - np.abs(mask_at_double) ** 2)
+        * (pressed_count * np.abs(change_spectrum) ** 2 - (mask_at_double_lines * change_spectrum.conj() ** 2).real)
+        / (pressed_count**2 - np.abs(mask_at_double_lines) ** 2)
     )
-    return lines * rate_hz / padded_samples, harmonic_squares / max(float(centred_m @ centred_m), 1e-300)
+    return lines * rate_hz / padded_sample_count, harmonic_squares / max(float(centred_m @ centred_m), 1e-300)
 
 
 def _fitted_harmonic(
-    times_s: Float[np.ndarray, " times"], change_m: Float[np.ndarray, " times"], frequency_hz: float
+    times_s: Float[np.ndarray, " times"], clearance_change_m: Float[np.ndarray, " times"], frequency_hz: float
 ) -> tuple[float, float, float]:
     """Share of the variance, amplitude and frequency of a harmonic, fitted by least squares with a mean."""
     phase_rad = 2 * np.pi * frequency_hz * times_s
-    columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
-    coefficients = np.linalg.lstsq(columns, change_m, rcond=None)[0]
-    residual_variance = float(np.var(change_m - columns @ coefficients))
-    variance_share = 1 - residual_variance / max(float(np.var(change_m)), 1e-300)
+    harmonic_columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
+    coefficients = np.linalg.lstsq(harmonic_columns, clearance_change_m, rcond=None)[0]
+    residual_variance = float(np.var(clearance_change_m - harmonic_columns @ coefficients))
+    variance_share = 1 - residual_variance / max(float(np.var(clearance_change_m)), 1e-300)
     return variance_share, float(np.hypot(*coefficients[1:])), float(frequency_hz)

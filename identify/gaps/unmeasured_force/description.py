@@ -11,7 +11,7 @@ from identify.gaps.unmeasured_force.force import UnmeasuredForceFit
 from identify.gaps.unmeasured_force.force_laws import ForceLaw
 from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
 from identify.gaps.unmeasured_force.location import LocatedForce
-from identify.gaps.unmeasured_force.time_history import OVERSAMPLING, ForceHistory, explained_share, force_history
+from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceHistory, explained_share, force_history
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
 from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
@@ -29,14 +29,14 @@ GROWTH_RATIO = 1.5
 """Ratio of the last to the first interval of the time above which a force grows. Set by hand."""
 MOSTLY_CLOSED_SHARE = 0.7
 """Share of the time above which a contact is nearly always closed. Set by hand."""
-RANDOM_RATIO = 0.5
+RANDOM_RMS_RATIO = 0.5
 """Rms before the excitation over that after its start, above which a force without a law is called random. Set by
 hand."""
 
 
-def described(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
+def described_force(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of the force by its fit record; the explained share is that of the validation record."""
-    place = force_fit.on_fit.force_place
+    place = force_fit.on_fit_record.force_place
     if place.stations:
         return _force_description(force_fit)
     return _sensor_description(force_fit) if place.kind == "sensor" else _drift_description(force_fit)
@@ -44,24 +44,24 @@ def described(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 
 def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a force at one station, or of a pair at two."""
-    located, place = force_fit.on_fit, force_fit.on_fit.force_place
+    located, place = force_fit.on_fit_record, force_fit.on_fit_record.force_place
     history, size = force_history(located), _force_size(located)
     law = shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located) > LAW_SEARCH_SHARE else None
     tone = law if law and law.form.is_tone else None
-    timing = _time_pattern(history)
-    station, opposite = place.stations[0], place.stations[1] if len(place.stations) > 1 else None
+    timing = _force_timing(history)
+    station, opposite_station = place.stations[0], place.stations[1] if len(place.stations) > 1 else None
     near_text = f"the {station.body} near {station.position_m:.2f} m"
     place_text = f"on {near_text}"
-    if opposite:
-        place_text = f"between {near_text} and the {opposite.body} near {opposite.position_m:.2f} m"
+    if opposite_station:
+        place_text = f"between {near_text} and the {opposite_station.body} near {opposite_station.position_m:.2f} m"
     return UnmeasuredForce(
         sentence=_sentence(law, size, timing, place_text),
         kind=place.kind,
         body=station.body,
         position_m=station.position_m,
         position_error_m=located.position_error_m,
-        against_body=opposite.body if opposite else None,
-        against_position_m=opposite.position_m if opposite else None,
+        against_body=opposite_station.body if opposite_station else None,
+        against_position_m=opposite_station.position_m if opposite_station else None,
         same_place=force_fit.same_place,
         frequency_hz=tone.parameter_value if tone else None,
         band_hz=size.band_hz,
@@ -83,7 +83,7 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 
 def _sensor_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a sensor's signal of its own, with the spectrum in (m/s^2)^2/Hz."""
-    size, sensor_name = _force_size(force_fit.on_fit), force_fit.on_fit.force_place.sensor_name
+    size, sensor_name = _force_size(force_fit.on_fit_record), force_fit.on_fit_record.force_place.sensor_name
     return UnmeasuredForce(
         sentence=f"a fault of sensor {sensor_name}: its signal does not follow the motion",
         kind="sensor",
@@ -99,14 +99,14 @@ def _sensor_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 
 def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a modulus that changes over the record."""
-    size, located = _force_size(force_fit.on_fit), force_fit.on_fit
+    size, located = _force_size(force_fit.on_fit_record), force_fit.on_fit_record
     growth_and_errors = zip(
         located.force_place.body_names, located.modulus_growth, located.modulus_growth_errors, strict=True
     )
     growth = {body: Value(change, error, "1") for body, change, error in growth_and_errors}
-    changes = " and ".join(f"that of the {body} by {100 * change.value:+.2g} %" for body, change in growth.items())
+    change_words = " and ".join(f"that of the {body} by {100 * change.value:+.2g} %" for body, change in growth.items())
     return UnmeasuredForce(
-        sentence=f"a stiffness that changes over the record: {changes}",
+        sentence=f"a stiffness that changes over the record: {change_words}",
         kind="distributed",
         growth=growth,
         same_place=force_fit.same_place,
@@ -131,17 +131,17 @@ class _ForceSize:
 
 def _force_size(located: LocatedForce) -> _ForceSize:
     whitened, record = located.whitened_record, located.whitened_record.record
-    density = (
+    spectral_density = (
         2
         * located.with_force.force_spectrum
         * 2
         / (whitened.reals_per_line * record.transform_length * record.sample_rate_hz)
     )
-    band_power = density * whitened.band_sizes
-    band_numbers = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_WIDTH_HZ))
+    band_power = spectral_density * whitened.band_line_counts
+    band_numbers = np.floor(whitened.line_omegas[whitened.band_first_lines] / (2 * np.pi * BAND_WIDTH_HZ))
     return _ForceSize(
         spectrum_hz=tuple(((band_numbers + 0.5) * BAND_WIDTH_HZ).tolist()),
-        spectral_density=tuple(density.tolist()),
+        spectral_density=tuple(spectral_density.tolist()),
         rms_value=float(np.sqrt(np.sum(band_power) * record.sample_rate_hz / record.transform_length)),
         band_hz=_power_band_hz(whitened, band_power),
     )
@@ -154,7 +154,7 @@ def _power_band_hz(whitened: WhitenedRecord, band_power: Float[np.ndarray, " ban
         return float(omegas[0] / (2 * np.pi)), float(omegas[-1] / (2 * np.pi))
     cumulative_power = np.cumsum(band_power) / max(float(np.sum(band_power)), 1e-300)
     low_band, high_band = np.searchsorted(cumulative_power, [(1 - BAND_POWER_SHARE) / 2, (1 + BAND_POWER_SHARE) / 2])
-    edge_lines = np.append(whitened.band_starts, omegas.size)
+    edge_lines = np.append(whitened.band_first_lines, omegas.size)
     low_omega = omegas[edge_lines[min(low_band, last_band)]]
     high_omega = omegas[edge_lines[min(high_band, last_band) + 1] - 1]
     return float(low_omega / (2 * np.pi)), float(high_omega / (2 * np.pi))
@@ -183,36 +183,37 @@ class _ForceTiming:
         return "always"
 
 
-def _time_pattern(history: ForceHistory) -> _ForceTiming:
+def _force_timing(history: ForceHistory) -> _ForceTiming:
     whitened = history.located_force.whitened_record
     record, model = whitened.record, whitened.model
-    squares = history.force_n[record.counted_slice] ** 2
+    force_squares = history.free_force_n[record.counted_slice] ** 2
     is_excited = record.residual_times_s > record.excitation_start_s
-    is_any_closed = np.zeros(squares.size, dtype=bool)
-    for contact_n, error_n in zip(record.in_time(model.contact_n), model.contact_force_error_n(record), strict=True):
-        is_any_closed |= is_closed(contact_n, error_n)
-    closed_share = float(squares[is_any_closed].sum() / max(float(squares.sum()), 1e-300))
-    before_ratio = 0.0
-    if np.mean(~is_excited) * squares.size >= QUIET_S * record.rate_hz:
-        excited_square = max(float(np.mean(squares[is_excited])), 1e-300)
-        before_ratio = float(np.sqrt(np.mean(squares[~is_excited]) / excited_square))
-    intervals = np.array_split(squares[is_excited], TIME_INTERVALS)
+    is_any_closed = np.zeros(force_squares.size, dtype=bool)
+    contact_forces_n = record.in_time(model.contact_force_n)
+    for force_n, error_n in zip(contact_forces_n, model.contact_force_error_n(record), strict=True):
+        is_any_closed |= is_closed(force_n, error_n)
+    closed_share = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
+    before_excitation_ratio = 0.0
+    if np.mean(~is_excited) * force_squares.size >= QUIET_S * record.residual_rate_hz:
+        excited_square = max(float(np.mean(force_squares[is_excited])), 1e-300)
+        before_excitation_ratio = float(np.sqrt(np.mean(force_squares[~is_excited]) / excited_square))
+    intervals = np.array_split(force_squares[is_excited], TIME_INTERVALS)
     return _ForceTiming(
         in_contact_share=closed_share if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
         rms_by_interval=tuple(float(np.sqrt(np.mean(interval))) for interval in intervals),
-        before_excitation_ratio=before_ratio,
+        before_excitation_ratio=before_excitation_ratio,
     )
 
 
 def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
     """Mean of the force against the motion (N) in cells of displacement (m) and velocity (m/s), where ungated."""
     is_ungated = history.time_gate == 1
-    displacement_m = history.displacement_m[::OVERSAMPLING][is_ungated]
-    velocity_m_per_s = history.velocity_m_per_s[::OVERSAMPLING][is_ungated]
-    force_n = -history.force_n[is_ungated]
+    displacement_m = history.displacement_m[::LAW_OVERSAMPLING][is_ungated]
+    velocity_m_per_s = history.velocity_m_per_s[::LAW_OVERSAMPLING][is_ungated]
+    force_n = -history.free_force_n[is_ungated]
     sums, edges_m, edges_m_per_s = np.histogram2d(displacement_m, velocity_m_per_s, bins=MOTION_CELLS, weights=force_n)
-    counts = np.histogram2d(displacement_m, velocity_m_per_s, bins=(edges_m, edges_m_per_s))[0]
-    mean_forces_n = (sums / np.maximum(counts, 1)).tolist()
+    sample_counts = np.histogram2d(displacement_m, velocity_m_per_s, bins=(edges_m, edges_m_per_s))[0]
+    mean_forces_n = (sums / np.maximum(sample_counts, 1)).tolist()
     return MeanForce(tuple(edges_m.tolist()), tuple(edges_m_per_s.tolist()), tuple(map(tuple, mean_forces_n)))
 
 
@@ -229,7 +230,7 @@ def _sentence(law: ForceLaw | None, size: _ForceSize, timing: _ForceTiming, plac
             "in contact": ", while contacts are closed",
             "growing with time": ", growing with time",
         }
-        is_random = timing.before_excitation_ratio > RANDOM_RATIO
+        is_random = timing.before_excitation_ratio > RANDOM_RMS_RATIO
         noun = "a random force" if is_random else "a force that follows no law tried,"
         return (
             f"{noun} from {low_hz:.3g} to {high_hz:.3g} Hz, {size.rms_value:.2g} N rms, "

@@ -21,22 +21,22 @@ SAME_PLACE_M = 0.05
 class UnmeasuredForceFit:
     """One unmeasured force on two records.
 
-    on_fit is the best candidate of the fit record, on_validation that of the validation record alone, and
+    on_fit_record is the best candidate of the fit record, on_validation_record that of the validation record alone, and
     at_fit_place the validation record with the place and the spectrum's shape of the fit record.
     """
 
-    on_fit: LocatedForce
-    on_validation: LocatedForce
+    on_fit_record: LocatedForce
+    on_validation_record: LocatedForce
     at_fit_place: LocatedForce
 
     @property
     def same_place(self) -> bool:
-        return same_place(self.on_fit, self.on_validation)
+        return same_place(self.on_fit_record, self.on_validation_record)
 
     @property
-    def free_directions(self) -> int:
+    def free_direction_count(self) -> int:
         """Count of the residual's directions, of all rows at the fit place, that are free to follow the force."""
-        return 0 if self.on_fit.force_place.kind == "distributed" else 1
+        return 0 if self.on_fit_record.force_place.kind == "distributed" else 1
 
     def sensor_signals(self) -> Complex[np.ndarray, "sensors alllines"]:
         """Spectra of the validation sensors' signals caused by the force with its likeliest time history."""
@@ -60,27 +60,28 @@ def likeliest_force(fit_record: Record, rig: Rig, validation: Record) -> Unmeasu
     `same_place` and the gains of the result say whether the records agree. Raises RigError if there are too few sensors
     to show an unmeasured force.
     """
-    on_fit = locate_force(whitened_record(fit_record, rig))
-    validation_record = whitened_record(validation, rig)
-    on_validation = locate_force(validation_record)
-    return UnmeasuredForceFit(on_fit, on_validation, _fit_at_place(on_fit, validation_record, on_validation))
+    on_fit_record = locate_force(whitened_record(fit_record, rig))
+    whitened_validation = whitened_record(validation, rig)
+    on_validation_record = locate_force(whitened_validation)
+    at_fit_place = _fit_at_place(on_fit_record, whitened_validation, on_validation_record)
+    return UnmeasuredForceFit(on_fit_record, on_validation_record, at_fit_place)
 
 
-def _fit_at_place(on_fit: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
+def _fit_at_place(on_fit_record: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
     """Fit of the validation record with the place and the spectrum's shape of the fit record, or a drift's bodies."""
-    place, without_force = on_fit.force_place, on_validation.without_force
+    place, without_force = on_fit_record.force_place, on_validation.without_force
     if place.kind == "distributed":
-        is_same = on_validation.force_place == place
-        return on_validation if is_same else locate_force(whitened, expected_place=place)
-    spectrum_shape = np.zeros(whitened.band_starts.size)
-    band_count = min(spectrum_shape.size, on_fit.with_force.force_spectrum.size)
-    spectrum_shape[:band_count] = on_fit.with_force.force_spectrum[:band_count]
-    response = response_of(whitened, place)
-    with_force = evidence_with_force(whitened, response, without_force, spectrum_shape=spectrum_shape)
-    return LocatedForce(place, without_force, with_force, whitened, response)
+        is_same_drift = on_validation.force_place == place
+        return on_validation if is_same_drift else locate_force(whitened, expected_place=place)
+    spectrum_shape = np.zeros(whitened.band_first_lines.size)
+    band_count = min(spectrum_shape.size, on_fit_record.with_force.force_spectrum.size)
+    spectrum_shape[:band_count] = on_fit_record.with_force.force_spectrum[:band_count]
+    residual_response = response_of(whitened, place)
+    with_force = evidence_with_force(whitened, residual_response, without_force, spectrum_shape=spectrum_shape)
+    return LocatedForce(place, without_force, with_force, whitened, residual_response)
 
 
-def same_place(on_fit: LocatedForce, on_validation: LocatedForce) -> bool:
+def same_place(on_fit_record: LocatedForce, on_validation_record: LocatedForce) -> bool:
     """True if two records show the same kind at the same place, within the larger of `SAME_PLACE_M` and five errors."""
-    error_m = float(np.hypot(on_fit.position_error_m, on_validation.position_error_m))
-    return on_fit.force_place.is_near(on_validation.force_place, max(SAME_PLACE_M, 5 * error_m))
+    error_m = float(np.hypot(on_fit_record.position_error_m, on_validation_record.position_error_m))
+    return on_fit_record.force_place.is_near(on_validation_record.force_place, max(SAME_PLACE_M, 5 * error_m))

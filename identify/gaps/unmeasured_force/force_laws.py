@@ -15,7 +15,7 @@ Series = Float[np.ndarray, " fine"]
 LawShapes = Callable[[Series, Series, float], list[Series]]
 """Forces per unit of each coefficient, by displacement (m), velocity (m/s) and the parameter."""
 
-CREEP_SHARE = 0.01
+CREEP_VELOCITY_SHARE = 0.01
 """Velocity over which friction changes its sign, as a share of the velocity's root mean square."""
 
 
@@ -98,7 +98,7 @@ class ForceLaw:
 
 def creep_m_per_s(velocity_m_per_s: Series) -> float:
     """Velocity over which friction changes its sign, above zero."""
-    return CREEP_SHARE * float(np.std(velocity_m_per_s)) + 1e-300
+    return CREEP_VELOCITY_SHARE * float(np.std(velocity_m_per_s)) + 1e-300
 
 
 LAW_FORMS: tuple[ForceLawForm, ...] = (
@@ -197,9 +197,9 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
 def tone_form(history: ForceHistory) -> ForceLawForm:
     """Form of a harmonic force of time, with its frequency f (Hz) as the parameter."""
 
-    def shapes(_: Series, __: Series, frequency_hz: float) -> list[Series]:
+    def unit_forces(_: Series, __: Series, frequency_hz: float) -> list[Series]:
         phase_rad = 2 * np.pi * frequency_hz * history.fine_times_s
         return [np.cos(phase_rad), np.sin(phase_rad)]
 
     formula_template = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
-    return ForceLawForm(TONE, "", "time", formula_template, ("N", "N"), shapes, "f", "Hz")
+    return ForceLawForm(TONE, "", "time", formula_template, ("N", "N"), unit_forces, "f", "Hz")

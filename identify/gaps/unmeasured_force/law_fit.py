@@ -17,14 +17,14 @@ from identify.signals.kinematics import CORNER_HZ
 
 MAX_STEPS, COST_TOLERANCE = 8, 1e-4
 """Gauss-Newton steps of a law at most, and the relative decrease of the cost that ends them. Effort."""
-GRID_VALUES = 14
+GRID_VALUE_COUNT = 14
 """Starting values of a parameter of a law. Effort."""
 LAW_ERROR_SHARES = (1.0, 0.3, 0.1)
 """Share of the force that the law may miss, from stage to stage: far from the best values, details mislead. Set by
 hand."""
-EQUIVALENT_SHARE = 0.02
+EQUIVALENT_GAIN = 0.02
 """A law is as good as the best if its share of the free force's gain is lower by no more than this. Set by hand."""
-FULLY_FITTED_LAWS = 2
+FULLY_FITTED_LAW_COUNT = 2
 """Count of slow forms whose descent is finished. Effort."""
 
 
@@ -34,25 +34,25 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
     Slow forms are fitted only if no other law reaches the free force's gain, and the best of them only to the end.
     """
     laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
-    if max(law.share_of_free_gain for law in laws) < 1 - EQUIVALENT_SHARE:
+    if max(law.share_of_free_gain for law in laws) < 1 - EQUIVALENT_GAIN:
         started = sorted(
             (_start_descent(history, form) for form in LAW_FORMS if form.needs_slow_motion),
             key=lambda descent_iterate_law: -descent_iterate_law[2].share_of_free_gain,
         )
-        laws += [_finish_descent(history, descent, iterate) for descent, iterate, _ in started[:FULLY_FITTED_LAWS]]
+        laws += [_finish_descent(history, descent, iterate) for descent, iterate, _ in started[:FULLY_FITTED_LAW_COUNT]]
         largest_share = laws[-1].share_of_free_gain
         laws += [
             replace(law, share_of_free_gain=min(law.share_of_free_gain, largest_share))
-            for _, _, law in started[FULLY_FITTED_LAWS:]
+            for _, _, law in started[FULLY_FITTED_LAW_COUNT:]
         ]
     return tuple(sorted(laws, key=lambda law: -law.share_of_free_gain))
 
 
-def shortest_law(laws: tuple[ForceLaw, ...], least_share: float) -> ForceLaw | None:
+def shortest_law(laws: tuple[ForceLaw, ...], least_gain_share: float) -> ForceLaw | None:
     """Law of the fewest values among those as good as the best (the first); None if its share is below the least."""
-    equivalent_laws = [law for law in laws if law.share_of_free_gain >= laws[0].share_of_free_gain - EQUIVALENT_SHARE]
+    equivalent_laws = [law for law in laws if law.share_of_free_gain >= laws[0].share_of_free_gain - EQUIVALENT_GAIN]
     best_law = min(equivalent_laws, key=lambda law: (law.form.value_count, -law.share_of_free_gain))
-    return best_law if best_law.share_of_free_gain >= least_share else None
+    return best_law if best_law.share_of_free_gain >= least_gain_share else None
 
 
 def _fit_tone(history: ForceHistory) -> ForceLaw:
@@ -63,7 +63,7 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
     history = with_law_error(history, 0.0)
     form, whitened = tone_form(history), history.located_force.whitened_record
     omega = whitened.record.omega
-    amplitudes = np.abs(np.fft.rfft(history.force_n * history.time_gate))[: omega.size]
+    amplitudes = np.abs(np.fft.rfft(history.free_force_n * history.time_gate))[: omega.size]
     amplitudes[: whitened.line_slice.start] = 0.0
     step_hz, peak_hz = omega[2] / (4 * np.pi), omega[int(np.argmax(amplitudes))] / (2 * np.pi)
     trial_hz = [peak_hz + half_steps * step_hz / 2 for half_steps in range(-2, 3)]
@@ -86,19 +86,19 @@ def fit_form(
         parameter = low
     elif form.parameter_name:
         parameter = float(minimize_scalar(lambda p: -gain_at(p), bounds=(low, high), method="bounded").x)
-        step = 1e-3 * (high - low)
-        before, at_optimum, after = (gain_at(parameter + count * step) for count in (-1, 0, 1))
-        curvature = (2 * at_optimum - before - after) / step**2
+        parameter_step = 1e-3 * (high - low)
+        gain_before, gain_at_optimum, gain_after = (gain_at(parameter + count * parameter_step) for count in (-1, 0, 1))
+        curvature = (2 * gain_at_optimum - gain_before - gain_after) / parameter_step**2
         parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
-    coefficients, gain, errors = solve_form(history, form, parameter)
+    coefficients, gain, coefficient_errors = solve_form(history, form, parameter)
     return ForceLaw(
         form,
         tuple((-coefficients).tolist()),
-        tuple(errors.tolist()),
+        tuple(coefficient_errors.tolist()),
         parameter,
         parameter_error,
         mean_displacement_m=0.0,
-        share_of_free_gain=gain / max(history.free_gain, 1e-300),
+        share_of_free_gain=gain / max(history.free_force_gain, 1e-300),
     )
 
 
@@ -115,10 +115,10 @@ def _solve_unit_forces(
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Least squares of the force on its shapes: coefficients, gain and standard errors, by normal equations."""
     normal_matrix, right_side = history.reduced_equations(history.gated_spectra(unit_forces))
-    inverse, scale = _scaled_inverse(normal_matrix)
-    coefficients = inverse @ (right_side / scale)
-    errors = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale
-    return coefficients / scale, float(coefficients @ (right_side / scale)), errors
+    scaled_inverse, diagonal_scale = _scaled_inverse(normal_matrix)
+    coefficients = scaled_inverse @ (right_side / diagonal_scale)
+    coefficient_errors = np.sqrt(np.maximum(np.diag(scaled_inverse), 0.0)) / diagonal_scale
+    return coefficients / diagonal_scale, float(coefficients @ (right_side / diagonal_scale)), coefficient_errors
 
 
 def _scaled_inverse(
@@ -132,13 +132,13 @@ def _scaled_inverse(
 def _start_descent(history: ForceHistory, form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at two `LAW_ERROR_SHARES`."""
     soft_history = with_law_error(history, LAW_ERROR_SHARES[0])
-    largest_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
-    low, high = (share * largest_m for share in form.parameter_range)
+    largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
+    low, high = (share * largest_displacement_m for share in form.parameter_range)
     parameter = 0.0
     if form.parameter_name:
-        grid = np.geomspace(low, high, GRID_VALUES) if low > 0 else np.linspace(low, high, GRID_VALUES)
+        grid = np.geomspace(low, high, GRID_VALUE_COUNT) if low > 0 else np.linspace(low, high, GRID_VALUE_COUNT)
         parameter = max(grid.tolist(), key=lambda value: solve_form(soft_history, form, value)[1])
-    descent = _descent_of_form(soft_history, form, largest_m, (low, high))
+    descent = _descent_of_form(soft_history, form, largest_displacement_m, (low, high))
     iterate, _ = descent.descend(descent.start_iterate(parameter))
     descent = replace(descent, history=with_law_error(history, LAW_ERROR_SHARES[1]))
     return descent, *descent.descend(iterate)
@@ -206,17 +206,17 @@ class Descent:
     def descend(self, start: _Iterate) -> tuple[_Iterate, ForceLaw]:
         """Best iterate from the values of another, and its law."""
         start, history = self._evaluate(start.coefficients, start.parameter, start.slow_knots_m), self.history
-        best, last_step = gauss_newton(start, self._step, _negligible_cost_change, MAX_STEPS)
+        best_iterate, last_step = gauss_newton(start, self._step, _negligible_cost_change, MAX_STEPS)
         coefficient_count = len(self.law_form.coefficient_units)
-        errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)).tolist()
-        return best, ForceLaw(
+        standard_errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)).tolist()
+        return best_iterate, ForceLaw(
             self.law_form,
-            tuple((-best.coefficients).tolist()),
-            tuple(errors[:coefficient_count]),
-            best.parameter,
-            errors[coefficient_count] if self.law_form.parameter_name else 0.0,
-            mean_displacement_m=float(np.mean((history.slow_basis @ best.slow_knots_m)[history.time_gate > 0])),
-            share_of_free_gain=-best.cost / max(history.free_gain, 1e-300),
+            tuple((-best_iterate.coefficients).tolist()),
+            tuple(standard_errors[:coefficient_count]),
+            best_iterate.parameter,
+            standard_errors[coefficient_count] if self.law_form.parameter_name else 0.0,
+            mean_displacement_m=float(np.mean((history.slow_basis @ best_iterate.slow_knots_m)[history.time_gate > 0])),
+            share_of_free_gain=-best_iterate.cost / max(history.free_force_gain, 1e-300),
         )
 
     def _evaluate(
@@ -239,14 +239,14 @@ class Descent:
         free_count = coefficient_count + bool(form.parameter_name)
         unit_forces = self.unit_forces(parameter, knots_m)
         force_n = coefficients @ unit_forces
-        derivatives = [*unit_forces]
+        force_derivatives = [*unit_forces]
         if form.parameter_name:
-            derivatives.append((coefficients @ self.unit_forces(parameter + step_m, knots_m) - force_n) / step_m)
+            force_derivatives.append((coefficients @ self.unit_forces(parameter + step_m, knots_m) - force_n) / step_m)
         tangents_n_per_m = (coefficients @ self.unit_forces(parameter, knots_m, step_m) - force_n) / step_m
         mean_tangents = tangents_n_per_m.reshape(len(history.slow_basis), -1).mean(axis=1)
         force_columns = np.concatenate(
             [
-                history.gated_spectra(np.stack(derivatives)),
+                history.gated_spectra(np.stack(force_derivatives)),
                 history.spectra_of_samples((history.slow_basis * mean_tangents[:, None]).T),
                 history.gated_spectra(force_n)[None],
             ]
@@ -255,18 +255,18 @@ class Descent:
         gradient, normal_matrix = right_side[:-1] - normal_matrix[:-1, -1], normal_matrix[:-1, :-1]
         normal_matrix[free_count:, free_count:] += self.knot_precision
         gradient[free_count:] -= self.knot_precision @ knots_m
-        covariance, scale = _scaled_inverse(normal_matrix)
-        covariance /= np.outer(scale, scale)
+        covariance, diagonal_scale = _scaled_inverse(normal_matrix)
+        covariance /= np.outer(diagonal_scale, diagonal_scale)
         full_step = covariance @ gradient
 
-        def iterate_after(share: float) -> _Iterate | None:
+        def iterate_after(step_share: float) -> _Iterate | None:
             next_parameter = 0.0
             if form.parameter_name:
-                stepped = parameter + share * full_step[coefficient_count]
-                next_parameter = float(np.clip(stepped, *self.parameter_range))
+                stepped_parameter = parameter + step_share * full_step[coefficient_count]
+                next_parameter = float(np.clip(stepped_parameter, *self.parameter_range))
                 if not next_parameter:
                     return None
-            next_knots_m = knots_m + share * full_step[free_count:]
+            next_knots_m = knots_m + step_share * full_step[free_count:]
             next_coefficients, _, _ = _solve_unit_forces(history, self.unit_forces(next_parameter, next_knots_m))
             return self._evaluate(next_coefficients, next_parameter, next_knots_m)
 
@@ -274,11 +274,11 @@ class Descent:
 
 
 def _descent_of_form(
-    history: ForceHistory, form: ForceLawForm, largest_m: float, parameter_range: tuple[float, float]
+    history: ForceHistory, form: ForceLawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
 ) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
-    knots = np.eye(history.slow_basis.shape[1])
-    second_differences = np.diff(knots, 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
+    knot_identity = np.eye(history.slow_basis.shape[1])
+    second_differences = np.diff(knot_identity, 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
     motion_variance_m2 = float(np.std(history.displacement_m)) ** 2
-    knot_precision = (knots + second_differences.T @ second_differences) / motion_variance_m2
-    return Descent(history, form, 1e-4 * largest_m, parameter_range, knot_precision)
+    knot_precision = (knot_identity + second_differences.T @ second_differences) / motion_variance_m2
+    return Descent(history, form, 1e-4 * largest_displacement_m, parameter_range, knot_precision)

@@ -14,7 +14,7 @@ from identify.gaps.unmeasured_force.evidence import (
     evidence_with_force,
     evidence_without_force,
     nuisance_equations,
-    subtract_nuisance,
+    residual_without_nuisance,
 )
 from identify.gaps.unmeasured_force.nuisance import modulus_drift_column
 from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns
@@ -25,9 +25,9 @@ PlaceKind = Literal["force", "pair", "sensor", "distributed"]
 PLACE_SPACING_M, FINE_SPACING_M = 0.05, 0.002
 """Spacing of the scan over places, and of its refinement. Set by hand: below the wavelength of any mode in the band;
 the place of a strong force is known to some mm."""
-REFITTED_PER_KIND = 3
+REFITTED_COUNT_PER_KIND = 3
 """Count of candidates of each kind, the best with theta fixed, whose J is computed again with theta fitted. Effort."""
-FLAT_PRIOR = 1e4
+FLAT_PRIOR_COLUMN_NORM = 1e4
 """Norm of a drift's column at one prior standard deviation: in effect no prior."""
 
 
@@ -42,19 +42,19 @@ class ForcePlace:
     sensor_name: str = ""
     body_names: tuple[str, ...] = ()
 
-    def is_near(self, other: "ForcePlace", distance_m: float) -> bool:
+    def is_near(self, compared_place: "ForcePlace", distance_m: float) -> bool:
         """True if both are of one kind, on the same sensor or bodies, with no station further off than distance_m."""
-        if replace(self, stations=()) != replace(other, stations=()):
+        if replace(self, stations=()) != replace(compared_place, stations=()):
             return False
         return all(
             station.body == other_station.body and abs(station.position_m - other_station.position_m) <= distance_m
-            for station, other_station in zip(self.stations, other.stations, strict=True)
+            for station, other_station in zip(self.stations, compared_place.stations, strict=True)
         )
 
 
 @dataclass(frozen=True)
 class LocatedForce:
-    """Candidate fitted to a record.
+    """Candidate of an unmeasured force fitted to a record.
 
     residual_per_force is g; position_error_m is the standard error by the curvature of J. modulus_growth is the
     relative change of the modulus of each body over the record, with its standard errors.
@@ -76,12 +76,12 @@ class LocatedForce:
 
     @property
     def noise_by_line(self) -> Float[np.ndarray, " lines"]:
-        """Variance s at each line."""
+        """Variance s of the unexplained rest at each line."""
         return self.whitened_record.at_each_line(self.with_force.noise_variance)
 
     @property
     def spectrum_by_line(self) -> Float[np.ndarray, " lines"]:
-        """Spectrum S at each line."""
+        """Spectrum S of the force at each line."""
         return self.whitened_record.at_each_line(self.with_force.force_spectrum)
 
 
@@ -107,29 +107,29 @@ def locate_force(
     With an `expected_place` its kind alone is tried, no further than search_radius_m from it.
     """
     without_force = evidence_without_force(whitened)
-    places = list(force_places(whitened.record.rig, whitened.record.sensors))
+    candidate_places = list(force_places(whitened.record.rig, whitened.record.sensors))
     if expected_place:
-        places = [place for place in places if place.is_near(expected_place, search_radius_m)]
-        places += [expected_place] * (expected_place.kind != "distributed")
-    cleared_residual = subtract_nuisance(whitened, without_force.theta)
+        candidate_places = [place for place in candidate_places if place.is_near(expected_place, search_radius_m)]
+        candidate_places += [expected_place] * (expected_place.kind != "distributed")
+    cleared_residual = residual_without_nuisance(whitened, without_force.theta)
     criteria = {
         place: evidence_with_force(whitened, response_of(whitened, place), without_force, cleared_residual).criterion
-        for place in places
+        for place in candidate_places
     }
-    best_of_kinds: list[LocatedForce] = []
+    best_by_kind: list[LocatedForce] = []
     for kind in ("force", "pair", "sensor"):
         places_of_kind = sorted((place for place in criteria if place.kind == kind), key=criteria.__getitem__)
-        refitted = []
-        for place in places_of_kind[:REFITTED_PER_KIND]:
-            response = response_of(whitened, place)
-            with_force = evidence_with_force(whitened, response, without_force)
-            refitted.append(LocatedForce(place, without_force, with_force, whitened, response))
-        if refitted:
-            best_of_kinds.append(min(refitted, key=lambda located: located.with_force.criterion))
+        refitted_forces = []
+        for place in places_of_kind[:REFITTED_COUNT_PER_KIND]:
+            residual_response = response_of(whitened, place)
+            with_force = evidence_with_force(whitened, residual_response, without_force)
+            refitted_forces.append(LocatedForce(place, without_force, with_force, whitened, residual_response))
+        if refitted_forces:
+            best_by_kind.append(min(refitted_forces, key=lambda located: located.with_force.criterion))
     if expected_place is None or expected_place.kind == "distributed":
-        drift = _locate_drift(whitened, without_force, expected_place)
-        best_of_kinds += [drift] if drift else []
-    return _refine_position(max(best_of_kinds, key=lambda located: located.criterion_decrease))
+        drift_force = _locate_drift(whitened, without_force, expected_place)
+        best_by_kind += [drift_force] if drift_force else []
+    return _with_refined_position(max(best_by_kind, key=lambda located: located.criterion_decrease))
 
 
 def force_places(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
@@ -137,18 +137,18 @@ def force_places(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
     for body in rig.bodies:
         for position_m in _position_grid_m(body.length_m):
             yield ForcePlace("force", (Station(body.name, position_m),))
-    for first, second in combinations(rig.bodies, 2):
-        shift_m = offset_m(rig, first.name, second.name)
-        for position_m in _position_grid_m(first.length_m):
-            if 0 <= position_m + shift_m <= second.length_m:
-                stations = Station(first.name, position_m), Station(second.name, position_m + shift_m)
+    for first_body, second_body in combinations(rig.bodies, 2):
+        shift_m = position_offset_m(rig, first_body.name, second_body.name)
+        for position_m in _position_grid_m(first_body.length_m):
+            if 0 <= position_m + shift_m <= second_body.length_m:
+                stations = Station(first_body.name, position_m), Station(second_body.name, position_m + shift_m)
                 yield ForcePlace("pair", stations)
     if len(sensors) > 1:
         for sensor in sensors:
             yield ForcePlace("sensor", sensor_name=sensor.name)
 
 
-def offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
+def position_offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
     """Offset from a position on one body to that beside it on the other: the median over the contacts between them, 0
     without any."""
     offsets_m = []
@@ -160,8 +160,8 @@ def offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
 
 
 def _shifted_place(place: ForcePlace, shift_m: float) -> ForcePlace:
-    stations = tuple(Station(station.body, station.position_m + shift_m) for station in place.stations)
-    return replace(place, stations=stations)
+    shifted_stations = tuple(Station(station.body, station.position_m + shift_m) for station in place.stations)
+    return replace(place, stations=shifted_stations)
 
 
 def _shift_range_m(rig: Rig, place: ForcePlace) -> tuple[float, float]:
@@ -179,7 +179,7 @@ def _position_grid_m(length_m: float) -> list[float]:
     return np.linspace(0, length_m, max(2, round(length_m / PLACE_SPACING_M) + 1)).tolist()
 
 
-def _refine_position(located: LocatedForce) -> LocatedForce:
+def _with_refined_position(located: LocatedForce) -> LocatedForce:
     """Candidate at the minimum of J over its shift, to `FINE_SPACING_M`: each round takes the vertex of a parabola
     through J at three shifts, then a shorter step. Its standard error follows from the curvature of J."""
     whitened, place = located.whitened_record, located.force_place
@@ -190,30 +190,30 @@ def _refine_position(located: LocatedForce) -> LocatedForce:
     def criterion_at(shift_m: float) -> float:
         if shift_m not in located_by_shift:
             shifted_place = _shifted_place(place, shift_m)
-            response = response_of(whitened, shifted_place)
-            with_force = evidence_with_force(whitened, response, located.with_force)
+            residual_response = response_of(whitened, shifted_place)
+            with_force = evidence_with_force(whitened, residual_response, located.with_force)
             located_by_shift[shift_m] = replace(
-                located, force_place=shifted_place, with_force=with_force, residual_per_force=response
+                located, force_place=shifted_place, with_force=with_force, residual_per_force=residual_response
             )
         return located_by_shift[shift_m].with_force.criterion
 
-    limits_m = _shift_range_m(whitened.record.rig, place)
+    shift_limits_m = _shift_range_m(whitened.record.rig, place)
 
     def shifts_around_m(shift_m: float, step_m: float, step_counts: range) -> list[float]:
-        return [float(np.clip(shift_m + count * step_m, *limits_m)) for count in step_counts]
+        return [float(np.clip(shift_m + count * step_m, *shift_limits_m)) for count in step_counts]
 
-    best_m, step_m = 0.0, PLACE_SPACING_M / 2
+    best_shift_m, step_m = 0.0, PLACE_SPACING_M / 2
     while True:
-        shifts_m = shifts_around_m(best_m, step_m, range(-1, 2))
-        best_m = min(shifts_m, key=criterion_at)
+        shifts_m = shifts_around_m(best_shift_m, step_m, range(-1, 2))
+        best_shift_m = min(shifts_m, key=criterion_at)
         if step_m <= FINE_SPACING_M:
             break
-        vertex_m = float(np.clip(_parabola_vertex(shifts_m, list(map(criterion_at, shifts_m))), *limits_m))
-        best_m, step_m = min((best_m, vertex_m), key=criterion_at), step_m / 3.5
-    shifts_m = shifts_around_m(best_m, 2 * FINE_SPACING_M, range(-2, 3))
+        vertex_shift_m = float(np.clip(_parabola_vertex(shifts_m, list(map(criterion_at, shifts_m))), *shift_limits_m))
+        best_shift_m, step_m = min((best_shift_m, vertex_shift_m), key=criterion_at), step_m / 3.5
+    shifts_m = shifts_around_m(best_shift_m, 2 * FINE_SPACING_M, range(-2, 3))
     curvature = 2 * float(np.polyfit(shifts_m, list(map(criterion_at, shifts_m)), 2)[0])
     position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else PLACE_SPACING_M
-    return replace(located_by_shift[best_m], position_error_m=min(position_error_m, PLACE_SPACING_M))
+    return replace(located_by_shift[best_shift_m], position_error_m=min(position_error_m, PLACE_SPACING_M))
 
 
 def _parabola_vertex(positions_m: list[float], criterion_values: list[float]) -> float:
@@ -231,29 +231,29 @@ def _locate_drift(
 ) -> LocatedForce | None:
     """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
     elastic_names = tuple(body.name for body in whitened.record.rig.bodies if body.length_m)
-    names = expected_place.body_names if expected_place else elastic_names
-    columns = {name: modulus_drift_column(whitened, name) for name in names}
-    columns = {name: column for name, column in columns.items() if np.any(column)}
-    if not columns:
+    body_names = expected_place.body_names if expected_place else elastic_names
+    column_by_body = {name: modulus_drift_column(whitened, name) for name in body_names}
+    column_by_body = {name: column for name, column in column_by_body.items() if np.any(column)}
+    if not column_by_body:
         return None
-    single_bodies = [] if expected_place else [(name,) for name in columns]
+    single_bodies = [] if expected_place else [(name,) for name in column_by_body]
     no_response = np.zeros(whitened.whitened_residual.shape, dtype=complex)
     best: LocatedForce | None = None
-    for bodies in dict.fromkeys([*single_bodies, tuple(columns)]):
-        scales = [FLAT_PRIOR / max(float(np.linalg.norm(columns[body])), 1e-300) for body in bodies]
-        drift_columns = np.stack([scale * columns[body] for scale, body in zip(scales, bodies, strict=True)])
-        drifts = tuple(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)
+    for bodies in dict.fromkeys([*single_bodies, tuple(column_by_body)]):
+        scales = [FLAT_PRIOR_COLUMN_NORM / max(float(np.linalg.norm(column_by_body[body])), 1e-300) for body in bodies]
+        drift_columns = np.stack([scale * column_by_body[body] for scale, body in zip(scales, bodies, strict=True)])
+        drift_parameters = tuple(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)
         with_drift = with_columns(
             whitened,
-            (*whitened.nuisance_parameters, *drifts),
+            (*whitened.nuisance_parameters, *drift_parameters),
             [whitened.nuisance_columns, drift_columns],
             np.append(whitened.trace_terms, np.zeros(len(bodies))),
         )
         with_force = evidence_without_force(with_drift)
         place = ForcePlace("distributed", body_names=bodies)
         located = LocatedForce(place, without_force, with_force, with_drift, no_response)
-        decrease = best.criterion_decrease if best else -np.inf
-        if located.criterion_decrease > max(decrease, 1.05 * decrease):
+        best_decrease = best.criterion_decrease if best else -np.inf
+        if located.criterion_decrease > max(best_decrease, 1.05 * best_decrease):
             covariance = np.linalg.inv(nuisance_equations(with_drift, with_force.noise_variance)[0])
             errors = np.sqrt(np.diag(covariance)[-len(bodies) :]) * scales
             growth = with_force.theta[-len(bodies) :] * scales

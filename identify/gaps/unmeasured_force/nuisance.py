@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.nuisance import MODE_REACH
+from identify.gaps.residual.nuisance import MODE_FREQUENCY_REACH
 from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.whitened_record import (
     WhitenedRecord,
@@ -33,21 +33,21 @@ def nuisance_columns(
 ) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Nuisance parameters, the columns D by one tolerance of each, and the trace term 2 Re tr(dD/dA) of each."""
     model, sensor_count = whitened.model, len(whitened.record.sensors)
-    delivered_norm = float(np.linalg.norm(whitened.record.acceleration_signals))
+    signal_norm = float(np.linalg.norm(whitened.record.acceleration_signals))
     body_names = [response.body.name for response in model.responses]
     motion = _measured_motion(whitened)
     parameters, columns, trace_terms = list[Nuisance](), list[Complex[np.ndarray, "lines rows"]](), list[float]()
-    for changes in (
+    for parameter_changes in (
         changes_of(motion, with_common_tolerances=False),
         crosstalk_of(motion),
-        state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
+        state_changes(model.free_modes, body_names, model.sensor_response, signal_norm),
     ):
-        for change in changes:
+        for change in parameter_changes:
             column = whitened.gated_residual(change.at_all_sensors(sensor_count) / model.error_deviation)
             if np.any(column):
                 parameters.append(change.parameter)
                 columns.append(column.astype(np.complex64))  # they are many
-                trace_terms.append(_data_trace(whitened, change))
+                trace_terms.append(_trace_by_data(whitened, change))
     all_columns = np.array(columns).reshape(len(columns), *whitened.whitened_residual.shape)
     return tuple(parameters), all_columns, np.array(trace_terms)
 
@@ -55,12 +55,12 @@ def nuisance_columns(
 def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = whitened.record, whitened.model
-    highest_hz = MODE_REACH * record.omega[-1] / (2 * np.pi)
+    highest_hz = MODE_FREQUENCY_REACH * record.omega[-1] / (2 * np.pi)
     bodies = []
     for response, accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         natural_hz = response.dynamics.natural_hz
-        modes = np.flatnonzero((natural_hz > 0) & (natural_hz < highest_hz))
-        bodies.append(BodyMotion(response, accelerations, modes, modal_inverse(record, response)))
+        mode_indices = np.flatnonzero((natural_hz > 0) & (natural_hz < highest_hz))
+        bodies.append(BodyMotion(response, accelerations, mode_indices, modal_inverse(record, response)))
     return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
@@ -75,7 +75,7 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
     )
 
 
-def _data_trace(whitened: WhitenedRecord, change: Change) -> float:
+def _trace_by_data(whitened: WhitenedRecord, change: Change) -> float:
     """Twice the trace of a column's derivative by the data, 2 Re sum of tr(dD/dA); zero if it does not read them."""
     if change.sensor_pattern is None:
         return 0.0
@@ -90,7 +90,7 @@ def _data_trace(whitened: WhitenedRecord, change: Change) -> float:
 
 
 def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "lines rows"]:
-    """Gated residual of `drift_accelerations`."""
+    """Whitened residual, gated in time, by a modulus that drifts (`drift_accelerations`)."""
     accelerations = drift_accelerations(whitened, body_name)
     return whitened.gated_residual(whitened.model.sensor_response * accelerations / whitened.model.error_deviation)
 
@@ -106,13 +106,13 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     relative_time[relative_time > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
     integration = omega_power(record.omega, -2, record.corner_hz)
-    stations = [sensor.station for sensor in record.sensors]
+    sensor_stations = [sensor.station for sensor in record.sensors]
     for response, modal_accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
-            is_in_band = natural_omega < MODE_REACH * record.omega[-1]
+            is_in_band = natural_omega < MODE_FREQUENCY_REACH * record.omega[-1]
             stiffness_spectra = natural_omega[is_in_band, None] ** 2 * integration * modal_accelerations[is_in_band]
             modal_forces = np.zeros_like(modal_accelerations)
             modal_forces[is_in_band] = -np.fft.rfft(relative_time * np.fft.irfft(stiffness_spectra, sample_count))
-            accelerations += response.shapes(stations) @ response.modal_accelerations(modal_forces)
+            accelerations += response.shapes(sensor_stations) @ response.modal_accelerations(modal_forces)
     return accelerations

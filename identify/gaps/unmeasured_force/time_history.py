@@ -13,7 +13,7 @@ from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.signals.kinematics import omega_power
 from rig.model.description import Station
 
-OVERSAMPLING = 4
+LAW_OVERSAMPLING = 4
 """Rate at which laws are evaluated, over the residual's: their kinks widen the band. Set by hand."""
 LAW_ERROR_SHARE = 0.03
 """Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
@@ -35,7 +35,7 @@ class ForceHistory:
     located_force: LocatedForce
     displacement_m: Float[np.ndarray, " fine"]
     velocity_m_per_s: Float[np.ndarray, " fine"]
-    force_n: Float[np.ndarray, " alltimes"]
+    free_force_n: Float[np.ndarray, " alltimes"]
     line_weights: Float[np.ndarray, " lines"]
     projected_residual: Complex[np.ndarray, " lines"]
     projected_columns: Complex[np.ndarray, "columns lines"]
@@ -43,12 +43,12 @@ class ForceHistory:
     right_side: Float[np.ndarray, " columns"]
 
     @property
-    def rate_hz(self) -> float:
-        return self.located_force.whitened_record.record.rate_hz
+    def residual_rate_hz(self) -> float:
+        return self.located_force.whitened_record.record.residual_rate_hz
 
     @property
     def fine_times_s(self) -> Float[np.ndarray, " fine"]:
-        return np.arange(self.displacement_m.size) / (OVERSAMPLING * self.rate_hz)
+        return np.arange(self.displacement_m.size) / (LAW_OVERSAMPLING * self.residual_rate_hz)
 
     @property
     def time_gate(self) -> Float[np.ndarray, " alltimes"]:
@@ -60,7 +60,7 @@ class ForceHistory:
         return cholesky_factor, bool(is_lower)
 
     @cached_property
-    def free_gain(self) -> float:
+    def free_force_gain(self) -> float:
         """Gain in -2 ln L of a force that is free at every line, less what noise alone would gain."""
         weighted_columns = real_pairs(self.projected_columns * np.sqrt(self.line_weights))
         weighted_residual = real_pairs(self.projected_residual * np.sqrt(self.line_weights))
@@ -74,15 +74,15 @@ class ForceHistory:
     def gated_spectra(self, fine_forces_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
         """Projected residual spectra of oversampled forces (N), low-passed, through the gate."""
         record = self.located_force.whitened_record.record
-        force_spectra = np.fft.rfft(fine_forces_n)[..., : record.omega.size] / OVERSAMPLING
+        force_spectra = np.fft.rfft(fine_forces_n)[..., : record.omega.size] / LAW_OVERSAMPLING
         forces_n = np.fft.irfft(force_spectra, record.transform_length // record.decimation)
         return self.spectra_of_samples(forces_n)
 
     def spectra_of_samples(self, forces_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
         """Projected residual spectra of forces (N) at the residual's rate, through the gate."""
         whitened = self.located_force.whitened_record
-        spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
-        return np.asarray(spectra * self.located_force.with_force.response_norm)
+        force_spectra = np.fft.rfft(forces_n * self.time_gate)[..., whitened.line_slice] * whitened.record.decimation
+        return np.asarray(force_spectra * self.located_force.with_force.response_norm)
 
     def reduced_equations(
         self, force_columns: Complex[np.ndarray, "columns lines"]
@@ -90,11 +90,11 @@ class ForceHistory:
         """Normal equations of the amounts of some forces, with the nuisance parameters eliminated."""
         weighted_columns = real_pairs(force_columns * self.line_weights)
         coupling = weighted_columns @ real_pairs(self.projected_columns).T
-        matrix = weighted_columns @ real_pairs(force_columns).T - coupling @ cho_solve(
+        force_matrix = weighted_columns @ real_pairs(force_columns).T - coupling @ cho_solve(
             self.nuisance_cholesky, coupling.T
         )
         right_side = weighted_columns @ real_pairs(self.projected_residual)
-        return matrix, right_side - coupling @ cho_solve(self.nuisance_cholesky, self.right_side)
+        return force_matrix, right_side - coupling @ cho_solve(self.nuisance_cholesky, self.right_side)
 
     def log_likelihood_gain(self, force_projection: Complex[np.ndarray, " lines"]) -> float:
         """Fall of -2 ln L by a given force."""
@@ -106,17 +106,17 @@ class ForceHistory:
         """Cubic B-splines over the record, zero beyond its end."""
         record = self.located_force.whitened_record.record
         sample_count = record.counted_slice.stop
-        end_s = sample_count / self.rate_hz
+        end_s = sample_count / self.residual_rate_hz
         inner_knots_s = np.linspace(0, end_s, max(2, round(end_s / KNOT_SPACING_S) + 1))
         knots_s = np.concatenate([[0.0] * 3, inner_knots_s, [end_s] * 3])
-        times_s = np.minimum(np.arange(sample_count) / self.rate_hz, end_s)
+        times_s = np.minimum(np.arange(sample_count) / self.residual_rate_hz, end_s)
         basis = np.zeros((record.transform_length // record.decimation, knots_s.size - 4))
         basis[:sample_count] = BSpline.design_matrix(times_s, knots_s, 3).toarray()
         return basis
 
     def oversampled(self, values_at_samples: Float[np.ndarray, " alltimes"]) -> Float[np.ndarray, " fine"]:
         """Linear interpolation to the oversampled rate."""
-        fine_positions = np.arange(values_at_samples.size * OVERSAMPLING) / OVERSAMPLING
+        fine_positions = np.arange(values_at_samples.size * LAW_OVERSAMPLING) / LAW_OVERSAMPLING
         return np.asarray(np.interp(fine_positions, np.arange(values_at_samples.size), values_at_samples))
 
 
@@ -150,7 +150,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
         located_force=located,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        force_n=np.fft.irfft(spectrum, sample_count) / record.decimation,
+        free_force_n=np.fft.irfft(spectrum, sample_count) / record.decimation,
         line_weights=whitened.reals_per_line / located.noise_by_line,
         projected_residual=np.einsum("lr,lr->l", direction, whitened.whitened_residual),
         projected_columns=np.einsum("lr,clr->cl", direction, whitened.nuisance_columns),
@@ -160,11 +160,11 @@ def force_history(located: LocatedForce) -> ForceHistory:
     return with_law_error(history, LAW_ERROR_SHARE)
 
 
-def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
+def with_law_error(history: ForceHistory, law_error_share: float) -> ForceHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
     located = history.located_force
     line_weights = located.whitened_record.reals_per_line / (
-        located.noise_by_line + law_error**2 * located.spectrum_by_line * located.with_force.response_norm**2
+        located.noise_by_line + law_error_share**2 * located.spectrum_by_line * located.with_force.response_norm**2
     )
     lost_columns = real_pairs(history.projected_columns * (history.line_weights - line_weights))
     return replace(
@@ -177,9 +177,9 @@ def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
 
 def explained_share(located: LocatedForce) -> float:
     """Share that the force takes off the sum of squares of the linear residual, after the nuisance parameters."""
-    whitened, with_force, noise = located.whitened_record, located.with_force, located.noise_by_line
-    total_by_line = noise + located.spectrum_by_line * with_force.response_norm**2
-    explained_by_line = 1 - (noise / total_by_line) ** 2
+    whitened, with_force, noise_by_line = located.whitened_record, located.with_force, located.noise_by_line
+    total_by_line = noise_by_line + located.spectrum_by_line * with_force.response_norm**2
+    explained_by_line = 1 - (noise_by_line / total_by_line) ** 2
     theta = np.zeros(len(whitened.nuisance_parameters))  # a drift has columns of its own
     theta[: located.without_force.theta.size] = located.without_force.theta
     squares_without = float(np.sum(residual_squares(whitened, theta)))
@@ -200,4 +200,4 @@ def _unobserved_accelerance(located: LocatedForce, station: Station) -> Complex[
 
 
 def _oversampled_history(spectrum: Complex[np.ndarray, " alllines"], padded_samples: int) -> Float[np.ndarray, " fine"]:
-    return np.asarray(OVERSAMPLING * np.fft.irfft(spectrum, OVERSAMPLING * padded_samples))
+    return np.asarray(LAW_OVERSAMPLING * np.fft.irfft(spectrum, LAW_OVERSAMPLING * padded_samples))

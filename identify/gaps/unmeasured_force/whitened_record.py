@@ -46,8 +46,8 @@ class WhitenedRecord:
     """Whitened residual r (lines, rows) and nuisance columns D (columns, lines, rows) of a record.
 
     complement_basis is N^H, from standardised accelerations to rows. residual_squares, cross_products and column_gram
-    are |r|^2, Re D^H r and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace_terms
-    are the columns' 2 Re tr(dD/dA). force_noise_modes are the principal directions of the force channels' noise,
+    are |r|^2, Re D^H r and Re D^H D summed over bands of 2 Hz, which begin at band_first_lines. trace_terms are the
+    columns' 2 Re tr(dD/dA). force_noise_modes are the principal directions of the force channels' noise,
     force_noise_shares the part of each that whitening takes off.
     """
 
@@ -61,7 +61,7 @@ class WhitenedRecord:
     nuisance_parameters: tuple[Nuisance, ...]
     nuisance_columns: Complex[np.ndarray, "columns lines rows"]
     modal_accelerations: tuple[Complex[np.ndarray, "_ alllines"], ...]
-    band_starts: Int[np.ndarray, " bands"]
+    band_first_lines: Int[np.ndarray, " bands"]
     residual_squares: Float[np.ndarray, " bands"]
     cross_products: Float[np.ndarray, "bands columns"]
     column_gram: Float[np.ndarray, "bands columns columns"]
@@ -83,20 +83,20 @@ class WhitenedRecord:
     @cached_property
     def time_gate(self) -> Float[np.ndarray, " alltimes"]:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
-        counted, record = self.record.counted_slice, self.record
+        counted_slice, record = self.record.counted_slice, self.record
         gate = np.zeros(record.transform_length // record.decimation)
-        fade = taper(counted.stop - counted.start, round(GATE_FADE_S * record.rate_hz))
-        gate[counted] = fade if counted.start == 0 else fade * fade[::-1]
+        faded_window = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.residual_rate_hz))
+        gate[counted_slice] = faded_window if counted_slice.start == 0 else faded_window * faded_window[::-1]
         return gate
 
     @property
-    def band_sizes(self) -> Int[np.ndarray, " bands"]:
+    def band_line_counts(self) -> Int[np.ndarray, " bands"]:
         """Count of lines in each band."""
-        return np.diff(np.append(self.band_starts, self.whitened_residual.shape[0]))
+        return np.diff(np.append(self.band_first_lines, self.whitened_residual.shape[0]))
 
     def at_each_line(self, band_values: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
         """Value of its band at every line."""
-        return np.repeat(band_values, self.band_sizes)
+        return np.repeat(band_values, self.band_line_counts)
 
     def ungated_residual(
         self, accelerations: Complex[np.ndarray, "sensors alllines"]
@@ -163,19 +163,19 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         responses_windowed=False,
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
-    lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
-    complement_basis = input_complement(model.signal_per_input[..., lines])
+    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_LINE_HZ)), record.omega.size)
+    complement_basis = input_complement(model.signal_per_input[..., line_slice])
     line_count, row_count, _ = complement_basis.shape
     if not row_count:
         raise RigError(
             f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
         )
-    band_starts = _band_starts(record.omega[lines])
-    unwhitened = WhitenedRecord(
+    band_first_lines = _band_first_lines(record.omega[line_slice])
+    unwhitened_record = WhitenedRecord(
         record=record,
         model=model,
-        line_slice=lines,
+        line_slice=line_slice,
         complement_basis=complement_basis,
         force_noise_modes=np.zeros((line_count, row_count, 0), dtype=complex),
         force_noise_shares=np.zeros((line_count, 0)),
@@ -186,26 +186,26 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
             _measured_accelerations(record, model, response, modelled)
             for response, modelled in zip(model.responses, model.modal_accelerations, strict=True)
         ),
-        band_starts=band_starts,
-        residual_squares=np.zeros(band_starts.size),
-        cross_products=np.zeros((band_starts.size, 0)),
-        column_gram=np.zeros((band_starts.size, 0, 0)),
+        band_first_lines=band_first_lines,
+        residual_squares=np.zeros(band_first_lines.size),
+        cross_products=np.zeros((band_first_lines.size, 0)),
+        column_gram=np.zeros((band_first_lines.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
-    stations = [sensor.station for sensor in record.sensors]
+    sensor_stations = [sensor.station for sensor in record.sensors]
     force_responses = np.stack(
         [
-            unwhitened.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
-            for acceleration_per_newton in accelerances(model.rig, model.responses, rig.forces, stations)[
+            unwhitened_record.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
+            for acceleration_per_newton in accelerances(model.rig, model.responses, rig.forces, sensor_stations)[
                 : len(rig.forces)
             ]
         ],
         axis=2,
     )
-    noise_variance = base_noise_variance[lines, None, None] if record.base else force_noise_variance(record)
-    modes, singular_values, _ = np.linalg.svd(force_responses * np.sqrt(noise_variance), full_matrices=False)
+    noise_variance = base_noise_variance[line_slice, None, None] if record.base else force_noise_variance(record)
+    noise_modes, singular_values, _ = np.linalg.svd(force_responses * np.sqrt(noise_variance), full_matrices=False)
     noise_shares = 1 - 1 / np.sqrt(1 + singular_values**2)
-    whitened = replace(unwhitened, force_noise_modes=modes, force_noise_shares=noise_shares)
+    whitened = replace(unwhitened_record, force_noise_modes=noise_modes, force_noise_shares=noise_shares)
     return replace(whitened, whitened_residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
 
 
@@ -218,10 +218,10 @@ def with_columns(
     """Record with columns of one or more sets, kept in single precision, and their sums over bands."""
     real_residual = np.ascontiguousarray(whitened.whitened_residual).view(float)
     residual_squares, cross_products, column_gram = [], [], []
-    for start, stop in pairwise(np.append(whitened.band_starts, real_residual.shape[0])):
-        band_sets = [columns[:, start:stop].astype(complex) for columns in column_sets]
+    for first_line, stop_line in pairwise(np.append(whitened.band_first_lines, real_residual.shape[0])):
+        band_sets = [columns[:, first_line:stop_line].astype(complex) for columns in column_sets]
         band_columns = np.concatenate(band_sets).view(float).reshape(len(parameters), -1)
-        band_residual = real_residual[start:stop].ravel()
+        band_residual = real_residual[first_line:stop_line].ravel()
         residual_squares.append(band_residual @ band_residual)
         cross_products.append(band_columns @ band_residual)
         column_gram.append(band_columns @ band_columns.T)
@@ -242,8 +242,8 @@ def capped_noise_variance(record: Record) -> Float[np.ndarray, "sensors lines"]:
     noise_variance = record.noise_variance.copy()
     for variance, sensor in zip(noise_variance, record.sensors, strict=True):
         if sensor.noise_density > 0:
-            density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
-            variance[:] = np.minimum(variance, record.sample_count * density**2 * record.sample_rate_hz / 2)
+            line_density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            variance[:] = np.minimum(variance, record.sample_count * line_density**2 * record.sample_rate_hz / 2)
     return noise_variance
 
 
@@ -253,21 +253,21 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     high_band_power = np.abs(record.force_spectra[:, record.omega.size // 2 :]) ** 2
     noise_variance = np.median(high_band_power, axis=1) / np.log(2)
     is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
-    if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
+    if np.count_nonzero(is_quiet) > 0.2 * record.residual_rate_hz:
         quiet_n = STD_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
-        quiet_variance = record.sample_count * quiet_n**2 * record.sample_rate_hz / record.rate_hz
+        quiet_variance = record.sample_count * quiet_n**2 * record.sample_rate_hz / record.residual_rate_hz
         noise_variance = np.minimum(noise_variance, quiet_variance)
     return np.asarray(noise_variance)
 
 
 def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
     """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
-    columns = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
-    mode_count = min(len(columns), response.mode_count)
+    sensor_indices = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+    mode_count = min(len(sensor_indices), response.mode_count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
-        shapes = response.shapes([record.sensors[index].station for index in columns])[:, :mode_count]
-        inverse_shapes[:, columns] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
+        shapes = response.shapes([record.sensors[index].station for index in sensor_indices])[:, :mode_count]
+        inverse_shapes[:, sensor_indices] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
     return inverse_shapes
 
 
@@ -276,16 +276,16 @@ def _measured_accelerations(
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
-    count = len(inverse_shapes)
+    observed_count = len(inverse_shapes)
     unexplained = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
         - response.shapes([sensor.station for sensor in record.sensors]) @ modelled
     )
-    return np.concatenate([modelled[:count] + inverse_shapes @ unexplained, modelled[count:]])
+    return np.concatenate([modelled[:observed_count] + inverse_shapes @ unexplained, modelled[observed_count:]])
 
 
-def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
+def _band_first_lines(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
     """First line of each band of `BAND_WIDTH_HZ`."""
     band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_WIDTH_HZ)).astype(int)
     return np.flatnonzero(np.diff(band_numbers, prepend=-1))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.gaps.residual.residual import derivative, linearized, residual_of
+from identify.gaps.residual.residual import linearized, residual_decrease, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import attached_column
 from rig.effects import effect_named
@@ -39,7 +39,7 @@ def test_its_column_is_that_of_the_model(believed, effect, body):
     moved = effect_named(f"{effect},relative_position=0.7,body={body}").applied_to(RIG)
     (linear, contacts), (expected, laws) = (
         attached_column(linearization, moved, at),
-        derivative(linearization, moved, at),
+        residual_decrease(linearization, moved, at),
     )
     assert np.linalg.norm(linear - expected) < 0.05 * np.linalg.norm(expected)
     assert all(np.corrcoef(a, b)[0, 1] > 0.9 for a, b in zip(contacts, laws, strict=True))

@@ -126,7 +126,7 @@ def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
     for quantity in NOISE:
         nothing = fitted(record_of(decay(quantity, 3.0)))
         assert not nothing.is_incomplete
-        assert nothing.misfit.motion_share < 5e-3
+        assert nothing.misfit.unexplained_share < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     nothing = fitted(record)
     assert record.has_force
     assert not nothing.is_incomplete
-    assert nothing.misfit.motion_share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
+    assert nothing.misfit.unexplained_share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
 @pytest.mark.study
@@ -148,9 +148,9 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     context = Search(reference, *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
-    found = fit_effects(context, (modulus,), modulus.typical_values, context.residual).hypothesis
+    found = fit_effects(context, (modulus,), modulus.typical_values, context.nominal_residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
-    assert context.nominal_fit().hypothesis.misfit.motion_share > 0.3
+    assert context.nominal_fit().hypothesis.misfit.unexplained_share > 0.3
     assert not found.is_incomplete
 
 
@@ -162,7 +162,7 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     errors = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
     assert np.all(errors < [0.01, 0.02])
-    assert before.misfit.motion_share > 0.3
+    assert before.misfit.unexplained_share > 0.3
     assert not found.is_incomplete
 
 
@@ -190,9 +190,9 @@ def test_friction_is_found_from_a_decay_by_accelerometers_that_miss_its_first_ve
     context = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     friction = next(one for one in known if one.kind.name == "ground_friction")
-    estimate = fit_effects(context, (friction,), friction.typical_values, context.residual).hypothesis
+    estimate = fit_effects(context, (friction,), friction.typical_values, context.nominal_residual).hypothesis
     assert estimate.values == pytest.approx([0.6, 0.8], rel=0.02)
-    assert estimate.misfit.motion_share < 0.2 * context.nominal_fit().hypothesis.misfit.motion_share
+    assert estimate.misfit.unexplained_share < 0.2 * context.nominal_fit().hypothesis.misfit.unexplained_share
 
 
 def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_found():
@@ -201,7 +201,7 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
     error = np.sqrt(found.covariance[0, 0])
     assert abs(found.values[0] - 1.26**2) < 3 * error
     assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
-    assert before.misfit.motion_share > 0.3
+    assert before.misfit.unexplained_share > 0.3
     assert not found.is_incomplete
 
 

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.residual.likelihood import nominal_variances_of
-from identify.gaps.residual.residual import derivative, linearized, residual_of
+from identify.gaps.residual.residual import linearized, residual_decrease, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
@@ -60,7 +60,7 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
     at = residual_of(linearization, actual)
     step = np.zeros(truth.size)
     step[0] = 0.1 * candidate.step_sizes[0]
-    column = stacked(*derivative(linearization, candidate.applied(RIG, truth + step), at))
+    column = stacked(*residual_decrease(linearization, candidate.applied(RIG, truth + step), at))
     there = residual_of(
         linearization, candidate.applied(RIG, truth - step), at.nuisance_pulls, tuple(c.unknowns for c in at.contacts)
     )

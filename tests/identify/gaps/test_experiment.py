@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from identify.gaps.decision import experiment
 from identify.gaps.decision.experiment import (
-    disagreement,
+    disagreement_cost,
     experiments,
     initial_search,
     next_experiments,
@@ -117,6 +117,6 @@ def test_refitted_finds_the_value_and_two_values_disagree_by_their_errors(believ
     refit = refit_hypothesis(start, cause("contact_stiffness", 0.9, 0.1))
     assert refit.values[0] == pytest.approx(1.1, abs=0.02)
     first, second = cause("contact_stiffness", 1.0, 0.03), cause("contact_stiffness", 1.1, 0.04)
-    assert disagreement(first, second) == pytest.approx((0.1 / 0.05) ** 2)
+    assert disagreement_cost(first, second) == pytest.approx((0.1 / 0.05) ** 2)
     with pytest.raises(RigError):
         refit_hypothesis(start, cause("contact_stiffness", -1.0, 0.1))

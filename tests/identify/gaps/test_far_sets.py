@@ -52,7 +52,7 @@ def test_two_large_effects_are_found_together():
     assert set(values_by_effect) == {"clamp_compliance", "added_mass"}
     assert values_by_effect["clamp_compliance"] == pytest.approx([0.04], rel=0.03)
     assert values_by_effect["added_mass"] == pytest.approx([0.3, 0.8], rel=0.03)
-    assert likeliest.misfit.motion_share < 0.01 * search.nominal_fit().hypothesis.misfit.motion_share
+    assert likeliest.misfit.unexplained_share < 0.01 * search.nominal_fit().hypothesis.misfit.unexplained_share
 
 
 def test_rigs_with_contacts_are_not_searched_from_afar():

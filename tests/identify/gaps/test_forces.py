@@ -52,7 +52,7 @@ def test_forces_at_one_place_are_their_sum():
     ]
     models = [linear_model(record, record.rig, 5e-4) for record in records]
     lines = slice(models[0].residual.shape[1] // 2)  # where both bands reach
-    for quantity in ("residual", "contact_n", "eta_m"):
+    for quantity in ("residual", "contact_force_n", "eta_m"):
         found, expected = (getattr(model, quantity)[:, lines] for model in models)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 

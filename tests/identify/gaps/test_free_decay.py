@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import identify
-from identify.gaps.decision.null_simulations import SCALED_S, null_simulator
+from identify.gaps.decision.null_simulations import REPRODUCED_MOTION_S, null_simulator
 from identify.gaps.decision.recordings import check_decay
 from identify.gaps.decision.sentence import UNSCALED
 from identify.gaps.residual.extent import OMITTED_EDGE_S
@@ -47,7 +47,7 @@ def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
     measured = decay(name, tmp_path)
     simulate = null_simulator(measured, record_of(measured), modal)
     simulations = [simulate(measured.rig, measured.rig, measured.forces_n, seed) for seed in (1, 2)]
-    scaled = slice(round(SCALED_S * measured.rig.sample_rate_hz))
+    scaled = slice(round(REPRODUCED_MOTION_S * measured.rig.sample_rate_hz))
     start_s = OMITTED_EDGE_S if name == ACCELEROMETER else 0.0
     for simulation in simulations:
         assert simulation.samples == measured.samples

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.differences import _trend_of
-from identify.gaps.decision.modal_changes import have_levels, identifiable_change, level_dependence
+from identify.gaps.decision.modal_changes import differ_in_level, identifiable_change_words, level_dependence
 from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.wording import interval, level_words
@@ -40,7 +40,7 @@ def change_words(of, name, strength, place=0.5, error=0.1):
     scale = Scale(of, 1.0, 60.0).with_place(place_of_effect)
     candidate = Candidate(kind, place_of_effect, kind.parameters(scale), kind.typical(scale))
     covariance = np.diag([(error * strength) ** 2, 0.0])
-    return identifiable_change(of, candidate, np.array([strength, place]), covariance, 15.0)
+    return identifiable_change_words(of, candidate, np.array([strength, place]), covariance, 15.0)
 
 
 @pytest.mark.parametrize(
@@ -120,9 +120,9 @@ def test_what_does_not_follow_the_level_is_not_told_as_its(rigs, trend):
 
 
 def test_forces_within_a_quarter_are_one_level():
-    assert have_levels(LEVELS_N)
-    assert not have_levels((12.0, 13.0, 14.0))
-    assert not have_levels((0.0, 13.0))
+    assert differ_in_level(LEVELS_N)
+    assert not differ_in_level((12.0, 13.0, 14.0))
+    assert not differ_in_level((0.0, 13.0))
 
 
 def test_a_trend_is_one_of_the_levels_in_their_order():

@@ -72,7 +72,7 @@ def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     variances, candidates = nominal_variances(records), library(records[0])
     (candidate,) = [c for c in candidates if c.kind.name == "added_mass"]
     context = Search(variances[0], *fit_nuisance(records[0], RIG), tuple(candidates))
-    first_record = fit_effects(context, (candidate,), np.array([0.5 * mass_kg]), context.residual).hypothesis
+    first_record = fit_effects(context, (candidate,), np.array([0.5 * mass_kg]), context.nominal_residual).hypothesis
     first_pooled = fitted_together(records[:1], variances[:1], first_record)
     both_records = fitted_together(records, variances, first_record)
     errors = [float(np.sqrt(item.covariance[0, 0])) for item in (first_record, first_pooled, both_records)]

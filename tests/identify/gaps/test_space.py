@@ -11,7 +11,7 @@ import identify
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.decision.rings import RingFit, linear_candidates, ring_candidates, ring_distances
 from identify.gaps.residual.likelihood import misfit
-from identify.gaps.residual.nuisance import columns_of
+from identify.gaps.residual.nuisance import nuisance_columns_of
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances
 from identify.gaps.search.candidates import candidates, scale_of
@@ -73,8 +73,8 @@ def test_a_rig_folds_back_to_itself():
         dampers=(PointDamper(station=Station("cradle", 0.7), damping_n_s_per_m=2.0),),
     )
     unfolding = Unfolding(rig)
-    assert not unfolding.rig.in_space
-    assert unfolding.folded(unfolding.rig) == rig
+    assert not unfolding.unfolded_rig.in_space
+    assert unfolding.folded(unfolding.unfolded_rig) == rig
 
 
 def test_twins_have_the_tolerances_of_their_bodies():
@@ -121,7 +121,7 @@ def observation():
     """Record of a machine with an added mass and a wider ring, unfolded."""
     recording = recorded(MASS_KG, CLEARANCE_FACTOR, 1, crossing=0.02)
     unfolding = Unfolding(recording.rig)
-    return unfolding, prepare_recording(unfolding.recording(recording), free_contact_tolerances(LABORATORY))
+    return unfolding, prepare_recording(unfolding.unfolded_recording(recording), free_contact_tolerances(LABORATORY))
 
 
 def test_effects_act_on_what_both_directions_share_or_in_one(observation):
@@ -165,7 +165,7 @@ def test_the_mass_shows_in_the_motion_and_the_clearance_in_the_fit_of_the_rings_
 
 def test_sensors_show_motion_across_which_is_fitted(observation):
     _, prepared = observation
-    columns = columns_of(prepared.record, linearized(prepared.record, prepared.record.rig).model)
+    columns = nuisance_columns_of(prepared.record, linearized(prepared.record, prepared.record.rig).model)
     across = [p.owner for p in columns.parameters if p.kind is NuisanceKind.CROSS_AXIS]
     assert sorted(across) == sorted(sensor.name for sensor in prepared.record.sensors)
     residual = fit_nuisance(prepared.record, prepared.record.rig)[1]

@@ -9,7 +9,7 @@ from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.sparse import ranked_hypotheses, selected
+from identify.gaps.search.sparse import best_selection, ranked_hypotheses
 from rig.effects.added_mass import AddedMass
 from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
@@ -42,17 +42,17 @@ def model(pair):
     steady = [c for c in pair.candidates if not c.kind.stochastic]
     nothing = pair.nominal_fit().hypothesis
     return local_model(
-        pair.linearization, pair.residual, pair.nominal_variances, pair.linearization.rig, nothing, steady
+        pair.linearization, pair.nominal_residual, pair.nominal_variances, pair.linearization.rig, nothing, steady
     )
 
 
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
-    left = misfit(pair.linearization.record, pair.nominal_variances, pair.residual)
+    left = misfit(pair.linearization.record, pair.nominal_variances, pair.nominal_residual)
     cells, contacts = model.levels(np.zeros(len(model.column_spectra)))
-    near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
+    near = np.isclose(cells.reshape(left.mean_squares.shape), left.mean_squares, rtol=1e-3)
     assert near.mean() > 0.9
-    assert contacts == pytest.approx(left.contact_levels, rel=1e-2)
+    assert contacts == pytest.approx(left.contact_mean_squares, rel=1e-2)
 
 
 def test_majorisation_never_raises_the_statistic(model):
@@ -64,7 +64,7 @@ def test_majorisation_never_raises_the_statistic(model):
 
 def test_an_effect_that_dominates_is_selected_alone(pair, model):
     """It bends the model of the others."""
-    selection = selected(model, pair.nominal_fit().hypothesis)
+    selection = best_selection(model, pair.nominal_fit().hypothesis)
     assert [part.name for part in selection.candidates] == ["added_mass:barrel"]
 
 

@@ -65,14 +65,14 @@ def misfit_of_level(level: float) -> Misfit:
         nominal_variances=NominalVariances(ONES, 0.5 * ONES, 1e3 * ONES, np.full(40, 50.0), ()),
         variance_by_second=np.full((20, 40, 6), level),
         variance_correction=ONES,
-        contact_level_by_second=none,
+        contact_mean_square_by_second=none,
         contact_excess_n2=none,
-        force_n2=none,
+        contact_force_n2=none,
         pulls=np.zeros(4),
         drift_cost=0.0,
-        freedom_cost=0.0,
+        input_cost=0.0,
         line_cost=0.0,
-        independent_samples=80.0,
+        independent_sample_count=80.0,
     )
 
 
@@ -225,7 +225,7 @@ def test_an_effect_that_a_pair_names_stands_alone_only_where_it_is_named_there(s
 def test_what_the_named_effect_changes_is_bounded_beside_it():
     """The nominal rig, its tolerances fitted, leaves little; with the tolerances as beside the mass it leaves much."""
     named = decide([MASS, NOMINAL], vetoed=False).evidence
-    assert named.quantities_beside[0].value == MASS.nominal_misfit.motion_share
+    assert named.quantities_beside[0].value == MASS.nominal_misfit.unexplained_share
     unnamed = decide([validated_hypothesis(1.0, "added_mass", 0.1), NOMINAL], vetoed=False).evidence
     assert not unnamed.named
     assert not unnamed.quantities_beside

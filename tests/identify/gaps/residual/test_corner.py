@@ -57,7 +57,7 @@ def test_a_softening_spring_is_found_from_accelerations():
     search = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     spring = next(candidate for candidate in known if candidate.kind.name == "hardening_spring")
-    hypothesis = fit_effects(search, (spring,), np.array([cubic / 3, 0.9]), search.residual).hypothesis
+    hypothesis = fit_effects(search, (spring,), np.array([cubic / 3, 0.9]), search.nominal_residual).hypothesis
     errors = np.sqrt(np.diag(hypothesis.covariance))
     assert np.all(np.abs(hypothesis.values - [cubic, 0.75]) < 3 * errors)
     assert errors[0] < 0.1 * abs(cubic)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.gaps.residual.extent import RELEASE_S
+from identify.gaps.residual.extent import OMITTED_RELEASE_S
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.residual import linearized
@@ -29,7 +29,7 @@ def record(tmp_path_factory):
 
 def test_each_column_is_the_free_motion_of_a_mode(record):
     model = linearized(record, record.rig).model
-    assert record.residual_times_s[0] == pytest.approx(RELEASE_S, abs=0.01)
+    assert record.residual_times_s[0] == pytest.approx(OMITTED_RELEASE_S, abs=0.01)
     assert len(model.free_modes) > 5
     for motion in model.free_modes:
         dynamics = model.responses[motion.body_index].dynamics

@@ -5,7 +5,7 @@ import pytest
 
 from identify.gaps.residual.fit import contact_jacobian
 from identify.gaps.residual.nuisance import with_nuisance
-from identify.gaps.residual.residual import derivative, linearized, residual_of, same_but_laws
+from identify.gaps.residual.residual import linearized, residual_decrease, residual_of, same_but_laws
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fitted_nuisance
 from rig.simulation.reference import BarrelCradle
@@ -51,7 +51,7 @@ def test_effects_by_differences(believed):
         step = np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))
         changed_rig = candidate.applied(RIG, neutral + step)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns)
-        linear, contacts = derivative(linearization, changed_rig, residual)
+        linear, contacts = residual_decrease(linearization, changed_rig, residual)
         expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         errors[candidate.name] = largest_relative_error(
             [linear, *contacts], [residual.linear_residual - changed.linear_residual, *expected]
@@ -67,7 +67,7 @@ def test_contact_unknowns_by_differences(believed, contact):
     The latter in newtons: the low-passed slope rings about each closure, where an open contact's weights are large.
     """
     linearization, residual = believed
-    columns, expected = residual.contacts[contact].columns.toarray(), []
+    columns, expected = residual.contacts[contact].columns_by_unknown.toarray(), []
     for k in range(columns.shape[1]):
         step = 1e-7 if k < columns.shape[1] - 3 else 1e-3
         residuals = []
@@ -78,7 +78,7 @@ def test_contact_unknowns_by_differences(believed, contact):
             residuals.append(changed.contacts[contact].residual)
         expected.append((residuals[0] - residuals[1]) / (2 * step))
     assert largest_relative_error(columns[:, -3:].T, expected[-3:]) < EXACT
-    weights = residual.contacts[contact].observation.weights
+    weights = residual.contacts[contact].observation.force_weights
     is_moving = np.flatnonzero(weights)
     slow_n, expected_n = (x[is_moving] / weights[is_moving, None] for x in (columns, np.stack(expected, axis=1)))
     assert np.linalg.norm((slow_n - expected_n)[:, :-3]) < 0.1 * np.linalg.norm(expected_n[:, :-3])

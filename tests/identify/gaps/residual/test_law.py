@@ -22,8 +22,8 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     record = simulated_record(settings, believed, held)
     reference = nominal_variances_of(linearized(record, believed))
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
-    assert max(springing.contact_levels) < 0.2
-    assert min(floating.contact_levels) > 4 * max(springing.contact_levels)
+    assert max(springing.contact_mean_squares) < 0.2
+    assert min(floating.contact_mean_squares) > 4 * max(springing.contact_mean_squares)
 
 
 def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
@@ -36,7 +36,7 @@ def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
     for actual in (believed, wider):
         record = simulated_record(settings, believed, actual)
         reference = nominal_variances_of(linearized(record, believed))
-        misfits.append(max(misfit(record, reference, fit_nuisance(record, believed)[1]).contact_levels))
+        misfits.append(max(misfit(record, reference, fit_nuisance(record, believed)[1]).contact_mean_squares))
     assert misfits[0] < 10
     assert misfits[1] > 100
     drawn = draw_rig(believed, replace(LABORATORY, clearance=3.0), standard_normals(believed, 8)[0])

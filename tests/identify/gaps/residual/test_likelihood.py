@@ -17,7 +17,7 @@ from identify.gaps.decision.null_reference import NullReference, NullSimulation,
 from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
-from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
+from identify.gaps.residual.scales import estimated_scales, levels_by_band, posterior_variance, prior_scales
 from identify.gaps.results import Matters
 from rig.simulation.reference import BarrelCradle
 from tests.identify.gaps.residual.simulated_records import simulated_record
@@ -40,14 +40,14 @@ def misfit_of_level(level: float, contact_n: float = 0.0, pulls: float = 0.0) ->
         nominal_variances=REFERENCE,
         variance_by_second=np.full((SECONDS, BANDS, SENSORS), level),
         variance_correction=ONES,
-        contact_level_by_second=contacts * (1 + contact_n**2),
+        contact_mean_square_by_second=contacts * (1 + contact_n**2),
         contact_excess_n2=contacts * contact_n**2,
-        force_n2=contacts * 100.0,
+        contact_force_n2=contacts * 100.0,
         pulls=np.full(4, pulls),
         drift_cost=0.0,
-        freedom_cost=0.0,
+        input_cost=0.0,
         line_cost=0.0,
-        independent_samples=80.0,
+        independent_sample_count=80.0,
     )
 
 
@@ -63,10 +63,10 @@ def test_an_unknown_scale_makes_a_lasting_error_cost_no_more_than_its_logarithm(
 
 
 def test_shares_are_beyond_noise_and_relative_to_the_motion():
-    assert misfit_of_level(0.5).motion_share == 0.0
-    assert misfit_of_level(1.5).motion_share == pytest.approx(np.sqrt(1.0 / 1e4))
+    assert misfit_of_level(0.5).unexplained_share == 0.0
+    assert misfit_of_level(1.5).unexplained_share == pytest.approx(np.sqrt(1.0 / 1e4))
     np.testing.assert_allclose(misfit_of_level(1.5).share_by_band, 0.01)
-    np.testing.assert_allclose(misfit_of_level(1.0, contact_n=0.5).contact_shares, 0.05)
+    np.testing.assert_allclose(misfit_of_level(1.0, contact_n=0.5).unexplained_contact_shares, 0.05)
 
 
 def with_noise_of(level: float, seed: int) -> Misfit:
@@ -87,13 +87,13 @@ def test_noise_alone_leaves_no_share_of_the_motion_in_many_noisy_bands(seed):
     """Positive parts of all bands would add up to 11 %."""
     noise = with_noise_of(1.0, seed)
     assert np.sqrt(np.mean(noise.share_by_band**2)) > 0.1
-    assert noise.motion_share < 0.04
+    assert noise.unexplained_share < 0.04
 
 
 def test_noise_that_is_estimated_too_high_hides_no_misfit_of_one_band():
     noise = with_noise_of(0.8, 1)
     noise.variance_by_second[:, 7] += 100.0  # of a power of 5 in each of 400 bands
-    assert noise.motion_share == pytest.approx(np.sqrt(100.0 / (5 * 400)), rel=0.01)
+    assert noise.unexplained_share == pytest.approx(np.sqrt(100.0 / (5 * 400)), rel=0.01)
 
 
 def test_the_size_of_a_gap_counts_in_what_matters():
@@ -138,7 +138,7 @@ def test_probabilities_sum_to_one_and_follow_the_odds():
 def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit:
     """-2 ln p of the contacts, of the rest, and the part of the worst band."""
     bare = misfit_of_level(1.0)
-    misfit = replace(bare, freedom_cost=other_costs - (bare.minus_two_log - bare.contact_cost))
+    misfit = replace(bare, input_cost=other_costs - (bare.minus_two_log - bare.contact_cost))
     vars(misfit).update(contact_cost=law, peak_band_cost=peak)
     return misfit
 
@@ -231,5 +231,5 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     scales = estimated_scales(record, prior, residual, (0.2, 3.0))
     middle = scales.unmodelled_shares[:, record.omega.size // 4 : record.omega.size // 2]
     assert np.median(middle) == pytest.approx(true_share, rel=0.2)
-    assert scales.variances == (float(posterior_level(np.array(0.2))), 2.0)
-    assert band_levels(record, residual).min() > 0
+    assert scales.contact_variances == (float(posterior_variance(np.array(0.2))), 2.0)
+    assert levels_by_band(record, residual).min() > 0

@@ -65,7 +65,7 @@ def fitted_effects(record, *names):
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, effects)
     estimate = fit_effects(search, effects, np.concatenate([p.typical_values for p in effects]), residual).hypothesis
-    shares = search.nominal_fit().hypothesis.misfit.motion_share, estimate.misfit.motion_share
+    shares = search.nominal_fit().hypothesis.misfit.unexplained_share, estimate.misfit.unexplained_share
     return estimate.values, np.sqrt(np.diag(estimate.covariance)), shares
 
 

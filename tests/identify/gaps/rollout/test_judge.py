@@ -12,8 +12,8 @@ from identify.gaps.rollout.judge import (
     falls_short,
     judge_correction,
     shrunk_share,
-    standard_error,
-    veto,
+    standard_error_of_mean,
+    veto_code,
 )
 from identify.gaps.rollout.results import NullErrors, Rollout
 from identify.signals.ringing import RingingMode, modes_of_decay
@@ -77,7 +77,7 @@ def test_without_a_horizon_or_a_predictor_nothing_is_judged(null, nulls):
 
 def test_vetoes_by_chance_are_as_rare_as_stated():
     rng = np.random.default_rng(1)
-    codes = [veto(BlockRatios(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
+    codes = [veto_code(BlockRatios(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
     assert 0.006 < np.mean([code == "worse" for code in codes]) < 0.014  # 1 %, three standard errors
 
 
@@ -91,7 +91,7 @@ def test_neighbouring_blocks_that_resemble_each_other_count_for_fewer():
         for k in range(1, 60):
             row[k] = 0.5 * row[k - 1] + noise[k]
         means.append(row.mean())
-        errors.append(standard_error(row))
+        errors.append(standard_error_of_mean(row))
     assert np.mean(errors) == pytest.approx(np.std(means), rel=0.12)
 
 
@@ -107,16 +107,16 @@ def test_errors_of_a_right_correction_fall_as_expected():
     right = block_ratios(e - change, e, first, 1000.0)
     assert right.log_ratios.mean() == pytest.approx(right.expected_log_ratios.mean(), rel=0.05)
     assert right.expected_log_ratios.mean() == pytest.approx(-np.log(2) / 2, rel=0.05)
-    assert veto(right) == "not_vetoed"
+    assert veto_code(right) == "not_vetoed"
     assert not falls_short(right)
-    assert veto(block_ratios(e, e - change, first, 1000.0)) == "worse"
+    assert veto_code(block_ratios(e, e - change, first, 1000.0)) == "worse"
 
 
 def test_a_correction_that_changes_much_and_gains_nothing_falls_short():
     first, e, change = paired_errors()
     half = block_ratios(e - change / 2, e + change / 2, first, 1000.0)
     assert half.log_ratios.mean() == pytest.approx(0.0, abs=0.02)
-    assert veto(half) == "not_vetoed"
+    assert veto_code(half) == "not_vetoed"
     assert falls_short(half)
 
 

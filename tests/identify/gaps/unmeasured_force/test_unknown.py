@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from identify.gaps.unmeasured_force import described, likeliest_force
+from identify.gaps.unmeasured_force import described_force, likeliest_force
 from identify.gaps.unmeasured_force.evidence import evidence_with_force, evidence_without_force
 from identify.gaps.unmeasured_force.location import ForcePlace, force_places, locate_force, response_of
 from identify.gaps.unmeasured_force.nuisance import whitened_record
@@ -29,9 +29,9 @@ def both(world, unknown, spoilt=None, rms_n=5.0):
 def force_in(world, unknown, spoilt=None, rms_n=5.0):
     fit, validation = both(world, unknown, spoilt, rms_n)
     estimate = likeliest_force(fit, world.rig, validation)
-    force = described(estimate)
+    force = described_force(estimate)
     assert force.same_place
-    assert min(explained_share(estimate.on_fit), force.explained) >= 0.5
+    assert min(explained_share(estimate.on_fit_record), force.explained) >= 0.5
     return force
 
 
@@ -113,7 +113,7 @@ def test_a_sensor_that_clips_is_a_sensor(world):
 
 def test_a_null_shows_no_force(world):
     fit, validation = both(world, None)
-    force = described(likeliest_force(fit, world.rig, validation))
+    force = described_force(likeliest_force(fit, world.rig, validation))
     assert force.explained < 0.3
     assert force.law == ""
 
