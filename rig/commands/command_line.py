@@ -25,7 +25,7 @@ from rich.text import Text
 from typer.core import TyperCommand
 
 from rig.errors import RigError, is_plain, one_line
-from rig.files import check_target, part_of
+from rig.files import check_target, part_path_of
 
 INTERRUPTED_STATUS = 130
 LOST_INTERRUPT_S = 0.05
@@ -223,7 +223,7 @@ def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None
 def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:
     """Raise RigError if the path exists and `force` is false, or if `check_target` refuses it."""
     check_target(path, *sources, new_folder=new_folder)
-    part_path = part_of(path)
+    part_path = part_path_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")
     if path.suffix == ".mcap" and part_path.exists() and not force:

@@ -119,7 +119,7 @@ class Scale:
         return [contact.law for contact in self.rig.contacts if self.place.get("contact") in (None, contact.name)]
 
     def _body(self) -> Body:
-        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
+        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven_body)
 
     def _shapes_and_frequencies(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
@@ -228,7 +228,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
         """Body of that name; without a name the one that the (first) force drives."""
-        body_name = rig.first_driven if name is None else name
+        body_name = rig.first_driven_body if name is None else name
         for body in rig.bodies:
             if body.name == body_name:
                 return body

@@ -16,10 +16,10 @@ def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
 
     Raises RigError if a support stands where its body cannot move.
     """
-    return (*rig.springs, *(_spring(rig.body(support.station.body), support) for support in rig.supports))
+    return (*rig.springs, *(_support_spring(rig.body(support.station.body), support) for support in rig.supports))
 
 
-def _spring(body: Body, support: Support) -> PointSpring:
+def _support_spring(body: Body, support: Support) -> PointSpring:
     stiffness = support.stiffness_n_per_m
     return PointSpring(
         station=support.station, stiffness_n_per_m=_rigid_n_per_m(body, support) if stiffness is None else stiffness

@@ -43,7 +43,7 @@ def phrase(
     words["at"] = ""
     if "relative_position" in candidate.parameters.names:
         relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
-        length_m = rig.body(candidate.place.get("body") or rig.first_driven).length_m
+        length_m = rig.body(candidate.place.get("body") or rig.first_driven_body).length_m
         words["at"] = f" at {relative_position * length_m:.2f} m"
     return candidate.kind.words.format_map(words)
 

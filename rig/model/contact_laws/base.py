@@ -76,7 +76,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return False
 
     @property
-    def steepest(self) -> tuple[float, float]:
+    def largest_slopes(self) -> tuple[float, float]:
         """Largest df/d eta (N/m) and df/d eta' (N s/m) at a stop, which a time step has to resolve."""
         return self.stiffness_n_per_m, self.damping_n_s_per_m
 
@@ -93,8 +93,8 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def sides(self) -> tuple[int, ...]:
         """Sides that have a stop: -1 the lower one, 1 the upper one."""
-        clearances_m = ((-1, self.lower_clearance_m), (1, self.upper_clearance_m))
-        return tuple(side for side, clearance_m in clearances_m if np.isfinite(clearance_m))
+        sides_and_clearances_m = ((-1, self.lower_clearance_m), (1, self.upper_clearance_m))
+        return tuple(side for side, clearance_m in sides_and_clearances_m if np.isfinite(clearance_m))
 
     def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
@@ -133,16 +133,16 @@ class PlaneLaw(ContactLaw, frozen=True, kw_only=True):
 
 def walls_m(law: ContactLaw) -> list[tuple[float, int]]:
     """Relative displacements at which the stops stand at time 0, the upper one first, each with its side."""
-    positions_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
-    return [(positions_m[side], side) for side in reversed(law.sides)]
+    position_by_side_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
+    return [(position_by_side_m[side], side) for side in reversed(law.sides)]
 
 
 def depth_of(law: Any, eta: Any, time_s: Any) -> Any:
     """Signed depth beyond the stops, m."""
-    low, high = -law.lower_clearance_m, law.upper_clearance_m
+    lower_stop_m, upper_stop_m = -law.lower_clearance_m, law.upper_clearance_m
     if contributes(law.wear_m_per_s):
-        low, high = low - law.wear_m_per_s * time_s, high + law.wear_m_per_s * time_s
-    return beyond(eta, low, high)
+        lower_stop_m, upper_stop_m = lower_stop_m - law.wear_m_per_s * time_s, upper_stop_m + law.wear_m_per_s * time_s
+    return beyond(eta, lower_stop_m, upper_stop_m)
 
 
 def penetration_m(eta_m: Signal, lower_m: Any, upper_m: Any) -> Values:
