@@ -53,8 +53,8 @@ def _start(command_name: str) -> None:
         os._exit(INTERRUPTED_STATUS)  # nothing is open yet, and an exception might be lost in what is being imported
 
     earlier_handlers = {ending_signal: signal.getsignal(ending_signal) for ending_signal in ENDING_SIGNALS}
-    for ending_signal, handler in earlier_handlers.items():
-        if handler != signal.SIG_IGN:
+    for ending_signal, earlier_handler in earlier_handlers.items():
+        if earlier_handler != signal.SIG_IGN:
             signal.signal(ending_signal, exit_interrupted)
     try:
         main = import_module(f"{command_name}.commands.cli").main
@@ -62,8 +62,8 @@ def _start(command_name: str) -> None:
             import_module(f"{command_name}.api")  # the libraries, which commands import when they run
     except ImportError as error:
         sys.exit(f"{command_name}: cannot start ({error}); ask for the reason: {NAME} doctor")
-    for ending_signal, handler in earlier_handlers.items():
-        signal.signal(ending_signal, handler)
+    for ending_signal, earlier_handler in earlier_handlers.items():
+        signal.signal(ending_signal, earlier_handler)
     main()
 
 

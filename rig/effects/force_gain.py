@@ -18,5 +18,5 @@ class ForceGain(Effect, frozen=True):
     factor: Annotated[float, Parameter("1", 0.2, 5.0, 1.0)] = 1.05
 
     def applied_to(self, rig: Rig) -> Rig:
-        sensor = rig.force_sensor
-        return replace(rig, force_sensor=replace(sensor, gain=sensor.gain * self.factor))
+        force_sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(force_sensor, gain=force_sensor.gain * self.factor))

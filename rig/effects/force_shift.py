@@ -28,5 +28,5 @@ class ForceShift(Effect, frozen=True):
         return cls.ranged(shift_s=(-max_shift_s, max_shift_s))
 
     def applied_to(self, rig: Rig) -> Rig:
-        sensor = rig.force_sensor
-        return replace(rig, force_sensor=replace(sensor, lag_s=sensor.lag_s + self.shift_s))
+        force_sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(force_sensor, lag_s=force_sensor.lag_s + self.shift_s))

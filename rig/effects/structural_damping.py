@@ -22,8 +22,8 @@ class StructuralDamping(Effect, frozen=True):
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Places as of every effect, and all bodies, tied."""
-        everywhere: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
-        return super().placements(rig, sensors) + everywhere
+        all_bodies_placement: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
+        return super().placements(rig, sensors) + all_bodies_placement
 
     def applied_to(self, rig: Rig) -> Rig:
         damped_bodies = rig.bodies if self.body is None else (self.body_of(rig, self.body),)

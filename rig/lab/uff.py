@@ -120,10 +120,10 @@ def _closing_mark(content: mmap.mmap, start_offset: int, binary_head: bytes) -> 
 
 def _line(content: mmap.mmap, offset: int) -> tuple[bytes, int]:
     """Line at an offset, and the offset of the next."""
-    match = LINE_PATTERN.match(content, offset)
-    if match is None:
+    line_match = LINE_PATTERN.match(content, offset)
+    if line_match is None:
         raise UnreadableError("a dataset has no header")
-    return match[1], match.end()
+    return line_match[1], line_match.end()
 
 
 def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
@@ -169,14 +169,14 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
     number_bytes = min(NUMBER_WIDTHS[type_code, history.is_even])
     if dataset.is_binary:
         number_bytes = 4 if type_code == SINGLE else 8
-    count = (dataset.stop - numbers_offset) // number_bytes
-    is_wrong = count != history.value_count if dataset.is_binary else count < history.value_count
-    if history.point_count < 0 or is_wrong:
-        raise _wrong_length_error(name, count, history.is_even, history.point_count)
-    read = partial(_read_columns, content, history)
+    number_count = (dataset.stop - numbers_offset) // number_bytes
+    has_wrong_length = number_count != history.value_count if dataset.is_binary else number_count < history.value_count
+    if history.point_count < 0 or has_wrong_length:
+        raise _wrong_length_error(name, number_count, history.is_even, history.point_count)
+    read_columns = partial(_read_columns, content, history)
     if history.is_even:
-        return ColumnBlock((name,), history.point_count, read)
-    return ColumnBlock((f"{name} time", name), history.point_count, read, 16 * history.point_count)
+        return ColumnBlock((name,), history.point_count, read_columns)
+    return ColumnBlock((f"{name} time", name), history.point_count, read_columns, 16 * history.point_count)
 
 
 def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequence[int]) -> list[Column]:
@@ -192,22 +192,22 @@ def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequenc
 
 
 def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
-    number_type = f"{history.byte_order}f{4 if history.type_code == SINGLE else 8}"
-    return np.frombuffer(content, number_type, history.value_count, history.start).astype(float)
+    numpy_type = f"{history.byte_order}f{4 if history.type_code == SINGLE else 8}"
+    return np.frombuffer(content, numpy_type, history.value_count, history.start).astype(float)
 
 
 def _text_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     spans = list(pairwise(accumulate(NUMBER_WIDTHS[history.type_code, history.is_even], initial=0)))
-    values, count = np.empty(history.value_count), 0
+    history_numbers, number_count = np.empty(history.value_count), 0
     lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start, history.stop))
-    while batch := list(islice(lines, LINES_PER_BLOCK)):
-        numbers = [float(cell) for line in batch for first, last in spans if (cell := line[first:last].strip())]
-        if count + len(numbers) <= values.size:
-            values[count : count + len(numbers)] = numbers
-        count += len(numbers)
-    if count != values.size:
-        raise _wrong_length_error(history.name, count, history.is_even, history.point_count)
-    return values
+    while line_batch := list(islice(lines, LINES_PER_BLOCK)):
+        numbers = [float(cell) for line in line_batch for first, last in spans if (cell := line[first:last].strip())]
+        if number_count + len(numbers) <= history_numbers.size:
+            history_numbers[number_count : number_count + len(numbers)] = numbers
+        number_count += len(numbers)
+    if number_count != history_numbers.size:
+        raise _wrong_length_error(history.name, number_count, history.is_even, history.point_count)
+    return history_numbers
 
 
 def _wrong_length_error(name: str, value_count: int, is_even: bool, point_count: int) -> UnreadableError:

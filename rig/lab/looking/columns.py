@@ -29,7 +29,7 @@ class ColumnSummary:
     distinct_count: int
     """Different values, counted to three."""
     rate_hz: float | None = None
-    recorded: str = ""
+    date_text: str = ""
     stamps: Float[np.ndarray, " samples"] | None = None
     last_digit: float = 0.0
     is_date: bool = False
@@ -76,7 +76,7 @@ def column_summary(
         highest=highest,
         distinct_count=distinct_count,
         rate_hz=column.sample_rate_hz,
-        recorded=column.recorded,
+        date_text=column.date_text,
         stamps=values if is_increasing else None,
         last_digit=last_digit,
         is_date=is_date,
