@@ -64,9 +64,9 @@ def _record_words() -> dict[str, str]:
     def defaults_text(struct_type: type[msgspec.Struct]) -> str:
         return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
 
-    settings = {**REFERENCES, "FILE.json": OwnRigSettings}
+    settings_by_rig = {**REFERENCES, "FILE.json": OwnRigSettings}
     paragraphs = (
-        *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings.items()),
+        *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings_by_rig.items()),
         "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
         *(f"Effect {name}: {defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
     )

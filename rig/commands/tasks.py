@@ -78,11 +78,11 @@ def outcomes_of_tasks(
             closing(completions),
             progress_bar(f"{len(unfinished_indices)} of {len(parameter_sets)} tasks") as progress,
         ):
-            for index, future in completions if tasks else ():
+            for completed_index, future in completions if tasks else ():
                 if error := future.exception():
-                    error_by_number[unfinished_indices[index]] = error
+                    error_by_number[unfinished_indices[completed_index]] = error
                 else:
-                    write_bytes(msgspec.json.encode(future.result()), result_paths[unfinished_indices[index]])
+                    write_bytes(msgspec.json.encode(future.result()), result_paths[unfinished_indices[completed_index]])
                 finished_count += 1
                 progress(finished_count / len(unfinished_indices))
     except KeyboardInterrupt:

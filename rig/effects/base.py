@@ -141,7 +141,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {}
     """Words behind the size of a parameter that has a direction, by its name: where it is negative, where positive;
     and in place of size and words where the record does not determine it."""
-    separated_by: ClassVar[str] = "record for longer and at another level of force"
+    separating_test: ClassVar[str] = "record for longer and at another level of force"
     """Experiment that separates it from effects that look alike in one record."""
     needs_zero: ClassVar[bool] = False
     """Whether it is visible only where the zero of the relative displacements is known."""

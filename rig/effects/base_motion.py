@@ -15,7 +15,7 @@ class ShakingBase(Effect, frozen=True):
 
     name: ClassVar[str] = "base_motion"
     words: ClassVar[str] = "an unmeasured base motion of {acceleration_rms_m_per_s2} rms from {low_hz} to {high_hz}"
-    separated_by: ClassVar[str] = "record without force, or put an accelerometer on the base"
+    separating_test: ClassVar[str] = "record without force, or put an accelerometer on the base"
     stochastic: ClassVar[bool] = True
     acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0, 0.0)] = 0.5
     low_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 8.0

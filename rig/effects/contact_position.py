@@ -18,7 +18,7 @@ class ContactPosition(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_m": ("shorter than believed", "longer than believed", "not as believed")
     }
-    separated_by: ClassVar[str] = "measure where the parts touch"
+    separating_test: ClassVar[str] = "measure where the parts touch"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
 
     @classmethod

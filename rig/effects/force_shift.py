@@ -18,7 +18,7 @@ class ForceShift(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_s": ("earlier than measured", "later than measured", "at another time than measured")
     }
-    separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
+    separating_test: ClassVar[str] = "shake a known free mass with the same force sensor"
     shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
 
     @classmethod

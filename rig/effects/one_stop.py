@@ -16,7 +16,7 @@ class OneStop(Effect, frozen=True):
 
     name: ClassVar[str] = "one_stop"
     words: ClassVar[str] = "a stiffness of the {side} stop of {contact} that is {factor}"
-    separated_by: ClassVar[str] = "press the parts to either side with a static force and compare"
+    separating_test: ClassVar[str] = "press the parts to either side with a static force and compare"
     factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.5
     contact: str | None = None
     side: Literal["upper", "lower"] = "upper"

@@ -15,7 +15,7 @@ class StructuralDamping(Effect, frozen=True):
 
     name: ClassVar[str] = "structural_damping"
     words: ClassVar[str] = "a damping of {body} that is {factor}"
-    separated_by: ClassVar[str] = "record a free decay at a low level that opens no contact"
+    separating_test: ClassVar[str] = "record a free decay at a low level that opens no contact"
     factor: Annotated[float, Parameter("1", 0.1, 15.0, 1.0)] = 3.0
     body: str | None = None
 

@@ -66,33 +66,33 @@ def evenly_sampled(
     Raises RigError, without the name of the file, if the stamps are uneven or at another rate and it is not, and
     always for a rate below rate_hz or over MAX_DECIMATION times as high.
     """
-    measured_hz, stamp_fault = sample_times.rate_hz, sample_times.fault
+    record_rate_hz, stamp_fault = sample_times.rate_hz, sample_times.fault
     if stamp_fault and not resample:
         raise RigError(f"{stamp_fault}; mend the record, or set resample = true in the map")
-    is_other_rate = abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE
-    if is_other_rate and measured_hz < rate_hz:
+    is_other_rate = abs(record_rate_hz / rate_hz - 1) > RATE_TOLERANCE
+    if is_other_rate and record_rate_hz < rate_hz:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
+            f"it is sampled at {record_rate_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
         )
-    if measured_hz > MAX_DECIMATION * rate_hz:
+    if record_rate_hz > MAX_DECIMATION * rate_hz:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
+            f"it is sampled at {record_rate_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
             "rig; correct the unit or scale of its time, or rig.json"
         )
     if is_other_rate and not resample:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
+            f"it is sampled at {record_rate_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
             "set resample = true in the map"
         )
-    rate_ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
+    rate_ratio = Fraction(rate_hz / record_rate_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
     grid_rate_hz = rate_hz / float(rate_ratio)
     processing_steps = []
-    if stamp_fault or abs(grid_rate_hz / measured_hz - 1) > RATE_TOLERANCE:
+    if stamp_fault or abs(grid_rate_hz / record_rate_hz - 1) > RATE_TOLERANCE:
         values = _resample_to_grid(values, sample_times, grid_rate_hz)
-        reason = stamp_fault or "the rate is uneven"
-        processing_steps.append(f"resampled to an even {grid_rate_hz:.9g} Hz by a cubic spline, since {reason}")
+        grid_reason = stamp_fault or "the rate is uneven"
+        processing_steps.append(f"resampled to an even {grid_rate_hz:.9g} Hz by a cubic spline, since {grid_reason}")
     if rate_ratio != 1:
-        values = np.stack([_filter_to_rate(samples, rate_ratio) for samples in values])
+        values = np.stack([_filter_to_rate(channel_values, rate_ratio) for channel_values in values])
         processing_steps.append(f"resampled from {grid_rate_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
     return values, tuple(processing_steps)
 
@@ -149,13 +149,13 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         return rate_hz, f"its time stamps have {gap_indices.size} gaps, the first after {time_s[gap_indices[0]]:.6f} s"
     del intervals_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
-    deviations = time_s - time_s[0]  # in intervals, in place: records are long
-    deviations *= rate_hz
-    deviations -= np.arange(time_s.size)
-    np.abs(deviations, out=deviations)
-    worst = int(np.argmax(deviations))
-    if deviations[worst] > MAX_JITTER_INTERVALS:
+    stamp_errors = time_s - time_s[0]  # in intervals, in place: records are long
+    stamp_errors *= rate_hz
+    stamp_errors -= np.arange(time_s.size)
+    np.abs(stamp_errors, out=stamp_errors)
+    worst = int(np.argmax(stamp_errors))
+    if stamp_errors[worst] > MAX_JITTER_INTERVALS:
         return rate_hz, (
-            f"its time stamps are uneven, by {deviations[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
+            f"its time stamps are uneven, by {stamp_errors[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
         )
     return rate_hz, ""

@@ -142,8 +142,8 @@ def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _Sample
         sample_count += 1
     filled_line = first_line.rsplit(delimiter, trailing_empty_count)[0] if trailing_empty_count else first_line
     filled_count = len(cells_of(filled_line, delimiter))
-    first_lines = {count - first_cell_count + filled_count: number for count, number in first_line_by_count.items()}
-    return _SampleLines(filled_count, sample_count, first_lines, trailing_empty_count)
+    line_by_count = {count - first_cell_count + filled_count: number for count, number in first_line_by_count.items()}
+    return _SampleLines(filled_count, sample_count, line_by_count, trailing_empty_count)
 
 
 NumberedLines = list[tuple[int, str]]
@@ -172,18 +172,18 @@ class _CsvColumns:
                 continue
             delimiter = None if form.delimiter == " " else form.delimiter
             try:
-                rows = np.loadtxt(texts, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=indices)
+                numbers = np.loadtxt(texts, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=indices)
             except ValueError as error:
                 raise self._no_number_error(indices, lines) from error
-            column_values[:, read_line_count : read_line_count + len(rows)] = rows.T
-            read_line_count += len(rows)
+            column_values[:, read_line_count : read_line_count + len(numbers)] = numbers.T
+            read_line_count += len(numbers)
         if not read_line_count:
             raise RigError(f"{self.path}: has no line with numbers in all columns of the map; check its columns")
         column_names = [self.names[index] for index in indices]
         column_units = [name_and_unit(name)[1] for name in column_names]
         return [
-            Column(name, row, unit if quantity_of(unit) else None)
-            for name, unit, row in zip(column_names, column_units, column_values[:, :read_line_count], strict=True)
+            Column(name, samples, unit if quantity_of(unit) else None)
+            for name, unit, samples in zip(column_names, column_units, column_values[:, :read_line_count], strict=True)
         ]
 
     def _complete_lines(

@@ -62,14 +62,14 @@ def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
     node_by_station = nodes_of(recording.rig)
     datasets = [*mode_shapes(recording.rig, node_by_station)]
     time_axis = {"abscissa_spacing": 1, "abscissa_spec_data_type": _UFF_TIME_KIND, "abscissa_axis_units_lab": "s"}
-    form: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
-    form |= time_axis | {"orddenom_spec_data_type": 0, "x": recording.signals["force"].time_s}
+    uff_fields: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
+    uff_fields |= time_axis | {"orddenom_spec_data_type": 0, "x": recording.signals["force"].time_s}
     for group_name, signals in recording.signals.items():
         channels = signals.channels
-        kind = {"ordinate_spec_data_type": _UFF_KIND_BY_GROUP[group_name], "ordinate_axis_units_lab": channels.unit}
+        ordinate = {"ordinate_spec_data_type": _UFF_KIND_BY_GROUP[group_name], "ordinate_axis_units_lab": channels.unit}
         for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
             node = node_by_station.get(station, 0) if station else 0  # 0: on the ground, or without a single place
-            datasets.append(form | kind | {"id1": channel_name, "rsp_node": node, "data": samples})
+            datasets.append(uff_fields | ordinate | {"id1": channel_name, "rsp_node": node, "data": samples})
     path.unlink(missing_ok=True)
     try:
         pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header

@@ -208,8 +208,8 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
 
     def count_stored(chunk: Any) -> None:
         nonlocal stored_values
-        axes = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        stored_values += math.prod(max(0, min(chunk_length, length - start)) for chunk_length, length, start in axes)
+        extents = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        stored_values += math.prod(max(0, min(chunk_length, extent - start)) for chunk_length, extent, start in extents)
         max_expansion = MAX_EXPANSION[compression_codes[0]] if compression_codes else 0
         if chunk.size * max_expansion > max(UNCHECKED_CHUNK_BYTES, chunk_bytes):
             doubtful_offsets.append(chunk.chunk_offset)
@@ -218,7 +218,7 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     if stored_values < dataset.size:
         raise _unwritten_error(dataset_label, dataset.size - stored_values, dataset.size)
     for chunk_offset in doubtful_offsets:
-        if compression_codes == [LZF] or not _fits_in(dataset.id.read_direct_chunk(chunk_offset)[1], chunk_bytes):
+        if compression_codes == [LZF] or not _swells_within(dataset.id.read_direct_chunk(chunk_offset)[1], chunk_bytes):
             raise RigError(
                 f"{dataset_label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
             )
@@ -230,7 +230,7 @@ def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) 
     )
 
 
-def _fits_in(compressed: bytes, max_bytes: int) -> bool:
+def _swells_within(compressed: bytes, max_bytes: int) -> bool:
     """True if a zlib stream decompresses to at most `max_bytes`."""
     decompressor, decompressed_count = zlib.decompressobj(), 0
     for first_byte in range(0, len(compressed), INFLATED_PIECE_BYTES):

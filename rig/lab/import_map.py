@@ -101,8 +101,8 @@ def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
             f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
             "give each column body and position_m"
         )
-    stations = tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
-    stations = stations or rig.forces
+    force_places = tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+    force_places = force_places or rig.forces
     if any(source.body for source in column_map.sensors.values()):
         sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
@@ -114,9 +114,9 @@ def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
                 f"{path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(rig_names))}, or give "
                 "each column body, position_m and quantity"
             )
-    if sensors == rig.sensors and stations == rig.forces:
+    if sensors == rig.sensors and force_places == rig.forces:
         return rig
-    return replace(rig, sensors=sensors, force_at=stations if len(stations) > 1 else stations[0])
+    return replace(rig, sensors=sensors, force_at=force_places if len(force_places) > 1 else force_places[0])
 
 
 def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
@@ -124,15 +124,15 @@ def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
 
     A new one has the noise that all sensors of its quantity in rig.json have in common.
     """
-    known = next((sensor for sensor in rig.sensors if sensor.name == name), None)
+    described = next((sensor for sensor in rig.sensors if sensor.name == name), None)
     station, quantity = source.station, source.quantity
-    if known is not None:
-        if quantity not in (None, known.quantity):
+    if described is not None:
+        if quantity not in (None, described.quantity):
             raise RigError(
-                f"sensor {name!r} measures {known.quantity} in rig.json and {quantity} in the map; give it another "
+                f"sensor {name!r} measures {described.quantity} in rig.json and {quantity} in the map; give it another "
                 "name here"
             )
-        return replace(known, station=station or known.station)
+        return replace(described, station=station or described.station)
     if station is None:
         raise RigError(
             f"sensor {name!r} is no sensor of the rig{hint(name, [sensor.name for sensor in rig.sensors])}, and has "

@@ -146,10 +146,10 @@ class _Version5File:
         if name_length < 1:
             raise UnreadableError(f"the fields of its struct {name!r} have no names")
         name_starts = range(0, len(names_bytes), name_length)
-        fields = [decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts]
-        struct_count = self._count_elements(name, (*head.shape, len(fields))) // max(1, len(fields))
+        struct_fields = [decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts]
+        struct_count = self._count_elements(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
         struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
-        field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in fields)
+        field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
         yield from self._element_blocks(content, offset, field_names, depth)
 
     def _element_blocks(

@@ -52,9 +52,9 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
 
 
 def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
-    modes, count = modes_of(rig, body), mode_count(body, MAX_MODES_PER_BEAM)
-    shapes = modes.shapes(np.array([*node_by_position]), count)
-    mode_rows = zip(modes.frequencies_hz(count), modes.damping_ratios(count), shapes.T, strict=True)
+    modes, taken_count = modes_of(rig, body), mode_count(body, MAX_MODES_PER_BEAM)
+    shapes = modes.shapes(np.array([*node_by_position]), taken_count)
+    mode_rows = zip(modes.frequencies_hz(taken_count), modes.damping_ratios(taken_count), shapes.T, strict=True)
     zeros = np.zeros(len(node_by_position))
     for mode_number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
         yield {

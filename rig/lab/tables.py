@@ -41,13 +41,13 @@ class Table:
             if not 1 <= column_key <= len(self.names):
                 raise RigError(f"there is no column {column_key}; the file has 1 to {len(self.names)}")
             return self.columns[column_key - 1]
-        matches = [index for index, name in enumerate(self.names) if name == column_key]
-        if len(matches) > 1:
-            raise RigError(f"{len(matches)} columns are named {column_key!r}; give the number of the one meant")
-        if not matches:
+        match_indices = [index for index, name in enumerate(self.names) if name == column_key]
+        if len(match_indices) > 1:
+            raise RigError(f"{len(match_indices)} columns are named {column_key!r}; give the number of the one meant")
+        if not match_indices:
             listed_names = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
             raise RigError(f"there is no column {column_key!r}; the file has {listed_names}")
-        return self.columns[matches[0]]
+        return self.columns[match_indices[0]]
 
 
 def read_table(path: Path, text_form: TextForm, column_keys: Collection[ColumnKey] | None = None) -> Table:

@@ -169,8 +169,8 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
     places_m = body.positions_m
-    index_after = int(np.searchsorted(places_m, position_m))
-    return tuple(float(x_m) for x_m in places_m[max(index_after - 1, 0) : index_after + 1])
+    next_index = int(np.searchsorted(places_m, position_m))
+    return tuple(float(x_m) for x_m in places_m[max(next_index - 1, 0) : next_index + 1])
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:

@@ -57,9 +57,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise self._error(
                 f"there are {len(self.ratios)} damping_ratios for {len(self.natural_hz)} frequencies_hz; give one each"
             )
-        for hz in self.natural_hz:
-            if not 0 <= hz <= MAX_MODAL_VALUE:
-                raise self._error(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {MAX_MODAL_VALUE:g} Hz")
+        for mode_hz in self.natural_hz:
+            if not 0 <= mode_hz <= MAX_MODAL_VALUE:
+                raise self._error(f"a frequency is {mode_hz} Hz; give 0 (a rigid-body mode) to {MAX_MODAL_VALUE:g} Hz")
         if any(np.diff(self.natural_hz) < 0):
             raise self._error("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
         for ratio in self.ratios:

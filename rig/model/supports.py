@@ -22,11 +22,11 @@ def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
 def _support_spring(body: Body, support: Support) -> PointSpring:
     stiffness = support.stiffness_n_per_m
     return PointSpring(
-        station=support.station, stiffness_n_per_m=_rigid_n_per_m(body, support) if stiffness is None else stiffness
+        station=support.station, stiffness_n_per_m=_support_n_per_m(body, support) if stiffness is None else stiffness
     )
 
 
-def _rigid_n_per_m(body: Body, support: Support) -> float:
+def _support_n_per_m(body: Body, support: Support) -> float:
     """Stiffness of a rigid support, N/m: RIGID_SUPPORT_RATIO / sum phi^2 / omega^2 over the elastic modes there."""
     omega = 2 * np.pi * body.frequencies_hz(body.max_modes)
     shapes = body.shapes(np.array([support.station.position_m]), body.max_modes)[0]

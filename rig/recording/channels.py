@@ -53,7 +53,7 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     try:
         names = tuple(str(json_name) for json_name in json.loads(metadata["names"]))
         station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if station_value is None else _station(station_value) for station_value in station_values)
+        stations = tuple(None if station_json is None else _station(station_json) for station_json in station_values)
         for channel_name in names:
             check_name("channel", channel_name)
         rate_hz = float(json.loads(metadata["sample_rate_hz"]))

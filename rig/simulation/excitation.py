@@ -241,13 +241,13 @@ def _check_force_settings(excitation: Excitation, duration_s: float, step_s: flo
         raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
 
 
-def _segment_force_n(band: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
+def _segment_force_n(force: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
     """Segment of that number under its window; the force rises smoothly from its start, half-way through segment 0."""
     sample_count = 2 * round(SEGMENT_S / 2 / step_s)
-    spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, segment_number))
+    spectrum = noise_spectrum(sample_count, step_s, force.low_hz, force.high_hz, (force.seed, segment_number))
     unscaled_rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / sample_count
     window = np.sin(np.pi * np.arange(sample_count) / sample_count)
-    force_n = np.fft.irfft(spectrum, sample_count) * (band.rms_n / unscaled_rms) * window
+    force_n = np.fft.irfft(spectrum, sample_count) * (force.rms_n / unscaled_rms) * window
     if segment_number < 2:
         rise_start = (1 - segment_number) * sample_count // 2
         force_n[rise_start:] *= _rise_window(sample_count - rise_start, step_s)
@@ -255,8 +255,8 @@ def _segment_force_n(band: BandLimitedGaussian, step_s: float, segment_number: i
     return np.asarray(force_n)
 
 
-def _unscaled_noise(sample_count: int, step_s: float, band: _ExcitationSettings) -> Float[np.ndarray, " samples"]:
-    return np.fft.irfft(noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, band.seed), sample_count)
+def _unscaled_noise(sample_count: int, step_s: float, force: _ExcitationSettings) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(noise_spectrum(sample_count, step_s, force.low_hz, force.high_hz, force.seed), sample_count)
 
 
 def _rise_window(sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:

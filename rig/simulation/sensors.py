@@ -130,9 +130,9 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
         waiting_steps = step_queue[:, new_sample_count * steps_per_sample : queued_step_count]
         if new_sample_count:
             filtered_rows = _apply_filters(delay_filters, step_queue, new_sample_count)
-            for samples, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
+            for sensor_row, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
                 if high_pass:
-                    samples[:] = high_pass.high_passed(samples)
+                    sensor_row[:] = high_pass.high_passed(sensor_row)
             sensor_values = {
                 quantity: _sensor_outputs(rig, quantity, filtered_rows[force_count:], noise_streams)
                 for quantity in quantities_of(rig)
@@ -186,11 +186,11 @@ def _apply_filters(
 
 
 def _sensor_outputs(
-    rig: Rig, quantity: QuantityName, rows: Float[np.ndarray, "sensors samples"], streams: list[np.random.Generator]
+    rig: Rig, quantity: QuantityName, sensed: Float[np.ndarray, "sensors samples"], streams: list[np.random.Generator]
 ) -> Float[np.ndarray, "some samples"]:
     sensor_outputs = [
         _sensor_output(sensor, true_values, rig.sample_rate_hz, stream)
-        for sensor, true_values, stream in zip(rig.sensors, rows, streams, strict=True)
+        for sensor, true_values, stream in zip(rig.sensors, sensed, streams, strict=True)
         if sensor.quantity == quantity
     ]
     return np.stack(sensor_outputs)

@@ -57,7 +57,7 @@ def plotted_quantities(rig: Rig) -> list[QuantityName]:
 def blueprint(layout: Layout) -> rrb.Blueprint:
     """Blueprint of the viewer, paused and slowed down so that every frame is visible."""
     close_ups = [
-        _close_up_view(contact, layout.reach_by_contact_mm[contact.name], _caveat(layout, of_contact=True))
+        _close_up_view(contact, layout.reach_by_contact_mm[contact.name], _approximation(layout, of_contact=True))
         for contact in layout.rig.contacts
     ]
     model_view = _model_view(layout)
@@ -98,7 +98,7 @@ def _model_view(
         origin="/model",
         contents=["+ $origin/**", f"- /{hidden_path}/**"],
         name=view_name
-        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_caveat(layout)}",
+        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_approximation(layout)}",
         eye_controls=rrb.EyeControls3D(
             position=(
                 centre_m,
@@ -117,7 +117,7 @@ def _prediction_tab(layout: Layout, station_name: str) -> rrb.Vertical:
     view_name = f"{layout.rig.name}: measured, and predicted by both rigs; magnified {layout.magnification:g} times"
     words_view = rrb.TextDocumentView(origin=f"{PREDICTION}/words", name="How well both rigs predict")
     plot_views = (
-        _plot_view(layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_caveat(layout)}"),
+        _plot_view(layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_approximation(layout)}"),
         _plot_view(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
     )
     model_view = rrb.Vertical(_model_view(layout, view_name, "model/gap", 1.2), words_view, row_shares=[4, 1])
@@ -166,7 +166,7 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
             layout,
             entity("relative_displacement", contact.name),
             f"{contact.name}: {source_words}{DISTANCE if contact.law.spatial else DISPLACEMENT}, mm"
-            f"{_caveat(layout, of_contact=True)}",
+            f"{_approximation(layout, of_contact=True)}",
             thinning_note,
             _displacement_range(contact, layout.reach_by_contact_mm[contact.name]),
         )
@@ -222,6 +222,6 @@ def axis_reach(half_range: float) -> float:
     return half_range if half_range < 0.4 * power_of_ten else max(half_range, 1.05 * power_of_ten)
 
 
-def _caveat(layout: Layout, of_contact: bool = False) -> str:
+def _approximation(layout: Layout, of_contact: bool = False) -> str:
     is_integrated = layout.is_approximate and not (of_contact and layout.contact_force == "separated")
     return " (approximate, above 1 Hz)" if is_integrated else ""

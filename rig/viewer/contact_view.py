@@ -83,10 +83,10 @@ class ContactMotion:
     @cached_property
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
-        law, largest_m = self.contact.law, float(np.abs(self.eta_m).max())
+        law, max_eta_m = self.contact.law, float(np.abs(self.eta_m).max())
         distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-        reachable_m = (wall_m for wall_m in distances_m if wall_m <= MAX_REACH_RATIO * max(distances_m[0], largest_m))
-        return 1.2e3 * max([largest_m, *reachable_m]) or 1.0
+        reachable_m = (wall_m for wall_m in distances_m if wall_m <= MAX_REACH_RATIO * max(distances_m[0], max_eta_m))
+        return 1.2e3 * max([max_eta_m, *reachable_m]) or 1.0
 
     @property
     def range_mm(self) -> tuple[float, float]:
@@ -130,33 +130,33 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
     of labels: right, left and before the trail.
     """
-    path = entity("close_up", motion.contact.name)
+    root_path = entity("close_up", motion.contact.name)
     law, frame_samples = motion.contact.law, motion.frame_samples
     half_width_mm = 1.1 * motion.reach_mm
     time_s, cursor_x_mm = motion.time_s[frame_samples], 0.15 * half_width_mm
     sample_offsets = np.linspace(-TRAIL_S * motion.rate_hz, 0, TRAIL_POINT_COUNT).round().astype(int)
     trail_samples = np.maximum(frame_samples[:, None] + sample_offsets, 0)
     if motion.orbit is None:
-        _send_walls(stream, path, motion, half_width_mm)
+        _send_walls(stream, root_path, motion, half_width_mm)
         trail_points_mm = np.empty((frame_samples.size, TRAIL_POINT_COUNT, 2))
         trail_points_mm[..., 0] = cursor_x_mm + (half_width_mm + cursor_x_mm) * sample_offsets / -sample_offsets[0]
         trail_points_mm[..., 1] = -1e3 * motion.eta_m[trail_samples]
     else:
-        send_rings(stream, path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
+        send_rings(stream, root_path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
         trail_points_mm = motion.orbit.points_mm[trail_samples]
     colours, reading_texts = motion.frame_colours, _reading_texts(motion)
-    send_static(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)]))
-    send(stream, f"{path}/trail", time_s, rr.LineStrips2D, strips=trail_points_mm)
-    send_static(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
-    send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail_points_mm[:, -1], colors=colours)
+    send_static(stream, f"{root_path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)]))
+    send(stream, f"{root_path}/trail", time_s, rr.LineStrips2D, strips=trail_points_mm)
+    send_static(stream, f"{root_path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
+    send(stream, f"{root_path}/point", time_s, rr.Points2D, positions=trail_points_mm[:, -1], colors=colours)
     reading_position = [[0, -1.5 * motion.reach_mm]]
-    send_static(stream, f"{path}/reading", rr.Points2D.from_fields(positions=reading_position, radii=[0]))
-    send(stream, f"{path}/reading", time_s, rr.Points2D, labels=reading_texts, colors=colours)
+    send_static(stream, f"{root_path}/reading", rr.Points2D.from_fields(positions=reading_position, radii=[0]))
+    send(stream, f"{root_path}/reading", time_s, rr.Points2D, labels=reading_texts, colors=colours)
     if motion.until_s is not None:
         stream.set_time(TIMELINE, duration=motion.until_s)
         for path_end in ("trail", "point"):
-            stream.log(f"{path}/{path_end}", rr.Clear(recursive=False))
-        stream.log(f"{path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
+            stream.log(f"{root_path}/{path_end}", rr.Clear(recursive=False))
+        stream.log(f"{root_path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
 
 
 def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMotion, half_mm: float) -> None:
@@ -212,15 +212,15 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     legend_entries = [(motion.contact.name, motion.colour)]
     law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
     for layer_index, (source, law) in enumerate(law_by_source.items()):  # the viewer draws in the order of the paths
-        positions_m = [wall_m for wall_m, _ in walls_m(law)]
-        texts, colour = [motion.text_in_mm(wall_m, ".4g") for wall_m in positions_m], SOURCES[source]
-        levels_mm, names = np.tile(1e3 * np.array(positions_m)[:, None], 2), [f"{source} {text} mm" for text in texts]
+        walls_at_m = [wall_m for wall_m, _ in walls_m(law)]
+        labels, colour = [motion.text_in_mm(wall_m, ".4g") for wall_m in walls_at_m], SOURCES[source]
+        levels_mm, names = np.tile(1e3 * np.array(walls_at_m)[:, None], 2), [f"{source} {text} mm" for text in labels]
         width_px = LAYER_WIDTHS_PX[min(layer_index, 1)]
         send_lines(stream, f"{entity_path}/{layer_index}_{source}", end_times_s, levels_mm, names, (colour,), width_px)
-        unsigned_texts = {text.lstrip("+-") for text in texts}
-        if len(unsigned_texts) < len(texts):
-            texts = [f"\u00b1{unsigned_texts.pop()}"]
-        legend_entries += [(f"{source} {text}", colour) for text in texts]
+        unsigned_texts = {text.lstrip("+-") for text in labels}
+        if len(unsigned_texts) < len(labels):
+            labels = [f"\u00b1{unsigned_texts.pop()}"]
+        legend_entries += [(f"{source} {text}", colour) for text in labels]
     time_s, eta_mm = motion.time_s[motion.plotted_samples], 1e3 * motion.eta_m[None, motion.plotted_samples]
     send_lines(stream, f"{entity_path}/value", time_s, eta_mm, [motion.contact.name], (motion.colour,))
     for (change, marker_shape, legend_mark), change_samples in zip(CHANGE_MARKS, _change_samples(motion), strict=True):

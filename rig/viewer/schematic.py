@@ -152,9 +152,9 @@ def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
 def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
     rig, left_px, y_px = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
-    stations = [*rig.forces, *(station for contact in rig.contacts for station in contact_stations(contact))]
-    stations += [component.station for component in _attachments(rig)]
-    positions_m = {0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)}
+    ruler_stations = [*rig.forces, *(station for contact in rig.contacts for station in contact_stations(contact))]
+    ruler_stations += [component.station for component in _attachments(rig)]
+    positions_m = {0.0, body.length_m, *(station.position_m for station in ruler_stations if station.body == body.name)}
     drawing.line((left_px, y_px), (left_px + layout.px_per_m * body.length_m, y_px), colour=GREY, width=1.0)
     last_label_px = -1e9
     for x_m in sorted(positions_m):

@@ -77,8 +77,8 @@ class Stage:
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        displacements_m = (self.deflection.displacement_at(replace(station, direction=d)) for d in DIRECTIONS)
-        up_m, towards_eye_m = (self.magnification * x_m[self.frame_samples, None] for x_m in displacements_m)
+        displacements_m = (self.deflection.displacement_at(replace(station, direction=axis)) for axis in DIRECTIONS)
+        up_m, towards_eye_m = (self.magnification * shift_m[self.frame_samples, None] for shift_m in displacements_m)
         return self._points_on_body(np.full(up_m.shape, station.position_m), station.body, up_m, towards_eye_m)[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
@@ -92,10 +92,10 @@ class Stage:
         frame_samples = self.frame_samples
         if body.length_m:
             x_m, z_m = np.linspace(0, body.length_m, BODY_NODE_COUNT), np.zeros(BODY_NODE_COUNT)
-            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frame_samples, d).T for d in DIRECTIONS)
+            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frame_samples, axis).T for axis in DIRECTIONS)
         else:
             x_m, z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            displacements_m = (self.deflection.displacement_at(Station(body.name, 0.0, d)) for d in DIRECTIONS)
+            displacements_m = (self.deflection.displacement_at(Station(body.name, 0.0, axis)) for axis in DIRECTIONS)
             up_m, towards_eye_m = (displacement_m[frame_samples, None] for displacement_m in displacements_m)
         x_m = np.broadcast_to(x_m, (frame_samples.size, x_m.size))
         up_m, towards_eye_m = z_m + self.magnification * up_m, self.magnification * towards_eye_m + 0 * x_m
@@ -234,12 +234,12 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     else:
         left_ends_m = left_ends(rig)
         extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
-    largest_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
+    max_motion_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
-        magnification = _round_down(LARGEST_DEFLECTION_SHARE * extent_m / largest_m) if largest_m > 0 else 1.0
+        magnification = _round_down(LARGEST_DEFLECTION_SHARE * extent_m / max_motion_m) if max_motion_m > 0 else 1.0
     sample_count = deflection.displacement_m.shape[1]
-    usual_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAME_COUNT))
-    frame_rate_hz = min(np.clip(usual_hz, *FRAME_RATE_RANGE_HZ), most_hz)
+    usual_frame_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAME_COUNT))
+    frame_rate_hz = min(np.clip(usual_frame_hz, *FRAME_RATE_RANGE_HZ), most_hz)
     frame_samples = np.arange(0, sample_count, max(1, round(sample_rate_hz / frame_rate_hz)))
     return Stage(deflection, left_ends_m, extent_m, magnification, sample_rate_hz, frame_samples)
 
@@ -250,5 +250,5 @@ def _masses_alone(rig: Rig) -> bool:
 
 def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(multiple for multiple in (1, 2, 5) if multiple * power <= value * (1 + 1e-9)))
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(decade * max(multiple for multiple in (1, 2, 5) if multiple * decade <= value * (1 + 1e-9)))

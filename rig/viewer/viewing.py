@@ -152,7 +152,7 @@ def _contact_motions(
             law_by_source["identified"] = identified_contacts.laws[nominal_contact.name]
         law_by_source["believed"] = nominal_contact.law
         wall_source = next(iter(law_by_source))
-        eta_m, contact_n = relative_eta_m[row_span], None if force_n is None else force_n[row_span]
+        eta_m, force_rows_n = relative_eta_m[row_span], None if force_n is None else force_n[row_span]
         orbit = Orbit(eta_m - _centre_of(law_by_source[wall_source], nominal_contact.law)) if is_annular else None
         if is_annular:
             law_by_source = {source: _radial_law(law) for source, law in law_by_source.items()}
@@ -167,7 +167,7 @@ def _contact_motions(
             time_s=time_s[known],
             until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
             eta_m=eta_m[0] if orbit is None else orbit.radius_m,
-            force_n=None if contact_n is None else np.hypot(*contact_n) if is_annular else contact_n[0],
+            force_n=None if force_rows_n is None else np.hypot(*force_rows_n) if is_annular else force_rows_n[0],
             frame_samples=known_frame_samples,
             stride=stride,
             is_identified=truth is None and curves is not None,
@@ -232,9 +232,9 @@ def _send_series(
     legend: list[tuple[str, Colour]] = []
     for motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if motion.force_n is not None:
-            name, plotted = motion.contact.name, motion.plotted_samples
-            force_n = motion.force_n[None, plotted]
-            send_lines(stream, entity("contact_force", name), motion.time_s[plotted], force_n, [name], (colour,))
+            name, shown_samples = motion.contact.name, motion.plotted_samples
+            force_n = motion.force_n[None, shown_samples]
+            send_lines(stream, entity("contact_force", name), motion.time_s[shown_samples], force_n, [name], (colour,))
             legend.append((name, colour))
     send_legend(stream, "contact_force", legend)
     for quantity in plotted_quantities(recording.rig):

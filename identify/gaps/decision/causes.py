@@ -188,4 +188,4 @@ def confirming_tests(causes: tuple[Cause, ...], ranked_hypotheses: list[Validate
         if cause.probability > RIVAL_PROBABILITY or (rank == 0 and cause.interval_95[0] > 0)
     ]
     effect_names = dict.fromkeys(effect for cause in likely_causes for effect in cause.effects)
-    return tuple(f"{name}: {kinds[name].separated_by}" for name in effect_names)
+    return tuple(f"{name}: {kinds[name].separating_test}" for name in effect_names)

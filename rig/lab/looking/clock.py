@@ -77,11 +77,11 @@ def is_time(column: ColumnSummary) -> bool:
 
 def _time_column(columns: Sequence[ColumnSummary]) -> ColumnSummary | None:
     """Column that says by name or unit that it is the time and increases; else the first that increases evenly."""
-    rising = [c for c in columns if c.stamps is not None and not (c.is_counter and quantity_of(c.unit) != "time")]
-    time_columns = [column for column in rising if column.is_date or is_time(column)]
+    ascending = [c for c in columns if c.stamps is not None and not (c.is_counter and quantity_of(c.unit) != "time")]
+    time_columns = [column for column in ascending if column.is_date or is_time(column)]
     if time_columns:
         return min(time_columns, key=lambda column: (column.is_date, quantity_of(column.unit) != "time"))
-    return next((column for column in rising if column.unit is None and _increases_evenly(column)), None)
+    return next((column for column in ascending if column.unit is None and _increases_evenly(column)), None)
 
 
 def _increases_evenly(column: ColumnSummary) -> bool:

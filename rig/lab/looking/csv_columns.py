@@ -61,13 +61,13 @@ def summary_of_csv(path: Path) -> FileSummary:
         )
     columns = []
     for k, column_samples in enumerate(values[:, first_row:end]):
-        name, unit = _name_and_unit(dialect, k)
+        heading, unit = _name_and_unit(dialect, k)
         fault = ""
         if not is_channel[k]:
             fault = f"it has numbers in {counts[k]} of {line_count} lines" if counts[k] else "it has no numbers"
         elif not is_finite[k, first_row:end].all():
             fault = f"it has no number in line {line_numbers[first_row + int(np.argmin(is_finite[k, first_row:end]))]}"
-        columns.append(column_summary(k + 1, Column(name, column_samples, unit), last_digits[k], is_date[k], fault))
+        columns.append(column_summary(k + 1, Column(heading, column_samples, unit), last_digits[k], is_date[k], fault))
     rate_hz = rate_in(dialect.header, form.decimal)
     return FileSummary(path, tuple(_without_unused_end(columns)), tuple(facts), form, rate_hz)
 

@@ -76,8 +76,8 @@ def dialect_of(path: Path) -> CsvDialect:
         names=None if has_names or is_numeric else False,
     )
     column_names = header_cells[names_line] if names_line is not None else ()
-    units = header_cells[units_line] if units_line is not None else ()
-    return CsvDialect(form, column_names, units, tuple(header_cells), max(map(len, sample_cells)), first_line + 1)
+    unit_cells = header_cells[units_line] if units_line is not None else ()
+    return CsvDialect(form, column_names, unit_cells, tuple(header_cells), max(map(len, sample_cells)), first_line + 1)
 
 
 def is_stamp(cell: str) -> bool:
@@ -192,9 +192,9 @@ def _names_and_units_lines(
         is_wide = len(cells) > max(used_columns)
         if not filled_cells or not is_wide or text_count < min(needed_count, max(1, half_count)):
             continue
-        words = [cell for cell in filled_cells if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
-        has_units = len(filled_cells) - len(words) >= half_count and len(cells) > 1
-        if has_units and not any(map(TIME_NAME_PATTERN.search, words)):
+        name_cells = [cell for cell in filled_cells if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
+        has_units = len(filled_cells) - len(name_cells) >= half_count and len(cells) > 1
+        if has_units and not any(map(TIME_NAME_PATTERN.search, name_cells)):
             units_line = line_index if units_line is None else units_line
         elif len(filled_cells) >= needed_count:
             name_score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)

@@ -71,14 +71,14 @@ def look_at(source_path: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Pro
         *(f"# left out: {_column_label(column)} ({reason})" for column, reason in left_out_reasons),
     ]
     entries = (line.partition("  # ")[0] for line in map_lines if not line.startswith("#"))
-    missing = sum(entry.count(f'= "{PLACEHOLDER}"') for entry in entries)
+    unfilled_count = sum(map_entry.count(f'= "{PLACEHOLDER}"') for map_entry in entries)
     heading_facts = [f"{source_path.name}: {facts[0]}", *facts[1:]]
-    if missing:
+    if unfilled_count:
         heading_facts.append(
-            f'{missing} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed'
+            f'{unfilled_count} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed'
         )
     map_text = "\n".join([*(f"# {one_line(fact)}" for fact in heading_facts), *map(one_line, map_lines), ""])
-    return Proposal(map_text, tuple(map(one_line, facts)), missing)
+    return Proposal(map_text, tuple(map(one_line, facts)), unfilled_count)
 
 
 def _file_content(source_path: Path, blocks: Blocks) -> FileSummary:
@@ -146,8 +146,8 @@ def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int
         )
         return
     is_placed = rig is not None and len(rig.forces) == len(force_roles)
-    place = {} if is_placed else _place_fields(rig)
-    entries = [_entry_text(key_by_number[role.column.number], _unit_fields(role) | place) for role in force_roles]
+    place_entry = {} if is_placed else _place_fields(rig)
+    entries = [_entry_text(key_by_number[role.column.number], _unit_fields(role) | place_entry) for role in force_roles]
     note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
     if is_placed and rig is not None:
         note += ", and acts at " + ", ".join(f"{station.position_m:g} m of {station.body}" for station in rig.forces)

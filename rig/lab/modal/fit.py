@@ -156,16 +156,16 @@ def _poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[n
 def _pruned_modes(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> Float[np.ndarray, "fewer 2"]:
     """Modes after removing, one by one, those without which N log(sum of squares) + parameters log(N) is lower."""
 
-    def information_criterion(candidate: Float[np.ndarray, "some 2"]) -> float:
-        basis = _modal_basis(line_hz, candidate)
+    def information_criterion(fewer_modes: Float[np.ndarray, "some 2"]) -> float:
+        basis = _modal_basis(line_hz, fewer_modes)
         square_sum = float(np.sum(np.abs(frfs - basis_coefficients(basis, frfs).T @ basis.T) ** 2))
         data_count = 2 * frfs.size
-        return data_count * np.log(max(square_sum, 1e-300)) + len(candidate) * (len(frfs) + 2) * np.log(data_count)
+        return data_count * np.log(max(square_sum, 1e-300)) + len(fewer_modes) * (len(frfs) + 2) * np.log(data_count)
 
     least_criterion = information_criterion(log_modes)
     while len(log_modes) > 1:
         candidates = [np.delete(log_modes, k, axis=0) for k in range(len(log_modes))]
-        criteria = [information_criterion(candidate) for candidate in candidates]
+        criteria = [information_criterion(fewer_modes) for fewer_modes in candidates]
         if min(criteria) >= least_criterion:
             break
         least_criterion, log_modes = min(criteria), candidates[int(np.argmin(criteria))]
@@ -174,7 +174,7 @@ def _pruned_modes(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> Float[np.n
 
 def _significant_mask(
     line_hz: Lines,
-    basis: Complex[np.ndarray, "lines terms"],
+    mode_basis: Complex[np.ndarray, "lines terms"],
     log_modes: LogModes,
     coefficients: Float[np.ndarray, "terms frfs"],
     errors: Float[np.ndarray, "frfs lines"],
@@ -183,7 +183,7 @@ def _significant_mask(
     """Mask of modes with a positive residue at the driving point, in the band, and above the rms error."""
     natural_hz = np.exp(log_modes[:, 0])
     nearest_lines = np.argsort(np.abs(line_hz[:, None] - natural_hz), axis=0)[:NEAREST_LINE_COUNT]
-    peak_heights = np.median(np.abs(np.take_along_axis(basis[:, : len(log_modes)], nearest_lines, axis=0)), axis=0)
+    peak_heights = np.median(np.abs(np.take_along_axis(mode_basis[:, : len(log_modes)], nearest_lines, axis=0)), axis=0)
     height_to_error = np.abs(coefficients[:-2]) * peak_heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
     is_in_band = (natural_hz > line_hz[0]) & (natural_hz < line_hz[-1])
     is_high = height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR
@@ -199,9 +199,9 @@ def _refined_modes(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> LogModes:
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
     log_half_widths, unknown_scales = np.tile(REFINEMENT_RANGE, len(log_modes)), np.tile([1e-3, 1e-1], len(log_modes))
-    start = log_modes.ravel()
-    bounds = (start - log_half_widths, start + log_half_widths)
-    solution = scipy.optimize.least_squares(real_errors, start, bounds=bounds, x_scale=unknown_scales, max_nfev=30)
+    log_start = log_modes.ravel()
+    bounds = (log_start - log_half_widths, log_start + log_half_widths)
+    solution = scipy.optimize.least_squares(real_errors, log_start, bounds=bounds, x_scale=unknown_scales, max_nfev=30)
     refined_modes = solution.x.reshape(-1, 2)
     return np.asarray(refined_modes[np.argsort(refined_modes[:, 0])])
 

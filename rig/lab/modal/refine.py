@@ -107,9 +107,9 @@ class _OutputError:
         residues, driving_shape = self._residues(modes), modes[:, 2 + self.driving_index]
         model_slopes[..., 0] = residues[:, None, :] * by_frequency.T
         model_slopes[..., 1] = residues[:, None, :] * by_damping.T
-        for sensor, rms in enumerate(self.sensor_rms):
-            model_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / rms
-            model_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / rms
+        for sensor, row_rms in enumerate(self.sensor_rms):
+            model_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / row_rms
+            model_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / row_rms
         jacobian_rows = -model_slopes.reshape(sensor_count * line_count, -1)
         return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
 
@@ -118,14 +118,14 @@ class _OutputError:
         if not outside_hz:
             return np.zeros((0, modes.shape[1]))
         remaining_error = self.sensor_rms * self._error(modes)
-        log_values = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
-        unit_spectra = self.response_map(self._accelerance_and_slopes(log_values)[0])
+        log_hz_damping = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
+        unit_spectra = self.response_map(self._accelerance_and_slopes(log_hz_damping)[0])
         residues = basis_coefficients(unit_spectra.T, remaining_error)
         min_driving_residues = MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)
         driving_shape = np.sqrt(np.maximum(residues[:, self.driving_index], min_driving_residues))
         outside_shapes = residues / driving_shape[:, None]
         outside_shapes[:, self.driving_index] = driving_shape
-        return np.column_stack([log_values, outside_shapes])
+        return np.column_stack([log_hz_damping, outside_shapes])
 
     def _error(self, modes: ModeRows) -> Complex[np.ndarray, "sensors lines"]:
         """Spectra that the modes leave unexplained, relative to the rms of each sensor."""
@@ -153,23 +153,23 @@ def _accelerance_and_slopes(
     return [accelerance, -accelerance * (2 * omega_k**2 + loss) / denominator, -accelerance * loss / denominator]
 
 
-def _least_error_modes(output_error: _OutputError, modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
+def _least_error_modes(output_error: _OutputError, start_modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
     """Modes of least error: those in the band stay near their start, those outside stay outside."""
-    lower_bounds, upper_bounds = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
-    (log_low_hz, log_high_hz), (log_reach_down, up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), modes[:, 0]
+    lower_bounds, upper_bounds = np.full(start_modes.shape, -np.inf), np.full(start_modes.shape, np.inf)
+    (log_low_hz, log_high_hz), (log_down, log_up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), start_modes[:, 0]
     is_outside = [log_hz < log_low_hz, log_hz > log_high_hz]
-    lower_bounds[:, 0] = np.select(is_outside, [log_low_hz + log_reach_down, log_high_hz], log_hz - MAX_LOG_SHIFT)
-    upper_bounds[:, 0] = np.select(is_outside, [log_low_hz, log_high_hz + up], log_hz + MAX_LOG_SHIFT)
+    lower_bounds[:, 0] = np.select(is_outside, [log_low_hz + log_down, log_high_hz], log_hz - MAX_LOG_SHIFT)
+    upper_bounds[:, 0] = np.select(is_outside, [log_low_hz, log_high_hz + log_up], log_hz + MAX_LOG_SHIFT)
     lower_bounds[:, 1], upper_bounds[:, 1] = np.log(DAMPING_RATIO_RANGE)
     solution = scipy.optimize.least_squares(
         output_error.residual,
-        np.clip(modes, lower_bounds + 1e-9, upper_bounds - 1e-9).ravel(),
+        np.clip(start_modes, lower_bounds + 1e-9, upper_bounds - 1e-9).ravel(),
         output_error.jacobian,
         bounds=(lower_bounds.ravel(), upper_bounds.ravel()),
         x_scale="jac",
         max_nfev=MAX_EVALUATIONS,
     )
-    return np.asarray(solution.x.reshape(modes.shape))
+    return np.asarray(solution.x.reshape(start_modes.shape))
 
 
 def _mode_rows(fit: ModalFit, driving_index: int) -> ModeRows:

@@ -151,14 +151,14 @@ def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tup
     if choice.direction:
         axis_index = AXES.index(choice.direction)
     direction_shares = amplitudes[:, axis_index] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
-    is_kept = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
-    frequencies_hz, ratios, is_elastic = frequencies_hz[is_kept], ratios[is_kept], is_elastic[is_kept]
+    moves_in_axis = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
+    frequencies_hz, ratios, is_elastic = frequencies_hz[moves_in_axis], ratios[moves_in_axis], is_elastic[moves_in_axis]
     notes = [f"{frequencies_hz.size} modes in direction {AXES[axis_index]}, {line_note}, from {file.path.name}"]
     if dropped_count := len(modes) - frequencies_hz.size:
         notes.append(f"{dropped_count} modes without motion in direction {AXES[axis_index]} are left out")
     if not ratios[is_elastic].all():
         notes.append("a mode has no damping in the file; set damping_ratios in rig.json")
-    shapes, out_of_phase = _real_shapes(mode_vectors[is_kept, :, axis_index].T)
+    shapes, out_of_phase = _real_shapes(mode_vectors[moves_in_axis, :, axis_index].T)
     if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
         raise file.error(
             f"{out_of_phase.max():.0%} of the mode at {frequencies_hz[np.argmax(out_of_phase)]:g} Hz is out of phase; "
@@ -299,8 +299,8 @@ def _accelerances_of(
         if len(frf["data"]) != line_hz.size or not (np.isfinite(frf["data"]).all() and np.isfinite(line_hz).all()):
             raise file.error(f"{label} is cut off or not finite; export it again")
         response_factor, force_factor = _unit_factors(file, frf, quantity)
-        factor = sign * response_factor / force_factor
-        accelerances.append(factor * np.asarray(frf["data"]) * (2j * np.pi * line_hz) ** (2 - response_order))
+        frf_factor = sign * response_factor / force_factor
+        accelerances.append(frf_factor * np.asarray(frf["data"]) * (2j * np.pi * line_hz) ** (2 - response_order))
     return frequency_hz, np.array(accelerances)
 
 

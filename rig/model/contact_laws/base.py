@@ -145,6 +145,6 @@ def depth_of(law: Any, eta: Any, time_s: Any) -> Any:
     return beyond(eta, lower_stop_m, upper_stop_m)
 
 
-def penetration_m(eta_m: Signal, lower_m: Any, upper_m: Any) -> Values:
+def penetration_m(eta_m: Signal, lower_clearance_m: Any, upper_clearance_m: Any) -> Values:
     """eta - upper above the upper stop, eta + lower below the lower one, zero between; metres."""
-    return np.asarray(beyond(eta_m, -lower_m, upper_m))
+    return np.asarray(beyond(eta_m, -lower_clearance_m, upper_clearance_m))

@@ -53,11 +53,11 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
         return ()
     if description.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; a base motion up to {description.high_hz} Hz needs at most 1/(4 high_hz)")
-    spectrum = noise_spectrum(sample_count, step_s, description.low_hz, description.high_hz, description.seed)
+    accel_spectrum = noise_spectrum(sample_count, step_s, description.low_hz, description.high_hz, description.seed)
     omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
-    velocity_spectrum = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    spectra = (displacement_spectrum, velocity_spectrum, spectrum)
+    velocity_spectrum = np.divide(accel_spectrum, 1j * omega, out=np.zeros_like(accel_spectrum), where=omega > 0)
+    displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(accel_spectrum), where=omega > 0)
+    spectra = (displacement_spectrum, velocity_spectrum, accel_spectrum)
     d, v, a = (np.fft.irfft(transform, sample_count) for transform in spectra)
     rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
@@ -192,7 +192,7 @@ def _energy_minimum(
         eta_m = eta_rows @ trial_q
         connection_stiffness = np.zeros(len(eta_rows))
         coupling = np.zeros((modal_load.size, modal_load.size))
-        forces_n = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
+        connection_forces = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
         for law, rows in law_spans(laws):
             law_stiffness = law.by_eta_n_per_m(eta_m[rows])
             connection_stiffness[rows] = np.diag(law_stiffness) if law.spatial else law_stiffness
@@ -201,7 +201,7 @@ def _energy_minimum(
         tangent_stiffness = np.diag(omega_squared) + (eta_rows.T * connection_stiffness) @ eta_rows
         if coupling.any():
             tangent_stiffness = tangent_stiffness + coupling
-        return omega_squared * trial_q + forces_n @ eta_rows - modal_load, tangent_stiffness
+        return omega_squared * trial_q + connection_forces @ eta_rows - modal_load, tangent_stiffness
 
     for tie_stiffness in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor_q = q

@@ -233,14 +233,14 @@ def applied_inputs(
     """
     padded_span = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
     rest_sample = np.zeros(int(padded_span.start == 0))
-    signals = [np.append(rest_sample, true_force(rig, signal, step_s, padded_span)) for signal in forces_n.signals]
+    input_rows = [np.append(rest_sample, true_force(rig, signal, step_s, padded_span)) for signal in forces_n.signals]
     if has_static_load(rig):
-        signals.append(np.ones(signals[0].size))
+        input_rows.append(np.ones(input_rows[0].size))
     if base_signals:
-        signals.append(np.append(rest_sample, base_signals[2][padded_span]))
+        input_rows.append(np.append(rest_sample, base_signals[2][padded_span]))
     time_s = np.arange(padded_span.start - rest_sample.size, padded_span.stop) * step_s
-    signals += [tone.force_n(time_s) for tone in rig.tones]
-    inputs = np.array(signals)
+    input_rows += [tone.force_n(time_s) for tone in rig.tones]
+    inputs = np.array(input_rows)
     first_column = span.start - padded_span.start - 1 + rest_sample.size
     column_span = slice(first_column, first_column + span.stop - span.start + 1)
     return np.ascontiguousarray(inputs[:, column_span]), np.ascontiguousarray(_bends(inputs)[:, column_span])
