@@ -40,8 +40,8 @@ class Dataset:
 
     type_code: int
     is_binary: bool
-    start: int
-    stop: int
+    start_offset: int
+    stop_offset: int
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class _History:
     interval_s: float
     byte_order: str
     """Byte order of a binary dataset, < or >; empty for text."""
-    start: int
-    stop: int
+    start_offset: int
+    stop_offset: int
     date_text: str
     """ID lines two to five, of which one states the date."""
 
@@ -144,7 +144,7 @@ def _integer(line: bytes | str, first_character: int, end_character: int) -> int
 
 
 def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
-    type_line, header_lines, numbers_offset = _header(content, dataset.start)
+    type_line, header_lines, numbers_offset = _header(content, dataset.start_offset)
     name = header_lines[0][:80].strip()
     unit = header_lines[8][46:67].strip()
     type_code = _integer(header_lines[6], 0, 10)
@@ -162,14 +162,14 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
         is_even=_integer(header_lines[6], 20, 30) == EVEN_CODE,
         interval_s=interval_s,
         byte_order=("<" if _integer(type_line, 7, 13) == 1 else ">") if dataset.is_binary else "",
-        start=numbers_offset,
-        stop=dataset.stop,
+        start_offset=numbers_offset,
+        stop_offset=dataset.stop_offset,
         date_text=" ".join(line[:80].strip() for line in (header_lines[2], header_lines[1], *header_lines[3:5])),
     )
     number_bytes = min(NUMBER_WIDTHS[type_code, history.is_even])
     if dataset.is_binary:
         number_bytes = 4 if type_code == SINGLE else 8
-    number_count = (dataset.stop - numbers_offset) // number_bytes
+    number_count = (dataset.stop_offset - numbers_offset) // number_bytes
     has_wrong_length = number_count != history.value_count if dataset.is_binary else number_count < history.value_count
     if history.point_count < 0 or has_wrong_length:
         raise _wrong_length_error(name, number_count, history.is_even, history.point_count)
@@ -193,13 +193,13 @@ def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequenc
 
 def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     numpy_type = f"{history.byte_order}f{4 if history.type_code == SINGLE else 8}"
-    return np.frombuffer(content, numpy_type, history.value_count, history.start).astype(float)
+    return np.frombuffer(content, numpy_type, history.value_count, history.start_offset).astype(float)
 
 
 def _text_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     spans = list(pairwise(accumulate(NUMBER_WIDTHS[history.type_code, history.is_even], initial=0)))
     history_numbers, number_count = np.empty(history.value_count), 0
-    lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start, history.stop))
+    lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start_offset, history.stop_offset))
     while line_batch := list(islice(lines, LINES_PER_BLOCK)):
         numbers = [float(cell) for line in line_batch for first, last in spans if (cell := line[first:last].strip())]
         if number_count + len(numbers) <= history_numbers.size:

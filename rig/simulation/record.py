@@ -114,8 +114,8 @@ def _with_own_seed(excitation: Excitation, force_number: int) -> Excitation:
 
 
 def _check_finite(block: Samples) -> None:
-    for signal_name, values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
-        if not np.isfinite(values).all():
+    for signal_name, signal_values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
+        if not np.isfinite(signal_values).all():
             raise RigError(f"the simulated {signal_name} is no finite number; check the rig for values without reason")
 
 

@@ -168,9 +168,9 @@ def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tu
     delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
     rows_and_filters = []
     for delay_s in dict.fromkeys(delays_s):
-        rows = [row for row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
+        channel_rows = [channel_row for channel_row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
         taps = _sinc_taps(steps_per_sample, reach_steps, delay_s * rig.sample_rate_hz)
-        rows_and_filters.append((rows, decimator(taps, steps_per_sample)))
+        rows_and_filters.append((channel_rows, decimator(taps, steps_per_sample)))
     return rows_and_filters
 
 
@@ -180,8 +180,8 @@ def _apply_filters(
     if len(delay_filters) == 1:
         return decimate(delay_filters[0][1], step_queue, sample_count)
     filtered_rows = np.empty((len(step_queue), sample_count))
-    for rows, delay_filter in delay_filters:
-        filtered_rows[rows] = decimate(delay_filter, step_queue[rows], sample_count)
+    for channel_rows, delay_filter in delay_filters:
+        filtered_rows[channel_rows] = decimate(delay_filter, step_queue[channel_rows], sample_count)
     return filtered_rows
 
 
@@ -201,13 +201,13 @@ def _sensor_output(
 ) -> Float[np.ndarray, " samples"]:
     noise_rms = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
     noise = noise_rms * noise_stream.standard_normal(true_values.size) if noise_rms else 0.0
-    values = sensor.gain * true_values + noise
+    sensor_values = sensor.gain * true_values + noise
     if sensor.measuring_range is not None:
-        values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
+        sensor_values = np.clip(sensor_values, -sensor.measuring_range, sensor.measuring_range)
         if sensor.bits is not None:
             level_step = 2 * sensor.measuring_range / 2**sensor.bits
-            values = np.round(values / level_step) * level_step
-    return values
+            sensor_values = np.round(sensor_values / level_step) * level_step
+    return sensor_values
 
 
 def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) -> Float[np.ndarray, " taps"]:

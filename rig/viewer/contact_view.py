@@ -235,7 +235,7 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
 def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send a log entry at every sample at which the contact closes or opens.
 
-    Beyond MAX_CLOSINGS the number of further closings is stated.
+    Beyond MAX_LISTED_CLOSINGS the number of further closings is stated.
     """
     change_samples = _change_samples(motion)
     closing_samples, opening_samples = (event_samples[:MAX_LISTED_CLOSINGS] for event_samples in change_samples)

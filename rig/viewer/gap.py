@@ -117,8 +117,8 @@ def read_corrected(path: Path, rig: Rig) -> Rig | None:
     corrected_rig = read_rig(rig_path)
 
     def compared_properties(compared_rig: Rig) -> tuple[object, ...]:
-        names = [body.name for body in compared_rig.bodies], [contact.name for contact in compared_rig.contacts]
-        return *names, compared_rig.forces, compared_rig.sample_rate_hz
+        name_lists = [body.name for body in compared_rig.bodies], [contact.name for contact in compared_rig.contacts]
+        return *name_lists, compared_rig.forces, compared_rig.sample_rate_hz
 
     if compared_properties(corrected_rig) != compared_properties(rig):
         raise RigError(f"{rig_path}: is of another rig than the recording; take the folder of its own diagnosis")

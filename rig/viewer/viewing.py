@@ -135,13 +135,13 @@ def _contact_motions(
 ) -> list[ContactMotion]:
     """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
     time_s, curves = recording.signals["force"].time_s, identified_contacts.curves
-    relative_eta_m, force_n, known = shown_motion.relative_displacement_m(), None, slice(0, time_s.size)
+    relative_eta_m, force_n, window = shown_motion.relative_displacement_m(), None, slice(0, time_s.size)
     if truth is not None:
         relative_eta_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
     elif curves is not None:
-        known = curves.covered_samples(time_s)
-        relative_eta_m, force_n = curves.interpolate(time_s[known])
-    known_frame_samples = frame_samples[(frame_samples >= known.start) & (frame_samples < known.stop)] - known.start
+        window = curves.covered_samples(time_s)
+        relative_eta_m, force_n = curves.interpolate(time_s[window])
+    known_frame_samples = frame_samples[(frame_samples >= window.start) & (frame_samples < window.stop)] - window.start
     contact_motions, first_row = [], 0
     for index, nominal_contact in enumerate(recording.rig.contacts):
         is_annular = nominal_contact.law.spatial
@@ -164,8 +164,8 @@ def _contact_motions(
             contact=replace(nominal_contact, law=wall_law),
             wall_source=wall_source,
             overlaid_laws=overlaid_laws,
-            time_s=time_s[known],
-            until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
+            time_s=time_s[window],
+            until_s=float(time_s[window.stop]) if window.stop < time_s.size else None,
             eta_m=eta_m[0] if orbit is None else orbit.radius_m,
             force_n=None if force_rows_n is None else np.hypot(*force_rows_n) if is_annular else force_rows_n[0],
             frame_samples=known_frame_samples,

@@ -27,7 +27,7 @@ class MeasuredResponse:
 
     force_n: Float[np.ndarray, " samples"]
     responses: Float[np.ndarray, "sensors samples"]
-    order: int
+    derivative_order: int
     sample_rate_hz: float
 
 
@@ -70,9 +70,9 @@ def fit_record(
     if not is_used.any():
         raise RigError("the force excites no line in band_hz; give a band that it excites")
     line_hz, frfs, force_amplitudes = line_hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
-    accelerance = frfs * (2j * np.pi * line_hz) ** (2 - measured.order)
+    accelerance = frfs * (2j * np.pi * line_hz) ** (2 - measured.derivative_order)
     frf_modes = fit_modes(line_hz, accelerance, driving_index)
-    error_weights = force_amplitudes / (2 * np.pi * line_hz) ** (2 - measured.order)
+    error_weights = force_amplitudes / (2 * np.pi * line_hz) ** (2 - measured.derivative_order)
     modes = refined_by_frfs(line_hz, accelerance, error_weights, frf_modes, driving_index)
     used_band_hz = float(line_hz[0]), float(line_hz[-1])
     modes = refined_by_output(*_output_spectra(measured, modes, used_band_hz), used_band_hz, modes, driving_index)
@@ -111,7 +111,7 @@ def _force_spectrum(
     padded_length = 2 * scipy.fft.next_fast_len(sample_count // 2 + round(padding_s * rate_hz / 2) + 1)
     line_hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
     response_by_acceleration = np.zeros(line_hz.size, dtype=complex)
-    response_by_acceleration[1:] = (2j * np.pi * line_hz[1:]) ** (measured.order - 2)
+    response_by_acceleration[1:] = (2j * np.pi * line_hz[1:]) ** (measured.derivative_order - 2)
     return scipy.fft.rfft(measured.force_n, padded_length), line_hz, response_by_acceleration
 
 

@@ -30,7 +30,7 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
     clearance grows by `wear_m_per_s`. The bodies do not turn about their axes, so that v_t is the sliding velocity.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ("center_y_m", "center_z_m")
+    signed_fields: ClassVar[tuple[str, ...]] = ("center_y_m", "center_z_m")
     spatial: ClassVar[bool] = True
 
     clearance_m: float

@@ -26,7 +26,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     alone.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ()
+    signed_fields: ClassVar[tuple[str, ...]] = ()
     """Fields that may be negative."""
     piecewise_linear: ClassVar[bool] = False
     """True of laws that clearances, stiffness and damping describe, unless further fields say otherwise."""
@@ -50,9 +50,9 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
-            value, may_be_infinite = getattr(self, field), field in CLEARANCES
-            if not ((np.isfinite(value) or (may_be_infinite and value > 0)) and (value >= 0 or field in self.signed)):
-                null_advice = ", or null where there is no stop on that side" if may_be_infinite else ""
+            value, may_be_inf = getattr(self, field), field in CLEARANCES
+            if not ((np.isfinite(value) or (may_be_inf and value > 0)) and (value >= 0 or field in self.signed_fields)):
+                null_advice = ", or null where there is no stop on that side" if may_be_inf else ""
                 raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above{null_advice}")
         if not self.sides and not self.acts_in_the_gap:
             raise RigError(

@@ -31,7 +31,7 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
     without a solution at some steps.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
+    signed_fields: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
     piecewise_linear: ClassVar[bool] = True
 
     cubic_n_per_m3: float = 0.0

@@ -136,7 +136,7 @@ def _register_inputs(
 class _Instruments:
     """Readers of a segment: all transverse coordinates by time derivative, and the contact forces with their columns.
 
-    `weights_by_station` and `sensor_rows` weigh them in a station's displacement and a sensor's quantity.
+    `weights_by_station` and `sensor_weights` weigh them in a station's displacement and a sensor's quantity.
     """
 
     reader_by_order: dict[int, Callable[[], Float[np.ndarray, "rows samples"]]]

@@ -36,8 +36,8 @@ class ModalModel:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
     Rows are over the modal coordinates q: station_rows give the displacement of a station, sensor_rows what a sensor
-    measures, eta_rows the relative displacements. input_forces are the modal forces per unit of each known input:
-    exciting forces, static loads with the weight, base, tones. At rest the coordinates are rest_coordinates and the
+    measures, eta_rows the relative displacements. modal_force_by_input is per unit of each known input: exciting
+    forces, static loads with the weight, base, tones. At rest the coordinates are rest_coordinates and the
     contact forces rest_contact_n. In space the modes are those of y, then of z, and an annular contact has a row and
     its law in each.
     """
