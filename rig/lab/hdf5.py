@@ -26,7 +26,7 @@ DATE_ATTRIBUTES = ("recorded", "start_time", "date")
 """Attributes of a dataset or the file that state when it was recorded."""
 SINGLE_VALUE_SHAPES = ((), (1,))
 """Shapes of an attribute with a single value."""
-BYTES_READ_AT_ONCE = 32_000_000
+BYTES_PER_READ = 32_000_000
 """Bytes of a matrix read at once."""
 DEFLATE, LZF = 1, 32000
 PLAIN_FILTERS = {2, 3}
@@ -35,7 +35,7 @@ MAX_EXPANSION = {DEFLATE: 1032, LZF: 90}
 """Largest expansion on decompression (zlib: 258 bytes from two bits; LZF: 264 bytes from three)."""
 UNCHECKED_CHUNK_BYTES = 100_000_000
 """Size up to which a chunk is decompressed without a check of its content."""
-INFLATED_PIECE_BYTES = 1 << 20
+BYTES_PER_INFLATION = 1 << 20
 
 
 @contextmanager
@@ -126,7 +126,7 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
         raise UnreadableError(f"its dataset {dataset_name!r} has {column_count} columns")
     channel_names = column_names(dataset_name, column_count)
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
-    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_READ_AT_ONCE)
+    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_PER_READ)
     read = partial(_read_columns, path, dataset, sample_axis, channel_names)
     yield ColumnBlock(channel_names, shape[sample_axis], read, working_bytes)
 
@@ -169,10 +169,10 @@ def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) ->
     sample_count = dataset.shape[sample_axis]
     values = np.empty((len(column_indices), sample_count))
     chunk_length = dataset.chunks[sample_axis] if dataset.chunks else 1
-    span_length = BYTES_READ_AT_ONCE // (dataset.nbytes // sample_count) // chunk_length * chunk_length
+    span_length = BYTES_PER_READ // (dataset.nbytes // sample_count) // chunk_length * chunk_length
     if dataset.ndim == 1:
         values[0] = dataset[()]
-    elif dataset.nbytes <= BYTES_READ_AT_ONCE or (span_length and len(column_indices) > 1):
+    elif dataset.nbytes <= BYTES_PER_READ or (span_length and len(column_indices) > 1):
         span_length = span_length or sample_count
         for first_sample in range(0, sample_count, span_length):
             sample_span = slice(first_sample, first_sample + span_length)
@@ -233,10 +233,10 @@ def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) 
 def _swells_within(compressed: bytes, max_bytes: int) -> bool:
     """True if a zlib stream decompresses to at most `max_bytes`."""
     decompressor, decompressed_count = zlib.decompressobj(), 0
-    for first_byte in range(0, len(compressed), INFLATED_PIECE_BYTES):
-        compressed_piece = compressed[first_byte : first_byte + INFLATED_PIECE_BYTES]
+    for first_byte in range(0, len(compressed), BYTES_PER_INFLATION):
+        compressed_piece = compressed[first_byte : first_byte + BYTES_PER_INFLATION]
         while compressed_piece and decompressed_count <= max_bytes:
-            decompressed_count += len(decompressor.decompress(compressed_piece, INFLATED_PIECE_BYTES))
+            decompressed_count += len(decompressor.decompress(compressed_piece, BYTES_PER_INFLATION))
             compressed_piece = decompressor.unconsumed_tail
     return decompressed_count <= max_bytes
 

@@ -14,19 +14,19 @@ MAX_LINE_LENGTH = 500
 """Characters of a line in which a date or rate is looked for."""
 _MATLAB_HEAD_BYTES = 116
 """Bytes of the text at the beginning of a .mat file, which states when it was written."""
-_MONTHS = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
-_MONTH_NUMBERS = {name: number for number, names in enumerate(_MONTHS, start=1) for name in names.split()}
-_MONTH = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
+_MONTH_NAMES = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
+_MONTH_NUMBERS = {name: number for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
+_MONTH_TEXT = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
 _YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<![\d.])(?P<day>\d\d?)\.(?P<month>\d\d?)\.(?P<year>\d{4})(?!\d)")
 _EITHER_ORDER = re.compile(r"(?<!\d)(?P<first>\d\d?)(?P<mark>[/-])(?P<second>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
-_DAY_NAMED = re.compile(rf"(?<!\d)(?P<day>\d\d?)[-. ]+{_MONTH}[-, ]+(?P<year>\d{{4}}|\d\d)(?!\d)", re.IGNORECASE)
-_CTIME = re.compile(rf"\b{_MONTH} +(?P<day>\d\d?),? +(?:\d\d?:\d\d:\d\d +)?(?P<year>\d{{4}})(?!\d)", re.IGNORECASE)
+_DAY_NAMED = re.compile(rf"(?<!\d)(?P<day>\d\d?)[-. ]+{_MONTH_TEXT}[-, ]+(?P<year>\d{{4}}|\d\d)(?!\d)", re.IGNORECASE)
+_CTIME = re.compile(rf"\b{_MONTH_TEXT} +(?P<day>\d\d?),? +(?:\d\d?:\d\d:\d\d +)?(?P<year>\d{{4}})(?!\d)", re.IGNORECASE)
 _TIME_OF_DAY = re.compile(
     r"(?<![\d:])(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,9}))?)?"
     r"(?![\d:])\s*(?P<half>[AaPp]\.?[Mm])?"
 )
-_ZONE = re.compile(r"\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)(?![\w:])")
+_ZONE_PATTERN = re.compile(r"\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)(?![\w:])")
 _DATE_LABEL = re.compile(
     r"date|datum|start|begin|record|aufge|messzeit|zeitpunkt|created|erstellt|acqui|\bt0\b", re.IGNORECASE
 )
@@ -38,7 +38,7 @@ _INTERVAL_LABEL = re.compile(
     r"sampl\w*[ _-]*(?:interval|period|time)|abtast(?:intervall|zeit)|delta[ _]?[xt]\b|axis[ _]delta|\bdt\b|increment",
     re.IGNORECASE,
 )
-_NUMBER = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+_NUMBER_PATTERN = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _HZ_BY_UNIT = {"ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0, "ms/s": 1e6, "ks/s": 1e3, "s/s": 1.0}
 _S_BY_UNIT = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "s": 1.0}
 
@@ -94,7 +94,7 @@ def rate_in(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
 
 def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], decimal: str) -> float | None:
     """Number in a text times its unit, which stands behind it or somewhere in unit_text."""
-    match = _NUMBER.search(text)
+    match = _NUMBER_PATTERN.search(text)
     if match is None:
         return None
     number = number_in(match[0], decimal)
@@ -139,7 +139,7 @@ def _date_and_time(year_month_day: tuple[int, int, int], time_match: re.Match[st
     if time_match["half"]:
         hour = hour % 12 + (12 if time_match["half"][0] in "pP" else 0)
     microsecond = int((time_match["fraction"] or "0").ljust(6, "0")[:6])
-    zone_match = _ZONE.match(time_match.string, time_match.end())
+    zone_match = _ZONE_PATTERN.match(time_match.string, time_match.end())
     try:
         date = datetime(*year_month_day, hour, int(time_match["minute"]), int(time_match["second"] or 0), microsecond)
         if zone_match is None:

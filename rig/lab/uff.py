@@ -21,13 +21,13 @@ MARK_PATTERN = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 MARK_LINE_PATTERN = re.compile(rb"(?:\A|(?<=[\r\n]))" + MARK_PATTERN.pattern)
 LINE_PATTERN = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 TIME_RESPONSE_CODE, EVEN_CODE = 1, 1
-SINGLE, DOUBLE = 2, 4
+SINGLE_CODE, DOUBLE_CODE = 2, 4
 """Codes of real number types; those of complex ones are 5 and 6."""
 NUMBER_WIDTHS = {
-    (SINGLE, True): (13,) * 6,
-    (SINGLE, False): (13,) * 6,
-    (DOUBLE, True): (20,) * 4,
-    (DOUBLE, False): (13, 20) * 2,
+    (SINGLE_CODE, True): (13,) * 6,
+    (SINGLE_CODE, False): (13,) * 6,
+    (DOUBLE_CODE, True): (20,) * 4,
+    (DOUBLE_CODE, False): (13, 20) * 2,
 }
 """Widths (characters) of the numbers of a text line, by type and by whether the abscissas are even and left out."""
 LINES_PER_BLOCK = 4096
@@ -148,7 +148,7 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
     name = header_lines[0][:80].strip()
     unit = header_lines[8][46:67].strip()
     type_code = _integer(header_lines[6], 0, 10)
-    if _integer(header_lines[5], 0, 5) != TIME_RESPONSE_CODE or type_code not in (SINGLE, DOUBLE):
+    if _integer(header_lines[5], 0, 5) != TIME_RESPONSE_CODE or type_code not in (SINGLE_CODE, DOUBLE_CODE):
         return Refused(name, f"dataset {name!r} is no time history; export time histories alone")
     try:
         interval_s = float(header_lines[6][43:56])
@@ -168,7 +168,7 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
     )
     number_bytes = min(NUMBER_WIDTHS[type_code, history.is_even])
     if dataset.is_binary:
-        number_bytes = 4 if type_code == SINGLE else 8
+        number_bytes = 4 if type_code == SINGLE_CODE else 8
     number_count = (dataset.stop_offset - numbers_offset) // number_bytes
     has_wrong_length = number_count != history.value_count if dataset.is_binary else number_count < history.value_count
     if history.point_count < 0 or has_wrong_length:
@@ -192,7 +192,7 @@ def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequenc
 
 
 def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
-    numpy_type = f"{history.byte_order}f{4 if history.type_code == SINGLE else 8}"
+    numpy_type = f"{history.byte_order}f{4 if history.type_code == SINGLE_CODE else 8}"
     return np.frombuffer(content, numpy_type, history.value_count, history.start_offset).astype(float)
 
 

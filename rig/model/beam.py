@@ -118,8 +118,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
         """Natural frequencies beta_i^2 sqrt(E I / rho A) / 2 pi; zero for rigid modes."""
-        beta = self._wavenumbers_times_length(count) / self.length_m
-        return beta**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
+        wavenumbers_per_m = self._wavenumbers_times_length(count) / self.length_m
+        return wavenumbers_per_m**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
 
     def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
         """Modal damping ratios: the same for every elastic mode, zero for rigid ones."""

@@ -43,8 +43,8 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     """
     if rig.in_space:
         driven_directions = {station.direction for station in rig.forces}
-        planes = (plane for direction, plane in plane_rigs(rig).items() if direction in driven_directions)
-        return max((rattling_level(plane, low_hz, high_hz) for plane in planes), key=lambda level: level.rms_n)
+        planes = (plane_rig for direction, plane_rig in plane_rigs(rig).items() if direction in driven_directions)
+        return max((rattling_level(plane_rig, low_hz, high_hz) for plane_rig in planes), key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
     mean_square_receptances = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
     contact_levels: list[tuple[float, str, float]] = []

@@ -110,7 +110,7 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     if isinstance(body, Oscillator):
         return with_attachments(rig, body)
     if isinstance(body, Structure):
-        return coupled(rig, body)
+        return coupled_modes(rig, body)
     nodes_m = np.linspace(0, body.length_m, ELEMENT_COUNT + 1)
     mass_matrix, stiffness_matrix = matrices(rig, body, nodes_m)
     held_count = held_coordinate_count(rig, body)
@@ -173,7 +173,7 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     return tuple(float(x_m) for x_m in places_m[max(next_index - 1, 0) : next_index + 1])
 
 
-def coupled(rig: Rig, body: Structure) -> CoupledModes:
+def coupled_modes(rig: Rig, body: Structure) -> CoupledModes:
     """Modes of a structure coupled by masses m and springs k, k_r at places with shapes p and slopes s:
 
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0

@@ -61,7 +61,7 @@ class ParameterSet:
     @property
     def strengths(self) -> list[int]:
         """Indices of the strengths: parameters with a neutral value."""
-        return [i for i, parameter in enumerate(self.parameters) if parameter.neutral is not None]
+        return [index for index, parameter in enumerate(self.parameters) if parameter.neutral is not None]
 
     def belonging_to(self, owner: str) -> "ParameterSet":
         """The same parameters with this owner."""
@@ -89,5 +89,5 @@ class ParameterSet:
         """Vector of numbers given by name; zero for missing ones."""
         return np.array([value_by_name.get(name, 0.0) for name in self.names])
 
-    def named(self, values: ParameterVector) -> dict[str, float]:
-        return dict(zip(self.names, values.tolist(), strict=True))
+    def named(self, parameter_values: ParameterVector) -> dict[str, float]:
+        return dict(zip(self.names, parameter_values.tolist(), strict=True))

@@ -25,7 +25,7 @@ from rig.errors import RigError, TooLargeError
 from rig.files import check_source
 from rig.limits import MemoryCounter
 
-MAX_BYTES = 64 * 1024 * 1024
+MAX_RECORD_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
 MAX_DESCRIPTION_BYTES = 4 * 1024 * 1024
 """The largest record that is no chunk, message or attachment."""
@@ -148,7 +148,7 @@ def memory_counter_of(file: BufferedReader) -> MemoryCounter:
 def records(
     opcode: int, record_body: memoryview, memory_counter: MemoryCounter, skipped_ids: Container[int] = ()
 ) -> Iterator[McapRecord | UnreadMessages]:
-    """Relevant records in one top-level record; a chunk is decompressed to at most MAX_BYTES.
+    """Relevant records in one top-level record; a chunk is decompressed to at most MAX_RECORD_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
@@ -257,12 +257,12 @@ def _next_record(content: memoryview, offset: int) -> tuple[int, int, int]:
 
 
 def _record_head(content: memoryview, offset: int) -> tuple[int, int]:
-    """Opcode of the record at an offset and the length of its body, at most MAX_BYTES (else RigError)."""
+    """Opcode of the record at an offset and the length of its body, at most MAX_RECORD_BYTES (else RigError)."""
     opcode, body_length = _HEAD.unpack_from(content, offset)
     if opcode == 0:
         raise ValueError("a record without a kind")
-    if body_length > MAX_BYTES:
-        raise RigError(f"a record declares {body_length} bytes; write records of at most {MAX_BYTES} bytes")
+    if body_length > MAX_RECORD_BYTES:
+        raise RigError(f"a record declares {body_length} bytes; write records of at most {MAX_RECORD_BYTES} bytes")
     return opcode, body_length
 
 
@@ -271,8 +271,8 @@ def _decompress(record_body: memoryview, memory_counter: MemoryCounter) -> memor
     _, _, declared_bytes, declared_crc, name_length = _CHUNK_FIELDS.unpack_from(record_body)
     compression_name = bytes(record_body[_CHUNK_FIELDS.size : _CHUNK_FIELDS.size + name_length]).decode()
     (compressed_length,) = _RECORDS_LENGTH.unpack_from(record_body, _CHUNK_FIELDS.size + name_length)
-    if declared_bytes > MAX_BYTES:
-        raise RigError(f"a chunk declares {declared_bytes} bytes when decompressed; write at most {MAX_BYTES}")
+    if declared_bytes > MAX_RECORD_BYTES:
+        raise RigError(f"a chunk declares {declared_bytes} bytes when decompressed; write at most {MAX_RECORD_BYTES}")
     compressed = record_body[_CHUNK_FIELDS.size + name_length + _RECORDS_LENGTH.size :][:compressed_length]
     if len(compressed) < compressed_length:
         raise EOFError(f"a chunk of {compressed_length} bytes ends after {len(compressed)}")

@@ -104,9 +104,9 @@ class Plant(Protocol):
 
 def concatenated(blocks: Iterator[Motion]) -> Motion:
     """Blocks of a run as one."""
-    segments = list(blocks)
+    motion_segments = list(blocks)
     signals_by_name = {
-        signal_name: np.concatenate([getattr(segment, signal_name)[:, :] for segment in segments], axis=1)
+        signal_name: np.concatenate([getattr(segment, signal_name)[:, :] for segment in motion_segments], axis=1)
         for signal_name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
-    return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **signals_by_name)
+    return Motion(start_s=motion_segments[0].start_s, step_s=motion_segments[0].step_s, **signals_by_name)

@@ -71,7 +71,7 @@ def modal_inverse(
     """
     inverse_shapes, first_mode = np.zeros(shapes.T.shape), 0
     for body_name, mode_count in body_mode_counts:
-        station_rows = [i for i, station in enumerate(stations) if station.body == body_name]
+        station_rows = [station_row for station_row, station in enumerate(stations) if station.body == body_name]
         mode_rows = range(first_mode, first_mode + min(len(station_rows), mode_count))
         if station_rows:
             inverse_shapes[np.ix_(mode_rows, station_rows)] = np.linalg.pinv(shapes[np.ix_(station_rows, mode_rows)])

@@ -11,7 +11,7 @@ from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
-from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROWS, PREDICTION, TIMELINE, entity, legend_of
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROW_COUNT, PREDICTION, TIMELINE, entity, legend_of
 from rig.viewer.palette import MEANINGS
 from rig.viewer.spectra import ShownSpectra
 
@@ -207,7 +207,7 @@ def _plot_view(
         axis_y=None if value_range is None else rrb.ScalarAxis(range=value_range),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
     )
-    visual_bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROWS])
+    visual_bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROW_COUNT])
     legend_view = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=visual_bounds)
     return rrb.Horizontal(plot_view, legend_view, column_shares=[5, 1], name=plot_name)
 

@@ -28,8 +28,8 @@ from rig.viewer.orbit import Orbit, send_rings
 from rig.viewer.palette import CLOSED, FAINT, FOUND, MACHINE, SOURCES, STEEL, Colour
 
 TRAIL_POINT_COUNT = 60
-HATCH_COUNT = 16
-DASH_COUNT = 24
+WALL_HATCH_COUNT = 16
+WALL_DASH_COUNT = 24
 MAX_LISTED_CLOSINGS = 20_000
 """Largest number of closings in the log."""
 MAX_PLOTTED_SAMPLES = 1_000_000
@@ -40,7 +40,7 @@ NEAR_CONTACT_S = 0.005
 CHANGE_MARKS = (("closes", "circle", "●"), ("opens", "diamond", "◆"))
 """Marks of the first closed and of the first free sample; both bound the time in contact and have its colour."""
 SIDE_NAMES = {-1: "upper", 1: "lower"}
-LABEL_X_TO_REACH = (1.85, -1.85, 0.55)
+LABEL_X_OVER_REACH = (1.85, -1.85, 0.55)
 """Horizontal positions of the labels of the walls and of overlaid laws, over the reach."""
 
 
@@ -164,13 +164,13 @@ def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMot
     law, colour = motion.contact.law, SOURCES[motion.wall_source]
     hatch_mm = 0.05 * half_mm
     for y_mm, outward_sign in _wall_levels(law):
-        hatch_x_mm = np.linspace(-half_mm, half_mm, HATCH_COUNT + 1)[1:]
+        hatch_x_mm = np.linspace(-half_mm, half_mm, WALL_HATCH_COUNT + 1)[1:]
         hatching = [[[x_mm, y_mm], [x_mm - hatch_mm, y_mm + outward_sign * hatch_mm]] for x_mm in hatch_x_mm]
         strips = rr.LineStrips2D([[[-half_mm, y_mm], [half_mm, y_mm]], *hatching], colors=[colour], radii=pixels(1.5))
         send_static(stream, f"{entity_path}/{SIDE_NAMES[outward_sign]}", strips)
-    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_TO_REACH[0], colour)
-    dash_ends_mm = np.linspace(-half_mm, half_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
-    for x_to_reach, (source, overlaid_law) in zip(LABEL_X_TO_REACH[1:], motion.overlaid_laws.items(), strict=False):
+    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_OVER_REACH[0], colour)
+    dash_ends_mm = np.linspace(-half_mm, half_mm, 2 * WALL_DASH_COUNT).reshape(WALL_DASH_COUNT, 2)
+    for x_to_reach, (source, overlaid_law) in zip(LABEL_X_OVER_REACH[1:], motion.overlaid_laws.items(), strict=False):
         colour = SOURCES[source]
         dashes = [[[start, y_mm], [end, y_mm]] for y_mm, _ in _wall_levels(overlaid_law) for start, end in dash_ends_mm]
         strips = rr.LineStrips2D(dashes, colors=[colour], radii=pixels(1.25), draw_order=40.0)

@@ -15,7 +15,7 @@ ROWS_PER_BATCH = 8192
 
 LAYER_WIDTHS_PX = (3.5, 1.5)
 """Widths of a line over time and of those that are drawn over it and may coincide with it."""
-LEGEND_ROWS = 9
+LEGEND_ROW_COUNT = 9
 """Largest number of names per column of a legend."""
 
 
@@ -71,12 +71,12 @@ def send_labels(
 
 
 def send_legend(stream: rr.RecordingStream, origin: str, names_and_colours: Sequence[tuple[str, Colour]]) -> None:
-    """Send the legend of a plot for the view beside it; in two columns beyond LEGEND_ROWS names."""
-    column_count = 1 if len(names_and_colours) <= LEGEND_ROWS else 2
-    row_count = max(LEGEND_ROWS, -(-len(names_and_colours) // column_count))
+    """Send the legend of a plot for the view beside it; in two columns beyond LEGEND_ROW_COUNT names."""
+    column_count = 1 if len(names_and_colours) <= LEGEND_ROW_COUNT else 2
+    row_count = max(LEGEND_ROW_COUNT, -(-len(names_and_colours) // column_count))
     for index, (name, colour) in enumerate(names_and_colours):
         row, column = divmod(index, column_count)
-        position = [1.2 * (2 * column - column_count + 1), LEGEND_ROWS / row_count * row]
+        position = [1.2 * (2 * column - column_count + 1), LEGEND_ROW_COUNT / row_count * row]
         send_labels(stream, f"{legend_of(origin)}/{index}", [position], [name], colour)
 
 

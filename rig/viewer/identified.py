@@ -17,7 +17,7 @@ from rig.limits import decoded_result
 from rig.model.contact_laws import ContactLaw, DeadZone
 from rig.model.description import Rig, contact_rows
 
-MIN_DURATION_S = 0.1
+MIN_CURVES_S = 0.1
 """Least duration of the curves, s."""
 MIN_STEP_S, MAX_VALUE = 1e-9, 1e100
 """Least time between rows (s) and largest value (SI) in a plausible file; otherwise splines would overflow."""
@@ -94,7 +94,7 @@ def _read_curves(path: Path, rig: Rig, duration_s: float) -> IdentifiedCurves:
         raise RigError(f"{path}: has no column {error}; identify this recording with --export") from error
     except (ValueError, StopIteration, csv.Error) as error:
         raise RigError(f"{path}: is no table of `identify contact --export` ({error}); make it anew") from error
-    time_grows = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_DURATION_S
+    time_grows = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_CURVES_S
     if not (time_grows and (np.abs([*relative_displacement_m, *force_n, time_s]) < MAX_VALUE).all()):
         raise RigError(f"{path}: has too few rows, a time that does not grow, or no number somewhere; make it anew")
     if not (time_s[0] >= 0 and time_s[-1] <= duration_s):

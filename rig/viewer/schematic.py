@@ -34,12 +34,12 @@ def draw(rig: Rig, path: Path) -> None:
     RigError if the file cannot be written.
     """
     drawing = Drawing()
-    for direction, plane in plane_rigs(rig).items():
+    for direction, plane_rig in plane_rigs(rig).items():
         law_by_contact = {contact.name: contact.law for contact in rig.contacts}
-        contacts = tuple(replace(contact, law=law_by_contact[contact.name]) for contact in plane.contacts)
+        contacts = tuple(replace(contact, law=law_by_contact[contact.name]) for contact in plane_rig.contacts)
         force_numbers = [number for number, force in enumerate(rig.forces, start=1) if force.direction == direction]
         lowest_y_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
-        layout = _schematic_layout(replace(plane, contacts=contacts), lowest_y_px + VIEW_GAP_PX)
+        layout = _schematic_layout(replace(plane_rig, contacts=contacts), lowest_y_px + VIEW_GAP_PX)
         drawing.text(0.0, layout.title_px, f"{rig.name}{VIEW_WORDS[direction] if rig.in_space else ''}", size=16)
         force_labels = [f"F{number}" if len(rig.forces) > 1 else "force F" for number in force_numbers]
         _draw_view(drawing, layout, force_labels)

@@ -24,7 +24,7 @@ LARGEST_DEFLECTION_SHARE = 0.25
 MASS_PITCH_M = 0.6
 """Distance between the middles of masses that stand side by side, m."""
 RING_CORNER_COUNT = 49
-JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
+JAW_CORNERS_BY_SIDE = {1: [0, 1], -1: [3, 2]}
 """Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
@@ -177,9 +177,9 @@ class Stage:
                 jaw_points[:, 1:3, 1] = self.depth_m(contact.against.body)
         jaw_points[..., 2] = carrier_z_m[:, None]
         for wall_m, side in walls_m(law):
-            jaw_points[:, JAW_CORNERS[side], 2] += self.magnification * wall_m + side * half_size_m
+            jaw_points[:, JAW_CORNERS_BY_SIDE[side], 2] += self.magnification * wall_m + side * half_size_m
         for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
-            tip_corner, carrier_corner = JAW_CORNERS[side]
+            tip_corner, carrier_corner = JAW_CORNERS_BY_SIDE[side]
             jaw_points[:, tip_corner] = jaw_points[:, carrier_corner]
         return jaw_points
 

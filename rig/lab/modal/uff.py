@@ -197,10 +197,10 @@ def _mode_of(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
         )
     # x = phi q: of length and force units in which the energies m q'^2 / 2 are, phi / sqrt(m) in 1/sqrt(kg)
     shape_factor = np.sqrt(file.force_units / file.length_units) / np.sqrt(modal_mass)
-    vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
-    if not np.isfinite(vectors).all():
+    shape_vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
+    if not np.isfinite(shape_vectors).all():
         raise file.error(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
-    return _Mode(frequency_hz, damping_ratio, dict(zip(map(int, dataset["node_nums"]), vectors, strict=True)))
+    return _Mode(frequency_hz, damping_ratio, dict(zip(map(int, dataset["node_nums"]), shape_vectors, strict=True)))
 
 
 def _real_shapes(

@@ -26,7 +26,7 @@ from rig.simulation.plants.loading import (
 from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, station_weights
 
 ELEMENT_COUNT = 20
-BLOCK_STEPS = 4096
+STEPS_PER_BLOCK = 4096
 
 
 def simulate(
@@ -63,8 +63,8 @@ def simulate(
         if has_static_load(rig):
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         solver_settings, step_count = _solver_settings(exu, step_s), len(force_n) - 1
-        for first_step in range(0, step_count, BLOCK_STEPS):
-            steps = range(first_step, min(first_step + BLOCK_STEPS, step_count))
+        for first_step in range(0, step_count, STEPS_PER_BLOCK):
+            steps = range(first_step, min(first_step + STEPS_PER_BLOCK, step_count))
             _advance(exu, mbs, solver_settings, steps, step_s)
             yield _motion(rig, mbs, instruments, inputs, steps, step_s)
             progress(steps.stop / step_count)

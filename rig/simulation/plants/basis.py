@@ -74,5 +74,5 @@ def _separating_rotation(rigid_shapes: Float[np.ndarray, "nodes rigid"]) -> Floa
     if not rigid_shapes.size:
         return np.eye(rigid_shapes.shape[1])
     translation_weights = np.linalg.lstsq(rigid_shapes, np.ones(len(rigid_shapes)), rcond=None)[0]
-    translation_direction = translation_weights / np.linalg.norm(translation_weights)
-    return np.stack([translation_direction, [-translation_direction[1], translation_direction[0]]], axis=1)
+    translation_unit_weights = translation_weights / np.linalg.norm(translation_weights)
+    return np.stack([translation_unit_weights, [-translation_unit_weights[1], translation_unit_weights[0]]], axis=1)

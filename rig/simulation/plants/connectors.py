@@ -9,7 +9,7 @@ from rig.model.contact_laws import ContactLaw, elementary
 from rig.model.description import Station
 from rig.simulation.plants.mesh import Mesh
 
-MODULUS_EVERY_STEPS = 64
+STEPS_PER_MODULUS_UPDATE = 64
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def modulus_update(mbs: Any, meshes: list[Mesh], change: ChangingModulus) -> Cal
     nominal_bending_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in element_numbers}
 
     def update_modulus(step: int, time_s: float) -> None:
-        if step % MODULUS_EVERY_STEPS == 0:
+        if step % STEPS_PER_MODULUS_UPDATE == 0:
             for number in element_numbers:
                 mbs.SetObjectParameter(number, "bendingStiffness", nominal_bending_n_m2[number] * change.factor(time_s))
 

@@ -111,8 +111,8 @@ def _add_mass(
         node_number = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
         mbs.AddObject(item("Mass1D")(nodeNumber=node_number, physicsMass=with_attachments(rig, body).mass_kg))
     mesh = Mesh(body, np.zeros(1), (node_number,), rig.directions)
-    for direction, plane in plane_rigs(rig).items():
-        loaded_mass, (coordinate_index,) = with_attachments(plane, body), mesh.coordinate_indices_of(direction)
+    for direction, plane_rig in plane_rigs(rig).items():
+        loaded_mass, (coordinate_index,) = with_attachments(plane_rig, body), mesh.coordinate_indices_of(direction)
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node_number, coordinate=coordinate_index))
         spring_constants = {"stiffness": loaded_mass.stiffness_n_per_m, "damping": loaded_mass.damping_n_s_per_m}
         mbs.AddObject(item("CoordinateSpringDamper")(markerNumbers=[ground_marker, marker], **spring_constants))
@@ -176,13 +176,13 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
             node_number = mesh.node_number_at(station.position_m)
             mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[node_number], **{matrix_name: np.diag(diagonal)}))
 
-    for direction, plane in plane_rigs(rig).items():
-        for point_mass in plane.masses:
+    for direction, plane_rig in plane_rigs(rig).items():
+        for point_mass in plane_rig.masses:
             add_matrix("massMatrix", replace(point_mass.station, direction=direction), point_mass.mass_kg)
-        for spring in attached_springs(plane):
+        for spring in attached_springs(plane_rig):
             station = replace(spring.station, direction=direction)
             add_matrix("stiffnessMatrix", station, spring.stiffness_n_per_m, spring.rotational_n_m_per_rad)
-        for clamp in plane.clamps:
+        for clamp in plane_rig.clamps:
             add_matrix("stiffnessMatrix", Station(clamp.body, 0.0, direction), 0.0, clamp.rotational_n_m_per_rad)
 
 

@@ -115,10 +115,10 @@ def inertia_against_base(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " ro
     """Inertia of every transverse coordinate against a base moving in y: mass matrix times translation, kg and kg m."""
     inertia_by_body = []
     for mesh in meshes:
-        mass_matrix, _ = matrices(rig, mesh.body, mesh.positions_m)
+        body_mass_matrix, _ = matrices(rig, mesh.body, mesh.positions_m)
         body_inertia = np.zeros(mesh.transverse_per_node * len(mesh.node_numbers))
         body_inertia[mesh.transverse_indices_of("y")] = (
-            mass_matrix @ np.tile([1.0, 0.0], len(mesh.node_numbers))[: len(mass_matrix)]
+            body_mass_matrix @ np.tile([1.0, 0.0], len(mesh.node_numbers))[: len(body_mass_matrix)]
         )
         inertia_by_body.append(body_inertia)
     return np.concatenate(inertia_by_body)

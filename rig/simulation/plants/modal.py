@@ -26,7 +26,7 @@ from rig.simulation.plants.loading import (
     true_force,
 )
 
-BLOCK_STEPS = 1 << 13
+STEPS_PER_BLOCK = 1 << 13
 BEND_SUPPORT = 8
 """Samples on either side that are used for the bend of a force within a step."""
 
@@ -85,8 +85,8 @@ def simulate(
     shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)
     last_state, contact_state = model.start()
     contact_history_n, bend_history_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
-    for first_step in range(0, len(force_n), BLOCK_STEPS):
-        span = slice(first_step, min(first_step + BLOCK_STEPS, len(force_n)))
+    for first_step in range(0, len(force_n), STEPS_PER_BLOCK):
+        span = slice(first_step, min(first_step + STEPS_PER_BLOCK, len(force_n)))
         inputs, input_bends = applied_inputs(rig, forces_n, base_signals, step_s, span)
         contact_n, contact_bends_n = np.empty((2, len(model.eta_rows), span.stop - first_step))
         # a new array a block: Motion computes from it on demand
@@ -177,9 +177,9 @@ class BodyModes(NamedTuple):
 def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
     """Modes of every body of a rig, first in y, then in z if the rig moves in it."""
     return [
-        BodyModes(body, modes_of(plane, body), mode_count(body, modes_per_beam), direction)
-        for direction, plane in plane_rigs(rig).items()
-        for body in plane.bodies
+        BodyModes(body, modes_of(plane_rig, body), mode_count(body, modes_per_beam), direction)
+        for direction, plane_rig in plane_rigs(rig).items()
+        for body in plane_rig.bodies
     ]
 
 
@@ -277,15 +277,15 @@ def _gain_and_increment_factors(
 
     Raises RigError if the loop gain of a contact force exceeds one half.
     """
-    end_responses = state_by_contact_force[1:].reshape(2, len(model.eta_rows), 2, model.omega.size)
-    gain = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.eta_rows, end_responses))
-    stiffness, damping = np.array([law.largest_slopes for law in model.laws]).reshape(-1, 2).T
-    loop_gain = np.abs(gain[0, 0]) @ stiffness + np.abs(gain[0, 1]) @ damping
+    force_responses = state_by_contact_force[1:].reshape(2, len(model.eta_rows), 2, model.omega.size)
+    gain = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.eta_rows, force_responses))
+    largest_stiffness, largest_damping = np.array([law.largest_slopes for law in model.laws]).reshape(-1, 2).T
+    loop_gain = np.abs(gain[0, 0]) @ largest_stiffness + np.abs(gain[0, 1]) @ largest_damping
     if np.any(loop_gain > 0.5):
         raise RigError(
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop_gain.max():.2g}); use a smaller step"
         )
-    self_gain = -np.diag(gain[0, 0]) * stiffness - np.diag(gain[0, 1]) * damping
+    self_gain = -np.diag(gain[0, 0]) * largest_stiffness - np.diag(gain[0, 1]) * largest_damping
     return gain, 1 / (1 + self_gain)
 
 
@@ -331,13 +331,13 @@ def _propagator_and_force_response(
 
     A and the three r come from one augmented matrix exponential, that of (q, q', p, dp/ds, d2p/ds2).
     """
-    augmented = np.zeros((omega.size, 5, 5))
-    augmented[:, 0, 1] = step_s
-    augmented[:, 1, 0] = -(omega**2) * step_s
-    augmented[:, 1, 1] = -2 * zeta * omega * step_s
-    augmented[:, 1, 2] = step_s
-    augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
-    matrix_exponential = scipy.linalg.expm(augmented)
+    augmented_matrices = np.zeros((omega.size, 5, 5))
+    augmented_matrices[:, 0, 1] = step_s
+    augmented_matrices[:, 1, 0] = -(omega**2) * step_s
+    augmented_matrices[:, 1, 1] = -2 * zeta * omega * step_s
+    augmented_matrices[:, 1, 2] = step_s
+    augmented_matrices[:, 2, 3] = augmented_matrices[:, 3, 4] = 1.0
+    matrix_exponential = scipy.linalg.expm(augmented_matrices)
     constant, linear, quadratic = matrix_exponential[:, :2, 2:].transpose(2, 1, 0)
     propagator = np.ascontiguousarray(matrix_exponential[:, :2, :2].transpose(1, 2, 0))
     return propagator, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])
