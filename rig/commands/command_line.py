@@ -178,12 +178,12 @@ def literal_console() -> Console:
 
 
 def console_table(
-    title: str, headings: Sequence[str], text_columns: int = 1, rows: Iterable[Sequence[str]] = ()
+    title: str, headings: Sequence[str], text_column_count: int = 1, rows: Iterable[Sequence[str]] = ()
 ) -> Table:
     """Table for a console: so many columns of text, then numbers, aligned right."""
     table = Table(title=title)
     for column_index, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if column_index < text_columns else "right")
+        table.add_column(heading, justify="left" if column_index < text_column_count else "right")
     for row in rows:
         table.add_row(*row)
     return table

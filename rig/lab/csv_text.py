@@ -133,8 +133,8 @@ def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _Sample
     first_line_by_count, sample_count = {first_cell_count: line_number}, 1
     trailing_empty_count = _trailing_empty_count(first_line, delimiter)
     for line_number, line in numbered_lines:
-        is_plain = '"' not in line and delimiter != " "
-        count = line.count(delimiter) + 1 if is_plain else len(cells_of(line, delimiter))
+        is_unquoted = '"' not in line and delimiter != " "
+        count = line.count(delimiter) + 1 if is_unquoted else len(cells_of(line, delimiter))
         if count not in first_line_by_count:
             first_line_by_count[count] = line_number
         if trailing_empty_count:

@@ -57,30 +57,30 @@ def hdf5_blocks(path: Path) -> Blocks:
 
 
 def _group_blocks(
-    path: Path, group: Any, prefix: str, visited_addresses: set[int], depth: int
+    path: Path, group: Any, prefix: str, visited_addresses: set[int], nesting_depth: int
 ) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
-    for item_name, item in members(group, prefix, depth):
+    for item_name, item in members(group, prefix, nesting_depth):
         full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
             yield item
         elif not is_new(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
-            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, depth + 1)
+            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, nesting_depth + 1)
         elif isinstance(item, h5py.Dataset):
             yield from dataset_blocks(path, item, attribute_text(item, NAME_ATTRIBUTES) or full_name)
 
 
-def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
+def members(group: Any, prefix: str, nesting_depth: int) -> Iterator[tuple[str, Any]]:
     """Name and object of every member, sorted by name; a link to another file is a Refused.
 
     Soft links, which are aliases, are left out. Raises UnreadableError where groups are nested too deep.
     """
     import h5py
 
-    if len(prefix) > MAX_NAME_LENGTH or depth > MAX_DEPTH:
+    if len(prefix) > MAX_NAME_LENGTH or nesting_depth > MAX_DEPTH:
         raise UnreadableError(
             f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
         )

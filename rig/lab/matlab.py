@@ -111,7 +111,7 @@ class _Version5File:
         element_size = data_start + data_length
 
         def unpacked_data() -> memoryview:
-            return memoryview(_unpack(compressed, element_size))[data_start:]
+            return memoryview(_decompressed_element(compressed, element_size))[data_start:]
 
         head = self._head(first_bytes[data_start:])
         if head.is_real:
@@ -121,25 +121,25 @@ class _Version5File:
             check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), memory_label)
             yield from self._array_blocks(unpacked_data(), "", 0)
 
-    def _array_blocks(self, content: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _array_blocks(self, content: memoryview, enclosing_name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
         if not content:
             return
         head = self._head(content)
         name = enclosing_name or head.name
-        if depth > MAX_DEPTH or len(name) > MAX_NAME_LENGTH:
+        if nesting_depth > MAX_DEPTH or len(name) > MAX_NAME_LENGTH:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
             )
         if head.array_class == _CELL:
             cell_names = (f"{name}{{{k}}}" for k in range(1, self._count_elements(name, head.shape) + 1))
-            yield from self._element_blocks(content, head.data_offset, cell_names, depth + 1)
+            yield from self._element_blocks(content, head.data_offset, cell_names, nesting_depth + 1)
         elif head.array_class == _STRUCT:
-            yield from self._struct_blocks(content, head, name, depth + 1)
+            yield from self._struct_blocks(content, head, name, nesting_depth + 1)
         elif head.is_real:
             yield from self._numeric_blocks(head, content, name, lambda: content, 0)
 
-    def _struct_blocks(self, content: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _struct_blocks(self, content: memoryview, head: _Head, name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
         _, length_bytes, offset = self._element(content, head.data_offset)
         _, names_bytes, offset = self._element(content, offset)
         (name_length,) = struct.unpack(f"{self._byte_order}i", length_bytes)
@@ -150,17 +150,17 @@ class _Version5File:
         struct_count = self._count_elements(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
         struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
         field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
-        yield from self._element_blocks(content, offset, field_names, depth)
+        yield from self._element_blocks(content, offset, field_names, nesting_depth)
 
     def _element_blocks(
-        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], depth: int
+        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], nesting_depth: int
     ) -> Iterator[ColumnBlock]:
         """Blocks of consecutive arrays with these names."""
         for array_name in array_names:
             element_type, element_bytes, offset = self._element(array_bytes, offset)
             if element_type != _MATRIX:
                 raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
-            yield from self._array_blocks(element_bytes, array_name, depth)
+            yield from self._array_blocks(element_bytes, array_name, nesting_depth)
 
     def _numeric_blocks(
         self, head: _Head, first_bytes: memoryview, name: str, read_bytes: Callable[[], memoryview], working_bytes: int
@@ -181,9 +181,9 @@ class _Version5File:
     def _head(self, array_bytes: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(array_bytes, 0)
         (flags,) = struct.unpack_from(f"{self._byte_order}I", flag_bytes)
-        _, size_bytes, offset = self._element(array_bytes, offset)
+        _, shape_bytes, offset = self._element(array_bytes, offset)
         _, name_bytes, offset = self._element(array_bytes, offset)
-        shape = tuple(np.frombuffer(size_bytes, f"{self._byte_order}i4").tolist())
+        shape = tuple(np.frombuffer(shape_bytes, f"{self._byte_order}i4").tolist())
         return _Head(flags & 0xFF, flags, shape, decode_text(bytes(name_bytes)), offset)
 
     def _tag(self, content: memoryview, offset: int) -> tuple[int, int, int, int]:
@@ -212,7 +212,7 @@ class _Version5File:
         return element_count
 
 
-def _unpack(compressed: memoryview, element_size: int) -> bytes:
+def _decompressed_element(compressed: memoryview, element_size: int) -> bytes:
     """Decompressed element of exactly `element_size` bytes; raises UnreadableError if it has fewer or more."""
     decompressor = zlib.decompressobj()
     content = decompressor.decompress(compressed, element_size)
@@ -255,21 +255,21 @@ class _Version73File:
         self._visited: set[int] = set()
         self._reference_count = 0
 
-    def array_blocks(self, name: str, item: Any, depth: int) -> Iterator[ColumnBlock | Refused]:
+    def array_blocks(self, name: str, item: Any, nesting_depth: int) -> Iterator[ColumnBlock | Refused]:
         """Blocks of an array, of a struct (a group), or of the targets of a cell array's references."""
         import h5py
 
         if isinstance(item, Refused):
             yield item
         elif isinstance(item, h5py.Group):
-            for field, member in members(item, f"{name}.", depth) if is_new(item, self._visited) else ():
+            for field, member in members(item, f"{name}.", nesting_depth) if is_new(item, self._visited) else ():
                 has_references = isinstance(member, h5py.Dataset) and _holds_references(member)
                 if has_references and not _has_class(member, "cell"):
-                    yield from self._reference_blocks(member, f"{name}(", f").{field}", depth + 1)
+                    yield from self._reference_blocks(member, f"{name}(", f").{field}", nesting_depth + 1)
                 else:
-                    yield from self.array_blocks(f"{name}.{field}", member, depth + 1)
+                    yield from self.array_blocks(f"{name}.{field}", member, nesting_depth + 1)
         elif isinstance(item, h5py.Dataset) and _has_class(item, "cell"):
-            yield from self._reference_blocks(item, f"{name}{{", "}", depth + 1)
+            yield from self._reference_blocks(item, f"{name}{{", "}", nesting_depth + 1)
         elif isinstance(item, h5py.Dataset) and not _has_class(item, "char") and not _is_empty(item):
             yield from dataset_blocks(self._path, item, name)
 

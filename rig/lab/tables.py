@@ -62,8 +62,8 @@ def read_table(path: Path, text_form: TextForm, column_keys: Collection[ColumnKe
     return table
 
 
-def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Result]) -> Result:
-    """Result of `consume`, given the content of a file, whose format follows from its suffix.
+def with_blocks(path: Path, text_form: TextForm, consume_blocks: Callable[[Blocks], Result]) -> Result:
+    """Result of `consume_blocks`, given the content of a file, whose format follows from its suffix.
 
     Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, or would take more
     memory than `rig.limits` allows.
@@ -75,7 +75,7 @@ def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Res
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
         with closing(READERS[suffix](path, text_form)) as blocks:
-            return consume(blocks)
+            return consume_blocks(blocks)
     except OSError as error:
         if error.errno is None:  # of a format's library, in words of its own
             raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error

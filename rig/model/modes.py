@@ -246,18 +246,18 @@ def loaded_mass(rig: Rig, body: Body) -> Body:
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
-    masses = [mass for mass in rig.masses if mass.station.body == body.name]
+    attached = [mass for mass in rig.masses if mass.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
     if isinstance(body, Structure):
         translation = body.translation()
         modal_translation = modes.eigenvectors.T @ translation if isinstance(modes, CoupledModes) else translation
-        places_m = np.array([mass.station.position_m for mass in masses])
-        return modal_translation[:count] + np.array([mass.mass_kg for mass in masses]) @ modes.shapes(places_m, count)
+        places_m = np.array([mass.station.position_m for mass in attached])
+        return modal_translation[:count] + np.array([mass.mass_kg for mass in attached]) @ modes.shapes(places_m, count)
     gauss_points, gauss_weights = leggauss(400)
     positions_m = (gauss_points + 1) / 2 * body.length_m
-    places_m = np.concatenate([positions_m, [mass.station.position_m for mass in masses]])
-    masses_kg = np.concatenate([gauss_weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
+    places_m = np.concatenate([positions_m, [mass.station.position_m for mass in attached]])
+    masses_kg = np.concatenate([gauss_weights / 2 * body.mass_kg, [mass.mass_kg for mass in attached]])
     return masses_kg @ modes.shapes(places_m, count)
 
 

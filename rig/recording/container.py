@@ -185,11 +185,11 @@ def _chunk_records(
             yield from records(opcode, chunk_records[body_start:offset], memory_counter)
 
 
-def _run_length(chunk_records: memoryview, record_length: int) -> int:
+def _run_length(chunk_records: memoryview, record_bytes: int) -> int:
     """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
-    record_count = min(len(chunk_records) // record_length, 64)
+    record_count = min(len(chunk_records) // record_bytes, 64)
     first_eight_bytes, last_eight_bytes = (
-        np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_length,)) for offset in (0, 3)
+        np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_bytes,)) for offset in (0, 3)
     )
     is_like_first = (first_eight_bytes == first_eight_bytes[0]) & (last_eight_bytes == last_eight_bytes[0])
     return record_count if is_like_first.all() else int(np.argmin(is_like_first))

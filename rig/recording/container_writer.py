@@ -237,12 +237,12 @@ def _record_bytes(record: Any) -> bytes:
     return bytes(builder.end())
 
 
-def _index_record(record: Attachment | Metadata, offset: int, length: int) -> AttachmentIndex | MetadataIndex:
+def _index_record(record: Attachment | Metadata, offset: int, record_length: int) -> AttachmentIndex | MetadataIndex:
     if isinstance(record, Metadata):
-        return MetadataIndex(offset=offset, length=length, name=record.name)
+        return MetadataIndex(offset=offset, length=record_length, name=record.name)
     return AttachmentIndex(
         offset=offset,
-        length=length,
+        length=record_length,
         create_time=record.create_time,
         log_time=record.log_time,
         data_size=len(record.data),

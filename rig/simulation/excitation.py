@@ -51,8 +51,8 @@ class BandLimitedGaussian(_ExcitationSettings, frozen=True, tag="gaussian"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        noise = _unscaled_noise(sample_count, step_s, self)
-        return _scale_to_rms(noise * _rise_window(sample_count, step_s), self.rms_n)
+        unscaled_noise = _unscaled_noise(sample_count, step_s, self)
+        return _scale_to_rms(unscaled_noise * _rise_window(sample_count, step_s), self.rms_n)
 
 
 class BurstRandom(_ExcitationSettings, frozen=True, tag="burst"):
@@ -65,11 +65,11 @@ class BurstRandom(_ExcitationSettings, frozen=True, tag="burst"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        noise = _unscaled_noise(sample_count, step_s, self)
+        unscaled_noise = _unscaled_noise(sample_count, step_s, self)
         burst_elapsed = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
         # smooth edges over a twentieth of the burst
         edge_elapsed = np.clip(np.minimum(burst_elapsed, 1 - burst_elapsed) * 20, 0, 1)
-        return _scale_to_rms(noise * np.sin(np.pi / 2 * edge_elapsed) ** 2, self.rms_n)
+        return _scale_to_rms(unscaled_noise * np.sin(np.pi / 2 * edge_elapsed) ** 2, self.rms_n)
 
 
 class Sweep(_ExcitationSettings, frozen=True, tag="sweep"):

@@ -48,8 +48,8 @@ class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def force(self) -> Excitation:
         """Exciting force of these settings."""
-        band = {"low_hz": self.low_hz, "high_hz": self.high_hz}
-        return excitation_of(self.excitation, rms_n=self.rms_n, seed=self.seed, **band)
+        band_limits = {"low_hz": self.low_hz, "high_hz": self.high_hz}
+        return excitation_of(self.excitation, rms_n=self.rms_n, seed=self.seed, **band_limits)
 
 
 class Sdof(_Settings, frozen=True, kw_only=True):

@@ -57,16 +57,16 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
 
 
 def decimate(
-    delay_filter: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
+    delay_filter: Decimator, rows: Float[np.ndarray, "rows long"], output_count: int
 ) -> Float[np.ndarray, "rows samples"]:
     """First `output_count` filtered samples of every row; rows hold at least `delay_filter.reach(output_count)`."""
-    row_count, piece_count, pieces = len(signals), delay_filter.piece_count, delay_filter.toeplitz_pieces
-    inputs = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(row_count, -1, len(pieces))
-    products = (inputs @ pieces).reshape(row_count, inputs.shape[1], piece_count, BLOCK_OUTPUTS)
+    row_count, piece_count, pieces = len(rows), delay_filter.piece_count, delay_filter.toeplitz_pieces
+    inputs = rows[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(row_count, -1, len(pieces))
+    block_products = (inputs @ pieces).reshape(row_count, inputs.shape[1], piece_count, BLOCK_OUTPUTS)
     block_count = inputs.shape[1] - piece_count + 1
-    output_blocks = products[:, :block_count, 0].copy()
+    output_blocks = block_products[:, :block_count, 0].copy()
     for piece_index in range(1, piece_count):
-        output_blocks += products[:, piece_index : block_count + piece_index, piece_index]
+        output_blocks += block_products[:, piece_index : block_count + piece_index, piece_index]
     return output_blocks.reshape(row_count, -1)[:, :output_count]
 
 

@@ -54,7 +54,7 @@ def _send_body(stream: rr.RecordingStream, scene: Stage, body: Body, colour: Col
         send(stream, entity_path, scene.time_s, rr.Boxes3D, centers=scene.centre(body))
     rest_line = rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75))
     send_static(stream, f"{entity_path}/rest", rest_line)
-    if (wall_points := scene.support(body)) is not None:
+    if (wall_points := scene.wall_corners(body)) is not None:
         send_static(stream, f"{entity_path}/support", rr.LineStrips3D([wall_points], colors=[STEEL], radii=pixels(2.0)))
     name_style = rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name], show_labels=True)
     send_static(stream, f"{entity_path}/name", name_style)

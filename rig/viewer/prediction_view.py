@@ -86,7 +86,7 @@ def summary_text(prediction: PredictedMotion, window_s: float) -> str:
 
 def _send_ghosts(
     stream: rr.RecordingStream,
-    path: str,
+    ghosts_path: str,
     prediction: PredictedMotion,
     displacement_m: Float[np.ndarray, "stations samples"],
     colour: Colour,
@@ -104,11 +104,11 @@ def _send_ghosts(
         frame_samples=predicted_frames,
     )
     for body in scene.rig.bodies:
-        entity_path = f"{path}/{entity(body.name)}"
+        entity_path = f"{ghosts_path}/{entity(body.name)}"
         send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(radius_px)]))
         ghost_strips = ghost_stage.strips(body) - [0.0, depth_share * scene.extent_m, 0.0]
         send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_strips)
     if predicted_frames.size and predicted_frames.size < scene.frame_samples.size:
         stream.set_time(TIMELINE, duration=float(prediction.samples.stop / scene.sample_rate_hz))
         for body in scene.rig.bodies:
-            stream.log(f"{path}/{entity(body.name)}", rr.Clear(recursive=False))
+            stream.log(f"{ghosts_path}/{entity(body.name)}", rr.Clear(recursive=False))

@@ -126,7 +126,7 @@ class Stage:
         """Moving point at which the arrow of a force begins: on the station, or on top of a mass."""
         return self.point(station) + np.array([0, 0, self._half_size_m(self.rig.body(station.body))])
 
-    def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
+    def wall_corners(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
         """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None

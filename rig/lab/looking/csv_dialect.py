@@ -137,7 +137,7 @@ def _longest_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[in
 
     Lines of a run have their texts, if any, in the same columns, and more numbers and dates than texts.
     """
-    best_run, run = (0, 0, 0), (0, 0, 0)
+    best_run, current_run = (0, 0, 0), (0, 0, 0)
     text_columns: set[int] | None = None
     for line_index, line in enumerate(lines):
         if not line.strip():
@@ -149,9 +149,9 @@ def _longest_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[in
             text_columns = None
             continue
         if line_text_columns != text_columns:
-            run, text_columns = (0, line_index, line_index), line_text_columns
-        run = (run[0] + number_count - len(line_text_columns), run[1], line_index)
-        best_run = max(best_run, run, key=lambda candidate: candidate[0])
+            current_run, text_columns = (0, line_index, line_index), line_text_columns
+        current_run = (current_run[0] + number_count - len(line_text_columns), current_run[1], line_index)
+        best_run = max(best_run, current_run, key=lambda candidate: candidate[0])
     return best_run
 
 

@@ -38,12 +38,12 @@ def candidates_in(
     usable_columns = [column for column in columns if column.number not in reasons]
     if usable_columns:
         lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
-        (usual_count, usual_hz), _ = lengths_and_rates.most_common(1)[0]
+        (usual_sample_count, usual_rate_hz), _ = lengths_and_rates.most_common(1)[0]
         for column in usable_columns:
-            if column.sample_count != usual_count:
-                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_count}"
-            elif column.rate_hz != usual_hz:
-                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_hz or 0:g}"
+            if column.sample_count != usual_sample_count:
+                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_sample_count}"
+            elif column.rate_hz != usual_rate_hz:
+                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"
     return (
         tuple(column for column in usable_columns if column.number not in reasons),
         tuple((column, reasons[column.number]) for column in columns if column.number in reasons),

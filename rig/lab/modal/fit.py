@@ -131,12 +131,12 @@ def _denominator_equations(
     exponents = np.arange(POLYNOMIAL_ORDERS[-1] + 1)
     z_powers = np.exp(-1j * np.pi * (line_hz - first_hz)[:, None] / alias_hz * exponents)
     orthonormal_basis = np.linalg.qr(z_powers)[0].conj().T
-    products, projections = np.zeros((z_powers.shape[1],) * 2, dtype=complex), []
+    product_matrix, projections = np.zeros((z_powers.shape[1],) * 2, dtype=complex), []
     for frf in frfs:
         frf_powers = frf[:, None] * z_powers
-        products += frf_powers.conj().T @ frf_powers
+        product_matrix += frf_powers.conj().T @ frf_powers
         projections.append(orthonormal_basis @ frf_powers)
-    return products, np.array(projections)
+    return product_matrix, np.array(projections)
 
 
 def _poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[np.ndarray, "poles 2"]:

@@ -31,9 +31,9 @@ class TwoMassesRig(StartWithStops, frozen=True, kw_only=True):
     damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of each; a free mass has none.")] = 0.01
 
     def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
-        for name, values in (("masses_kg", self.masses_kg), ("frequencies_hz", self.frequencies_hz)):
-            if len(values) != 2:
-                raise RigError(f"{name} has {len(values)} numbers; give two, one for each mass")
+        for name, numbers in (("masses_kg", self.masses_kg), ("frequencies_hz", self.frequencies_hz)):
+            if len(numbers) != 2:
+                raise RigError(f"{name} has {len(numbers)} numbers; give two, one for each mass")
         first_mass, second_mass = (
             Oscillator(name=name, mass_kg=mass_kg, frequency_hz=hz, damping_ratio=self.damping_ratio if hz else 0.0)
             for name, mass_kg, hz in zip(("first", "second"), self.masses_kg, self.frequencies_hz, strict=True)

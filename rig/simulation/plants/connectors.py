@@ -95,8 +95,8 @@ def modulus_update(mbs: Any, meshes: list[Mesh], change: ChangingModulus) -> Cal
     mesh = next(mesh for mesh in meshes if mesh.body.name == change.beam)
     numbered_objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     element_numbers = [
-        n
-        for n, exudyn_object in numbered_objects
+        object_number
+        for object_number, exudyn_object in numbered_objects
         if exudyn_object["objectType"] == "ANCFCable2D" and int(exudyn_object["nodeNumbers"][0]) in mesh.node_numbers
     ]
     nominal_bending_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in element_numbers}

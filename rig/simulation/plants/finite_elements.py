@@ -120,7 +120,7 @@ def _add_mass(
 
 
 def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, min_elements: int, sections: list[Section]) -> Mesh:
-    positions_m, (width, thickness) = mesh_positions_m(rig, body, min_elements), body.area_factors
+    positions_m, (area_factor, other_factor) = mesh_positions_m(rig, body, min_elements), body.area_factors
     if rig.in_space and body.bending_stiffness_n_m2 != body.bending_in_z.bending_stiffness_n_m2:
         raise RigError(
             f"the ancf plant bends beams in space alike in y and z, and {body.name!r} is wider than thick; give a tube "
@@ -135,7 +135,7 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, min_elements: 
     )
     mesh = Mesh(body, positions_m, node_numbers, rig.directions)
     middles_m = (positions_m[1:] + positions_m[:-1]) / 2
-    axial_stiffness_n = AXIAL_STIFFNESS_FACTOR * body.youngs_modulus_pa * width * thickness
+    axial_stiffness_n = AXIAL_STIFFNESS_FACTOR * body.youngs_modulus_pa * area_factor * other_factor
     for end_nodes, element_m, middle_m in zip(pairwise(node_numbers), np.diff(positions_m), middles_m, strict=True):
         local_sections = [
             section for section in sections if section.beam == body.name and section.start_m < middle_m < section.end_m

@@ -105,10 +105,10 @@ def station_weights(meshes: list[Mesh], station: Station, derivative_order: int 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     """Static loads and weights on every transverse coordinate, N and N m."""
-    weight_load = np.zeros(station_weights(meshes, rig.forces[0]).size)
+    weight_n = np.zeros(station_weights(meshes, rig.forces[0]).size)
     if rig.gravity_m_per_s2:
-        weight_load = -rig.gravity_m_per_s2 * inertia_against_base(rig, meshes)
-    return weight_load + sum(load.force_n * station_weights(meshes, load.station) for load in rig.loads)
+        weight_n = -rig.gravity_m_per_s2 * inertia_against_base(rig, meshes)
+    return weight_n + sum(load.force_n * station_weights(meshes, load.station) for load in rig.loads)
 
 
 def inertia_against_base(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
