@@ -42,7 +42,7 @@ def hint(word: str, candidates: Iterable[str]) -> str:
 def is_plain(text: str) -> bool:
     """True if the text has no control characters, line ends or other characters that a terminal or page obeys."""
     return (text.isascii() and text.isprintable()) or not any(
-        unicodedata.category(c) in _CONTROL_CATEGORIES for c in text
+        unicodedata.category(character) in _CONTROL_CATEGORIES for character in text
     )
 
 

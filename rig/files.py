@@ -21,9 +21,9 @@ except ImportError:  # Windows, where one writer keeps another from opening the 
     fcntl = None  # type: ignore[assignment]
 
 MAX_NAME_BYTES = 255
-MAX_BYTES = 256 * 1024 * 1024
+MAX_FILE_BYTES = 256 * 1024 * 1024
 """Largest file that is read in one piece: a map, a description, a report."""
-WAIT_S = 30.0
+SMALL_FILE_WAIT_S = 30.0
 """How long a small file waits for another writer of it; a recording does not."""
 
 
@@ -41,11 +41,11 @@ def check_source(path: Path) -> None:
 
 
 def contents(path: Path) -> bytes:
-    """Content of a regular file; raises RigError if it cannot be read or is larger than MAX_BYTES."""
+    """Content of a regular file; raises RigError if it cannot be read or is larger than MAX_FILE_BYTES."""
     check_source(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RigError(f"{path}: has more than {MAX_BYTES >> 20} MiB; this is not the file that is asked for")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise RigError(f"{path}: has more than {MAX_FILE_BYTES >> 20} MiB; this is not the file that is asked for")
         return path.read_bytes()
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); check the file") from error
@@ -62,7 +62,7 @@ def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
 
     With new_folder its folder need not exist yet; the caller makes it.
     """
-    part_path = part_of(path)
+    part_path = part_path_of(path)
     for source in sources:
         _check_name(source)
         if any(_is_same_file(candidate, source) for candidate in (path, part_path)):
@@ -75,7 +75,7 @@ def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
         raise RigError(f"{path}: cannot be written ({folder} {obstacle}); choose another place")
 
 
-def part_of(path: Path) -> Path:
+def part_path_of(path: Path) -> Path:
     """Path FILE.part at which a file is written before it is renamed; raises RigError if either path is unusable."""
     _check_name(path)
     if not path.name or path.name == "..":
@@ -107,7 +107,7 @@ def locked_part(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
 
     The remains of a writer that was killed may be overwritten.
     """
-    part_path = part_of(path)
+    part_path = part_path_of(path)
     if fcntl is None:
         yield part_path
         return
@@ -128,11 +128,11 @@ def sync_and_rename(part_path: Path, path: Path) -> None:
         os.fsync(file.fileno())
     part_path.replace(path)
     with suppress(OSError):  # not every system opens folders
-        folder = os.open(path.parent, os.O_RDONLY)
+        folder_descriptor = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)
+            os.fsync(folder_descriptor)
         finally:
-            os.close(folder)
+            os.close(folder_descriptor)
 
 
 @contextmanager
@@ -141,7 +141,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     Writers of one file wait for each other; the last one prevails. Raises RigError if the file cannot be written.
     """
-    with locked_part(path, WAIT_S) as part_path:
+    with locked_part(path, SMALL_FILE_WAIT_S) as part_path:
         try:
             yield part_path
             sync_and_rename(part_path, path)
@@ -153,15 +153,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
             raise RigError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
 
 
-def write_bytes(data: bytes, path: Path) -> None:
+def write_bytes(content: bytes, path: Path) -> None:
     """Write a file atomically; raises RigError as `atomic_write` does."""
     with atomic_write(path) as part_path:
-        part_path.write_bytes(data)
+        part_path.write_bytes(content)
 
 
-def write_json(value: object, path: Path) -> None:
+def write_json(content: object, path: Path) -> None:
     """Write a value as JSON, indented by two, atomically."""
-    write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n", path)
+    write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n", path)
 
 
 def _locked(part_path: Path, path: Path) -> int | None:

@@ -47,15 +47,15 @@ def check_decoded_size(decoded_bytes: int | float, file_bytes: int, content: str
 class MemoryCounter:
     """Count of the memory that a reader keeps of a file, checked against the bound of that file as it grows."""
 
-    def __init__(self, file_bytes: int, content: str) -> None:
-        self._file_bytes, self._content = file_bytes, content
+    def __init__(self, file_bytes: int, content_label: str) -> None:
+        self._file_bytes, self._content_label = file_bytes, content_label
         self._bound_bytes, self._held_bytes = memory_bound_bytes(file_bytes), 0
 
     def add(self, count_bytes: int) -> None:
         """Count these bytes; raise TooLargeError beyond the bound."""
         self._held_bytes += count_bytes
         if self._held_bytes > self._bound_bytes:
-            check_decoded_size(self._held_bytes, self._file_bytes, self._content)
+            check_decoded_size(self._held_bytes, self._file_bytes, self._content_label)
 
 
 def check_json(text: bytes, source_label: str) -> None:
@@ -93,20 +93,20 @@ def check_largest(decoded: Any, source: str) -> None:
     while pending_values:
         path, value = pending_values.pop()
         if isinstance(value, dict):
-            pending_values.extend(((path, f".{key}"), child) for key, child in value.items())
+            pending_values.extend(((path, f".{key}"), json_child) for key, json_child in value.items())
         elif isinstance(value, list):
-            pending_values.extend(((path, f"[{index}]"), child) for index, child in enumerate(value))
+            pending_values.extend(((path, f"[{index}]"), json_child) for index, json_child in enumerate(value))
         elif isinstance(value, int | float) and abs(value) > MAX_NUMBER:
             raise RigError(
                 f"{source}: {_dotted_name(path)} is about 1e{math.log10(abs(value)):.0f}, which nothing is; correct it"
             )
 
 
-def _dotted_name(path: tuple[Any, ...]) -> str:
+def _dotted_name(key_chain: tuple[Any, ...]) -> str:
     """Name of a place as in `bodies[0].mass_kg`, from (parent, key) pairs."""
     keys = []
-    while path:
-        path, key = path
+    while key_chain:
+        key_chain, key = key_chain
         keys.append(key)
     return "".join(reversed(keys)).removeprefix(".")
 

@@ -33,7 +33,7 @@ def mapped(
     """
     process_count = processes or min(cpu_count(), MAX_PROCESSES)
     results: list[Result] = []
-    start_s = time.monotonic()
+    started_s = time.monotonic()
 
     def add_result(result: Result) -> None:
         results.append(result)
@@ -41,14 +41,14 @@ def mapped(
 
     for run in runs:
         remaining_count = len(runs) - len(results)
-        run_s = (time.monotonic() - start_s) / max(len(results), 1)
-        if results and min(process_count, remaining_count) > 1 and remaining_count * run_s > MIN_REMAINING_S:
+        mean_run_s = (time.monotonic() - started_s) / max(len(results), 1)
+        if results and min(process_count, remaining_count) > 1 and remaining_count * mean_run_s > MIN_REMAINING_S:
             break
         add_result(function(run))
     if remaining_runs := runs[len(results) :]:
-        parallel = Parallel(n_jobs=min(process_count, len(remaining_runs)), return_as="generator")
+        parallel_runs = Parallel(n_jobs=min(process_count, len(remaining_runs)), return_as="generator")
         try:
-            for result in parallel(delayed(function)(run) for run in remaining_runs):
+            for result in parallel_runs(delayed(function)(run) for run in remaining_runs):
                 add_result(result)
         finally:
             get_reusable_executor().shutdown(kill_workers=True)

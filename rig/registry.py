@@ -5,25 +5,25 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, TypeVar
 
-Kind = TypeVar("Kind")
+Item = TypeVar("Item")
 
 
-def definitions(path: Sequence[str], package: str) -> Iterator[tuple[str, Any]]:
+def definitions(package_paths: Sequence[str], package: str) -> Iterator[tuple[str, Any]]:
     """Every value in the modules of a package, with its module's name, in alphabetical order of the modules."""
-    for module in sorted(info.name for info in iter_modules(path, f"{package}.")):
-        for value in vars(import_module(module)).values():
-            yield module, value
+    for module_name in sorted(module_info.name for module_info in iter_modules(package_paths, f"{package}.")):
+        for value in vars(import_module(module_name)).values():
+            yield module_name, value
 
 
-def subclasses(path: Sequence[str], package: str, kind: type[Kind]) -> list[type[Kind]]:
+def subclasses(package_paths: Sequence[str], package: str, kind: type[Item]) -> list[type[Item]]:
     """Subclasses of `kind` that the modules define."""
     return [
         value
-        for module, value in definitions(path, package)
-        if isinstance(value, type) and issubclass(value, kind) and value.__module__ == module and value is not kind
+        for module_name, value in definitions(package_paths, package)
+        if isinstance(value, type) and issubclass(value, kind) and value.__module__ == module_name and value is not kind
     ]
 
 
-def instances(path: Sequence[str], package: str, kind: type[Kind]) -> list[Kind]:
+def instances(package_paths: Sequence[str], package: str, item_class: type[Item]) -> list[Item]:
     """Instances of `kind` in the modules."""
-    return [value for _, value in definitions(path, package) if isinstance(value, kind)]
+    return [value for _, value in definitions(package_paths, package) if isinstance(value, item_class)]

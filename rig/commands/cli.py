@@ -64,9 +64,9 @@ def _record_words() -> dict[str, str]:
     def defaults_text(struct_type: type[msgspec.Struct]) -> str:
         return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
 
-    settings = {**REFERENCES, "FILE.json": OwnRigSettings}
+    settings_by_rig = {**REFERENCES, "FILE.json": OwnRigSettings}
     paragraphs = (
-        *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings.items()),
+        *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings_by_rig.items()),
         "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
         *(f"Effect {name}: {defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
     )
@@ -115,7 +115,7 @@ def record(
     from rig.simulation.plants import PLANTS, plant_named
     from rig.simulation.record import record as record_rig
 
-    setting_parts = [parsed_settings.partition("=") for parsed_settings in settings or []]
+    setting_parts = [setting_text.partition("=") for setting_text in settings or []]
     for key, equals, _ in setting_parts:
         if not equals:
             raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
@@ -126,10 +126,10 @@ def record(
     setting_texts |= {} if seed is None else {"seed": str(seed)}
     machine = _reference_or_own_rig(scenario, setting_texts)
     rig = machine.rig()
-    force_n = machine.force()
+    excitation = machine.force()
     plant = plant or plant_for(rig)
     try:
-        actual_rig = reduce(lambda modified, text: effect_named(text).applied_to(modified), effect or [], rig)
+        actual_rig = reduce(lambda modified_rig, text: effect_named(text).applied_to(modified_rig), effect or [], rig)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
@@ -139,7 +139,7 @@ def record(
         with progress_bar(f"recording {out.name} ({plant})") as progress:
             record_rig(
                 rig,
-                force_n,
+                excitation,
                 plant=plant_named(plant),
                 duration_s=machine.duration_s,
                 step_s=machine.step_s,
@@ -155,10 +155,10 @@ def record(
         print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level_json(machine)}))
     else:
         forces_phrase = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
-        force_text = f"{forces_phrase} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        force_words = f"{forces_phrase} {excitation.rms_n:g} N rms, {excitation.low_hz:g} to {excitation.high_hz:g} Hz"
         if rig.is_on_ground(rig.forces[0]):
-            force_text = "no force, the base shakes"
-        say(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+            force_words = "no force, the base shakes"
+        say(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_words}")
         if isinstance(machine, OwnRig):
             say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.reason}")
             for warning in machine.warnings:
@@ -175,7 +175,7 @@ def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
     return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.reason, "warnings": machine.warnings}}
 
 
-def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
+def _reference_or_own_rig(scenario: str, setting_texts: dict[str, str]) -> Reference | OwnRig:
     """Reference rig by its name, or the rig in a JSON file.
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
@@ -186,11 +186,11 @@ def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference 
 
     is_file = Path(scenario).suffix == ".json"
     if not is_file and scenario not in REFERENCES:
-        names, suggestion = ", ".join(REFERENCES), hint(scenario, REFERENCES)
-        raise typer.BadParameter(f"{scenario!r} is none of {names}, and no FILE.json{suggestion}", param_hint="RIG")
+        names, suggested_name = ", ".join(REFERENCES), hint(scenario, REFERENCES)
+        raise typer.BadParameter(f"{scenario!r} is none of {names}, and no FILE.json{suggested_name}", param_hint="RIG")
     rig = read_rig(Path(scenario)) if is_file else None
     try:
-        return reference(scenario, settings) if rig is None else own_rig(rig, settings)
+        return reference(scenario, setting_texts) if rig is None else own_rig(rig, setting_texts)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--set") from error
 
@@ -214,19 +214,19 @@ def info(file: File, as_json: Json = False) -> None:
     body_table = _empty_table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
         frequencies_hz = body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes))[body.rigid_modes :]
-        body_table.add_row(body.name, body.kind, ", ".join(f"{hz:.2f}" for hz in frequencies_hz))
+        body_table.add_row(body.name, body.kind, ", ".join(f"{frequency_hz:.2f}" for frequency_hz in frequencies_hz))
     headings = ("contact", "at", "against", "clearance, mm", "stiffness, N/m")
     contact_table = _empty_table("Contacts, as rig.json believes", *headings)
     for contact in rig.contacts:
-        law, against = contact.law, "ground" if contact.against is None else _station_text(contact.against)
-        clearances = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
+        law, against_words = contact.law, "ground" if contact.against is None else _station_text(contact.against)
+        clearance_words = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
         if law.spatial:
-            clearances = f"{1e3 * law.clearance_m:g} all around"
-        stiffness = f"{law.stiffness_n_per_m:g}"
-        contact_table.add_row(contact.name, _station_text(contact.at), against, clearances, stiffness)
-    channel_tables = [_channel_table(group, signals) for group, signals in recording.signals.items()]
-    for table in (body_table, contact_table, *channel_tables):
-        console.print(table, "")
+            clearance_words = f"{1e3 * law.clearance_m:g} all around"
+        stiffness_words = f"{law.stiffness_n_per_m:g}"
+        contact_table.add_row(contact.name, _station_text(contact.at), against_words, clearance_words, stiffness_words)
+    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
+    for content_table in (body_table, contact_table, *channel_tables):
+        console.print(content_table, "")
     for key, value in recording.provenance.items():
         say(f"{key}: {value}")
 
@@ -244,7 +244,7 @@ def check(file: File, as_json: Json = False) -> None:
     if as_json:
         print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
     else:
-        channel_count = sum(len(s.channels.names) for s in recording.signals.values())
+        channel_count = sum(len(signals.channels.names) for signals in recording.signals.values())
         say(f"{file}: sound, {channel_count} channels of {recording.samples} samples")
 
 
@@ -269,10 +269,10 @@ def _summary_json(recording: Recording) -> dict[str, Any]:
     from rig.model.description import to_json
 
     channels = []
-    for group, signals in recording.signals.items():
+    for group_name, signals in recording.signals.items():
         unit, stations = signals.channels.unit, map(msgspec.to_builtins, signals.channels.stations)
         for name, station, samples in zip(signals.channels.names, stations, signals.values, strict=True):
-            channels.append({"group": group, "name": name, "station": station, "unit": unit, "rms": _rms(samples)})
+            channels.append({"group": group_name, "name": name, "station": station, "unit": unit, "rms": _rms(samples)})
     return {
         "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
@@ -301,8 +301,8 @@ def _empty_table(title: str, *headings: str) -> Table:
 def _station_text(station: Station) -> str:
     from rig.model.description import ON_GROUND
 
-    in_z = "" if station.direction == "y" else ", z"
-    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m{in_z}"
+    direction_suffix = "" if station.direction == "y" else ", z"
+    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m{direction_suffix}"
 
 
 def _rms(samples: ndarray) -> float:

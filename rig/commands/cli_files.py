@@ -93,30 +93,30 @@ def import_(
         say(f"  {history_step}")
 
 
-def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
+def _propose(source_path: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
     """Print the map proposed for a file, or write it and print the observations behind it."""
     from rig.lab.looking import look_at
     from rig.model.description import read_rig
     from rig.recording import RIG_NAME
 
     if write_map is not None:
-        refuse_existing(write_map, force, source)
+        refuse_existing(write_map, force, source_path)
         check_ending(write_map, (".toml",), "a map")
-    map_folder = (write_map or source).parent
-    rig_path = rig_path or next((p for p in (map_folder / RIG_NAME, source.parent / RIG_NAME) if p.exists()), None)
+    map_folder = (write_map or source_path).parent
+    rig_path = rig_path or next((p for p in (map_folder / RIG_NAME, source_path.parent / RIG_NAME) if p.exists()), None)
     rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, map_folder)).as_posix()
-    with working(f"looking at {source.name}"):
-        proposal = look_at(source, None if rig_path is None else read_rig(rig_path), rig_name)
+    with working(f"looking at {source_path.name}"):
+        proposal = look_at(source_path, None if rig_path is None else read_rig(rig_path), rig_name)
     if write_map is not None:
         write_bytes(proposal.text.encode(), write_map)
     if as_json:
         print(json.dumps({"map": proposal.text, "seen": proposal.facts, "left": proposal.placeholder_count}))
         return
-    map_name = write_map or source.with_suffix(".toml")
+    map_name = write_map or source_path.with_suffix(".toml")
     fill_phrase = (
         f"fill in its {proposal.placeholder_count} values marked ?, then " if proposal.placeholder_count else ""
     )
-    next_command = f"{fill_phrase}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
+    next_command = f"{fill_phrase}rig import {source_path} --map {map_name} --out {source_path.with_suffix('.mcap')}"
     if write_map is None:
         print(proposal.text, end="")
         print(one_line(f"# next: save this as {map_name}, {next_command}"))
@@ -139,13 +139,13 @@ def export_(
 
     Example: rig export barrel_cradle.mcap --format csv --out barrel_cradle.csv --map barrel_cradle.toml
     """
-    from rig.lab.exporting import FILE_ENDINGS, WRITERS, export
+    from rig.lab.exporting import FILE_ENDINGS_BY_FORMAT, WRITERS, export
     from rig.recording import RIG_NAME, read
 
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     refuse_existing(out, force, file)
-    check_ending(out, FILE_ENDINGS[format_], f"a file of the format {format_}")
+    check_ending(out, FILE_ENDINGS_BY_FORMAT[format_], f"a file of the format {format_}")
     written_paths = [out]
     if map_ is not None:
         check_ending(map_, (".toml",), "a map")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 else:
     Start = Any  # loaded with the kinds of rigs, when one is asked for
 
-Kind = type[Start]
+RigKind = type[Start]
 Out = Annotated[Path, typer.Option(help="The folder for rig.json and map.toml; made if need be.")]
 _EXAMPLES = {
     "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
@@ -56,7 +56,7 @@ class KindGroup(TyperGroup):
 
         kinds_app = typer.Typer()
         for kind_name, kind in KINDS.items():
-            kinds_app.command(kind_name)(_command(kind_name, kind))
+            kinds_app.command(kind_name)(_kind_command(kind_name, kind))
         self.commands.update(get_group(kinds_app).commands)
 
 
@@ -71,17 +71,17 @@ def _callback() -> None:
     """
 
 
-def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
+def _kind_command(kind_name: str, kind: RigKind) -> Callable[..., None]:
     """Command that starts one kind of rig, with an option for each field of the kind."""
     from rig.lab.starting import MAP_NAME, write_start
     from rig.recording import RIG_NAME
 
     help_by_field = _help_by_field(kind)
 
-    def command(out: Path, force: bool, as_json: bool, **texts: str | None) -> None:
-        for path in (out / RIG_NAME, out / MAP_NAME):
-            refuse_existing(path, force, new_folder=True)
-        rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in texts.items() if v is not None})
+    def command(out: Path, force: bool, as_json: bool, **text_by_field: str | None) -> None:
+        for target_path in (out / RIG_NAME, out / MAP_NAME):
+            refuse_existing(target_path, force, new_folder=True)
+        rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in text_by_field.items() if v is not None})
         with working(f"describing a rig of the kind {kind_name}"):
             rig, rig_notes = rig_start.rig_and_notes()
         written_paths = write_start(rig, rig_start.map_text(rig), out)
@@ -106,19 +106,19 @@ def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
     return command
 
 
-def _fields_in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
+def _fields_in_order(kind: RigKind) -> list[msgspec.structs.FieldInfo]:
     """Fields of a kind in the order of the help: its own first, those of every rig last."""
     from rig.lab.starting import StartWithStops
 
-    shared_names = [f.name for f in msgspec.structs.fields(StartWithStops)]
-    return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared_names)
+    shared_field_names = [field.name for field in msgspec.structs.fields(StartWithStops)]
+    return sorted(msgspec.structs.fields(kind), key=lambda field: field.name in shared_field_names)
 
 
-def _help_by_field(kind: Kind) -> dict[str, str]:
-    help_texts = {}
+def _help_by_field(kind: RigKind) -> dict[str, str]:
+    help_by_field = {}
     for field_name, hint in get_type_hints(kind, include_extras=True).items():
-        help_texts[field_name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
-    return help_texts
+        help_by_field[field_name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
+    return help_by_field
 
 
 def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
@@ -128,7 +128,7 @@ def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
     elif default not in (None, ()):
         default_text = ",".join(default) if isinstance(default, tuple) else default
         help_text = f"{help_text} Default: {default_text}."
-    metavar_by_type = {
+    metavar_by_type_fragment = {
         "Path": "FILE",
         "Literal['both'": "both|upper|lower",
         "tuple[float": "NUMBER,...",
@@ -137,35 +137,35 @@ def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
         "int": "NUMBER",
         "": "TEXT",
     }
-    metavar = next(text for type_text, text in metavar_by_type.items() if type_text in str(field.type))
+    metavar = next(text for type_fragment, text in metavar_by_type_fragment.items() if type_fragment in str(field.type))
     option_name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(option_name, help=help_text, metavar=metavar, show_default=False)]
 
 
-def _start_from_texts(kind: Kind, help_by_field: Mapping[str, str], text_by_field: Mapping[str, str]) -> Start:
+def _start_from_texts(kind: RigKind, help_by_field: Mapping[str, str], text_by_field: Mapping[str, str]) -> Start:
     """Start from option texts; missing required fields are prompted for on a terminal.
 
     Raises typer.BadParameter without a terminal.
     """
     value_by_field = {field_name: _field_value(kind, field_name, text) for field_name, text in text_by_field.items()}
-    missing_names = [f.name for f in _fields_in_order(kind) if f.required and f.name not in value_by_field]
-    if missing_names and not sys.stdin.isatty():
-        options_text = ", ".join(f"--{field_name.replace('_', '-')}" for field_name in missing_names)
-        raise typer.BadParameter(f"missing: {options_text}")
-    for field_name in missing_names:
+    missing_field_names = [f.name for f in _fields_in_order(kind) if f.required and f.name not in value_by_field]
+    if missing_field_names and not sys.stdin.isatty():
+        missing_options = ", ".join(f"--{field_name.replace('_', '-')}" for field_name in missing_field_names)
+        raise typer.BadParameter(f"missing: {missing_options}")
+    for field_name in missing_field_names:
         question = f"{field_name}: {help_by_field[field_name].rstrip('.')}"
         value_by_field[field_name] = typer.prompt(question, value_proc=partial(_field_value, kind, field_name))
     return kind(**value_by_field)
 
 
-def _field_value(kind: Kind, field_name: str, text: str) -> Any:
+def _field_value(kind: RigKind, field_name: str, text: str) -> Any:
     """Value of a field from its text (a list: separated by commas); raises typer.BadParameter if it does not fit."""
-    hint = get_type_hints(kind)[field_name]
-    raw_value = text.split(",") if "tuple" in str(hint) else text
+    field_type = get_type_hints(kind)[field_name]
+    raw_value = text.split(",") if "tuple" in str(field_type) else text
     try:
-        return msgspec.convert(raw_value, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
+        return msgspec.convert(raw_value, field_type, strict=False, dec_hook=lambda path_type, value: path_type(value))
     except msgspec.ValidationError as error:
-        reason = explained(error, raw_value, hint)
+        reason = explained(error, raw_value, field_type)
         raise typer.BadParameter(
             f"{text!r} does not fit: {reason}", param_hint=f"--{field_name.replace('_', '-')}"
         ) from error

@@ -72,9 +72,9 @@ def view(
     if gap is not None:
         shown_gap = read_gap(gap, recording.rig, recording.duration_s)
         if (corrected_rig := read_corrected(gap, recording.rig)) is not None:
-            motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
+            shown_motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
             with working("predicting the believed and the corrected rig"):
-                prediction = predicted_motion(recording, motion, corrected_rig, modal, window_s, station)
+                prediction = predicted_motion(recording, shown_motion, corrected_rig, modal, window_s, station)
     with progress_bar(f"writing {rrd_path.name}") as progress:
         write_rrd(
             recording,

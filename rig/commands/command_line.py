@@ -25,7 +25,7 @@ from rich.text import Text
 from typer.core import TyperCommand
 
 from rig.errors import RigError, is_plain, one_line
-from rig.files import check_target, part_of
+from rig.files import check_target, part_path_of
 
 INTERRUPTED_STATUS = 130
 LOST_INTERRUPT_S = 0.05
@@ -49,21 +49,21 @@ Version = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
-def help_filled_by(texts: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
-    """Command class whose help has placeholders, {name}; `texts`, slow to import, fills them when the help is shown.
+def help_filled_by(texts_by_placeholder: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
+    """Command class whose help has placeholders, {name}, filled by `texts_by_placeholder` (slow) when it is shown.
 
     A paragraph of the help fills the width of the terminal, wherever the lines of the docstring end.
     """
 
     class FilledHelpCommand(TyperCommand):
         def format_help(self, ctx: Any, formatter: Any) -> None:
-            text_by_name = texts()
+            text_by_placeholder = texts_by_placeholder()
             paragraphs = cleandoc(self.help or "").split("\n\n")
             self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
-            self.epilog = (self.epilog or "").format_map(text_by_name)
-            for parameter in self.params:
-                if help_text := getattr(parameter, "help", None):
-                    parameter.help = help_text.format_map(text_by_name)  # type: ignore[attr-defined]
+            self.epilog = (self.epilog or "").format_map(text_by_placeholder)
+            for command_parameter in self.params:
+                if help_text := getattr(command_parameter, "help", None):
+                    command_parameter.help = help_text.format_map(text_by_placeholder)  # type: ignore[attr-defined]
             super().format_help(ctx, formatter)
 
     return FilledHelpCommand
@@ -178,12 +178,12 @@ def literal_console() -> Console:
 
 
 def console_table(
-    title: str, headings: Sequence[str], text_columns: int = 1, rows: Iterable[Sequence[str]] = ()
+    title: str, headings: Sequence[str], text_column_count: int = 1, rows: Iterable[Sequence[str]] = ()
 ) -> Table:
     """Table for a console: so many columns of text, then numbers, aligned right."""
     table = Table(title=title)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if number < text_columns else "right")
+    for column_index, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if column_index < text_column_count else "right")
     for row in rows:
         table.add_row(*row)
     return table
@@ -194,10 +194,10 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    bar = Progress(
+    transient_bar = Progress(
         *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=SPEED_PERIOD_S
     )
-    with bar as progress:
+    with transient_bar as progress:
         task_id = progress.add_task(one_line(description), total=1.0)
         yield lambda done_share: progress.update(task_id, completed=done_share)
 
@@ -213,9 +213,9 @@ def working(description: str) -> Iterator[None]:
 def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None:
     """Raise RigError unless the name of a file to be written ends as files of its content do."""
     if path.suffix.lower() not in endings:
-        ending_text = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        ending_words = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
         raise RigError(
-            f"{path}: {ending_text}, and {content_words} in {' or '.join(endings)}; name it "
+            f"{path}: {ending_words}, and {content_words} in {' or '.join(endings)}; name it "
             f"{path.with_suffix(endings[0]).name}"
         )
 
@@ -223,7 +223,7 @@ def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None
 def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:
     """Raise RigError if the path exists and `force` is false, or if `check_target` refuses it."""
     check_target(path, *sources, new_folder=new_folder)
-    part_path = part_of(path)
+    part_path = part_path_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")
     if path.suffix == ".mcap" and part_path.exists() and not force:

@@ -32,10 +32,10 @@ from rig.errors import RigError
 
 MASS_KG, POSITION_M = 0.15, 0.8
 """Unknown mass, and its place on the barrel, of the changed machine."""
-SETTINGS = {"sensors": "acceleration", "noise_density": 1e-3, "stations": 4, "sample_rate_hz": 2048, "high_hz": 60}
+DEMO_SETTINGS = {"sensors": "acceleration", "noise_density": 1e-3, "stations": 4, "sample_rate_hz": 2048, "high_hz": 60}
 NOMINAL_S, CHANGED_S = 10.0, 32.0
 """Lengths of the two records: of the shortest that bound the contacts to 1 %, and that leave 4 s for validation."""
-HALF_WIDTH_95 = 1.96
+HALF_WIDTH_95_FACTOR = 1.96
 """Half-width of a 95 % interval over its standard error."""
 
 ShowText = Callable[[str], None]
@@ -54,7 +54,7 @@ def demo(
 
     started_s = time.monotonic()
     plant = "ancf" if find_spec("exudyn") else "modal"
-    setting_options = [argument for key, value in SETTINGS.items() for argument in ("--set", f"{key}={value}")]
+    setting_options = [argument for key, value in DEMO_SETTINGS.items() for argument in ("--set", f"{key}={value}")]
     nominal_path, changed_path = out / "nominal.mcap", out / "changed.mcap"
     page_paths = out / "contact" / "contact.html", out / "gap" / "gap.html"
     for path in (nominal_path, changed_path, *page_paths):
@@ -116,10 +116,10 @@ def _print_commands(commands: tuple[tuple[object, ...], ...]) -> None:
     """Print commands as they are typed, those that are wider than the terminal in lines that a shell joins."""
     print()
     for command in commands:
-        words = ["$", *(quote(str(argument)).replace(" ", "\0") for argument in command)]
-        bound_text = re.sub(r"(--\S+) (?!-)", "\\1\0", " ".join(words))  # an option and its value
-        columns = get_terminal_size().columns - len(" \\")
-        lines = wrap(bound_text, columns, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+        command_words = ["$", *(quote(str(argument)).replace(" ", "\0") for argument in command)]
+        bound_text = re.sub(r"(--\S+) (?!-)", "\\1\0", " ".join(command_words))  # an option and its value
+        usable_width = get_terminal_size().columns - len(" \\")
+        lines = wrap(bound_text, usable_width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
         for line_number, line in enumerate(lines, start=1):
             say(line.replace("\0", " ") + " \\" * (line_number < len(lines)))
 
@@ -143,11 +143,11 @@ def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> N
 
 
 def _print_value(
-    quantity: str, estimate: dict[str, float], true_value: float, unit_factor: float, unit: str, decimals: int
+    quantity: str, estimate: dict[str, float], true_value: float, unit_factor: float, unit: str, decimal_count: int
 ) -> None:
-    value, half_width = unit_factor * estimate["value"], HALF_WIDTH_95 * unit_factor * estimate["standard_error"]
+    value, half_width = unit_factor * estimate["value"], HALF_WIDTH_95_FACTOR * unit_factor * estimate["standard_error"]
     say(
-        f"  {quantity}: {value:.{decimals}f} ± {half_width:.{decimals}f} {unit}   "
+        f"  {quantity}: {value:.{decimal_count}f} ± {half_width:.{decimal_count}f} {unit}   "
         f"(true: {unit_factor * true_value:g} {unit})"
     )
 

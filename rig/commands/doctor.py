@@ -30,14 +30,14 @@ def doctor() -> int:
     print(f"{NAME} {version(NAME)}, Python {sys.version.split()[0]}")
     for extra, purpose in PURPOSE_BY_EXTRA.items():
         missing_packages = [package for package in packages_of(extra) if installed_version(package) is None]
-        state_words = (
+        installation_words = (
             f"{', '.join(missing_packages)} missing: pip install '{NAME}[{extra}]'" if missing_packages else "installed"
         )
-        print(f"  {extra:9} {purpose}: {state_words}")
-    complaints = [*taken_packages(), *taken_commands()]
-    for sentence in complaints:
+        print(f"  {extra:9} {purpose}: {installation_words}")
+    conflict_sentences = [*taken_packages(), *taken_commands()]
+    for sentence in conflict_sentences:
         print(sentence)
-    return int(bool(complaints))
+    return int(bool(conflict_sentences))
 
 
 def packages_of(extra: str) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 INTERRUPTED_STATUS = 130
 ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-NAME = "rig-identify"
+PYPI_NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
 LIGHT_OPTIONS = {"--help", "--version"}
 """Options that need no libraries."""
@@ -37,9 +37,9 @@ def both() -> None:
     elif command == "doctor":
         _doctor()
     elif command == "--version":
-        print(NAME, version(NAME))
+        print(PYPI_NAME, version(PYPI_NAME))
     else:
-        print(f"Usage: {NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
+        print(f"Usage: {PYPI_NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
         sys.exit(0 if command == "--help" else 2)
 
 
@@ -53,17 +53,17 @@ def _start(command_name: str) -> None:
         os._exit(INTERRUPTED_STATUS)  # nothing is open yet, and an exception might be lost in what is being imported
 
     earlier_handlers = {ending_signal: signal.getsignal(ending_signal) for ending_signal in ENDING_SIGNALS}
-    for ending_signal, handler in earlier_handlers.items():
-        if handler != signal.SIG_IGN:
+    for ending_signal, earlier_handler in earlier_handlers.items():
+        if earlier_handler != signal.SIG_IGN:
             signal.signal(ending_signal, exit_interrupted)
     try:
         main = import_module(f"{command_name}.commands.cli").main
         if sys.argv[1:] and not LIGHT_OPTIONS & set(sys.argv):
             import_module(f"{command_name}.api")  # the libraries, which commands import when they run
     except ImportError as error:
-        sys.exit(f"{command_name}: cannot start ({error}); ask for the reason: {NAME} doctor")
-    for ending_signal, handler in earlier_handlers.items():
-        signal.signal(ending_signal, handler)
+        sys.exit(f"{command_name}: cannot start ({error}); ask for the reason: {PYPI_NAME} doctor")
+    for ending_signal, earlier_handler in earlier_handlers.items():
+        signal.signal(ending_signal, earlier_handler)
     main()
 
 

@@ -68,25 +68,23 @@ def outcomes_of_tasks(
     """
     make_folder(folder)
     result_paths = [kept_path(function, parameters, folder) for parameters in parameter_sets]
-    unfinished_numbers = [
-        task_number for task_number, result_path in enumerate(result_paths) if not result_path.exists()
-    ]
-    tasks = [parameter_sets[task_number] for task_number in unfinished_numbers]
+    unfinished_indices = [task_index for task_index, result_path in enumerate(result_paths) if not result_path.exists()]
+    tasks = [parameter_sets[task_index] for task_index in unfinished_indices]
     completions = _completions_on_dask(function, tasks, dask) if dask else _completions_on_processes(function, tasks)
     error_by_number: dict[int, BaseException] = {}
     finished_count = 0
     try:
         with (
             closing(completions),
-            progress_bar(f"{len(unfinished_numbers)} of {len(parameter_sets)} tasks") as progress,
+            progress_bar(f"{len(unfinished_indices)} of {len(parameter_sets)} tasks") as progress,
         ):
-            for index, future in completions if tasks else ():
+            for completed_index, future in completions if tasks else ():
                 if error := future.exception():
-                    error_by_number[unfinished_numbers[index]] = error
+                    error_by_number[unfinished_indices[completed_index]] = error
                 else:
-                    write_bytes(msgspec.json.encode(future.result()), result_paths[unfinished_numbers[index]])
+                    write_bytes(msgspec.json.encode(future.result()), result_paths[unfinished_indices[completed_index]])
                 finished_count += 1
-                progress(finished_count / len(unfinished_numbers))
+                progress(finished_count / len(unfinished_indices))
     except KeyboardInterrupt:
         kept_count = sum(result_path.exists() for result_path in result_paths)
         raise StoppedError(
@@ -94,10 +92,10 @@ def outcomes_of_tasks(
             "to go on"
         ) from None
     return [
-        error_by_number[task_number]
-        if task_number in error_by_number
+        error_by_number[task_index]
+        if task_index in error_by_number
         else msgspec.json.decode(result_path.read_bytes(), type=result_type)
-        for task_number, result_path in enumerate(result_paths)
+        for task_index, result_path in enumerate(result_paths)
     ]
 
 
@@ -133,21 +131,21 @@ def _completions_on_processes(function: Callable[[Parameters], TaskResult], task
     suspect_indices: list[int] = []
     waiting_indices = deque(range(len(tasks)))
     while waiting_indices:
-        for index, future in _completions_on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
+        for task_index, future in _completions_on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
             if _is_lost(future):
-                suspect_indices.append(index)
+                suspect_indices.append(task_index)
             else:
-                yield index, future
-    for index in suspect_indices:
+                yield task_index, future
+    for task_index in suspect_indices:
         for _ in range(MAX_LOST_PROCESSES - 1):
-            ((_, future),) = _completions_on_pool(function, tasks, deque([index]), 1)
+            ((_, future),) = _completions_on_pool(function, tasks, deque([task_index]), 1)
             if not _is_lost(future):
                 break
         else:
-            reason = f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?)"
+            loss_reason = f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?)"
             future = Future()
-            future.set_exception(RigError(f"{reason}; run the command again to go on"))
-        yield index, future
+            future.set_exception(RigError(f"{loss_reason}; run the command again to go on"))
+        yield task_index, future
 
 
 def _completions_on_pool(

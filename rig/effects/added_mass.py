@@ -14,7 +14,7 @@ class AddedMass(Effect, frozen=True):
 
     name: ClassVar[str] = "added_mass"
     words: ClassVar[str] = "an added mass of {mass_kg} on {body}{at}"
-    separated_by: ClassVar[str] = "weigh the part, or fix a known mass elsewhere and compare"
+    separating_test: ClassVar[str] = "weigh the part, or fix a known mass elsewhere and compare"
     mass_kg: Annotated[float, Parameter("kg", 0.0, 1.0, 0.0)] = 0.2
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None

@@ -17,7 +17,7 @@ class AsymmetricClearance(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_m": ("lower than believed", "higher than believed", "elsewhere")
     }
-    separated_by: ClassVar[str] = "measure the relative displacement itself, with its zero"
+    separating_test: ClassVar[str] = "measure the relative displacement itself, with its zero"
     needs_zero: ClassVar[bool] = True
     shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3, 0.0)] = 5e-4
     contact: str | None = None

@@ -42,10 +42,10 @@ class Scale:
 
     def __post_init__(self) -> None:
         for field_name in ("force_rms_n", "duration_s"):
-            value = getattr(self, field_name)
-            if not 0 < value < np.inf:
+            field_value = getattr(self, field_name)
+            if not 0 < field_value < np.inf:
                 raise RigError(
-                    f"scale of rig {self.rig.name!r}: {field_name} is {value}; give a finite value above zero"
+                    f"scale of rig {self.rig.name!r}: {field_name} is {field_value}; give a finite value above zero"
                 )
 
     def with_place(self, place: Place) -> "Scale":
@@ -119,7 +119,7 @@ class Scale:
         return [contact.law for contact in self.rig.contacts if self.place.get("contact") in (None, contact.name)]
 
     def _body(self) -> Body:
-        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
+        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven_body)
 
     def _shapes_and_frequencies(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
@@ -141,7 +141,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {}
     """Words behind the size of a parameter that has a direction, by its name: where it is negative, where positive;
     and in place of size and words where the record does not determine it."""
-    separated_by: ClassVar[str] = "record for longer and at another level of force"
+    separating_test: ClassVar[str] = "record for longer and at another level of force"
     """Experiment that separates it from effects that look alike in one record."""
     needs_zero: ClassVar[bool] = False
     """Whether it is visible only where the zero of the relative displacements is known."""
@@ -174,27 +174,27 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             "beam": [beam.name for beam in rig.beams],
             "sensor": list(sensors),
         }
-        place_fields = [field for field in places_by_field if field in cls.__struct_fields__]
+        place_fields = [field_name for field_name in places_by_field if field_name in cls.__struct_fields__]
         return [
             dict(zip(place_fields, field_values, strict=True))
-            for field_values in product(*(places_by_field[field] for field in place_fields))
+            for field_values in product(*(places_by_field[field_name] for field_name in place_fields))
         ]
 
     @classmethod
-    def ranged(cls, **ranges: tuple[float, float]) -> ParameterSet:
+    def ranged(cls, **range_by_parameter: tuple[float, float]) -> ParameterSet:
         """The declared parameters, some with other ranges."""
-        return parameters_of(cls).ranged(ranges)
+        return parameters_of(cls).ranged(range_by_parameter)
 
     @classmethod
-    def ranged_along_body(cls, scale: Scale, **ranges: tuple[float, float]) -> ParameterSet:
+    def ranged_along_body(cls, scale: Scale, **range_by_parameter: tuple[float, float]) -> ParameterSet:
         """Parameters as `ranged`, without the position along the body if that is a single mass."""
-        parameter_set = cls.ranged(**ranges)
+        parameter_set = cls.ranged(**range_by_parameter)
         return parameter_set if scale.length_m() else parameter_set.excluding("relative_position")
 
     @classmethod
-    def placed(cls, scale: Scale, **numbers: float) -> "Effect":
+    def placed(cls, scale: Scale, **value_by_parameter: float) -> "Effect":
         """Effect at the scale's place, with these numbers."""
-        return msgspec.convert({**numbers, **scale.place}, cls)
+        return msgspec.convert({**value_by_parameter, **scale.place}, cls)
 
     def __post_init__(self) -> None:
         for field_name in self.__struct_fields__:
@@ -206,9 +206,9 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """Rig with the effect; raises RigError where the effect does not apply."""
         raise NotImplementedError
 
-    def missing_place(self, rig: Rig, missing_part: str) -> RigError:
+    def missing_place(self, rig: Rig, missing_words: str) -> RigError:
         return RigError(
-            f"effect {self.name}: rig {rig.name!r} has no {missing_part}; choose another place or another effect"
+            f"effect {self.name}: rig {rig.name!r} has no {missing_words}; choose another place or another effect"
         )
 
     def with_laws(self, rig: Rig, contact: str | None, law_type: type[Law], change_law: Callable[[Law], Law]) -> Rig:
@@ -216,11 +216,11 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
         Raises RigError if there is no such contact or its law is of another kind.
         """
-        current_laws = {c.name: c.law for c in rig.contacts if contact in (None, c.name)}
-        if not current_laws:
+        law_by_contact = {c.name: c.law for c in rig.contacts if contact in (None, c.name)}
+        if not law_by_contact:
             raise self.missing_place(rig, "contact" if contact is None else f"contact {contact!r}")
         changed_laws = {}
-        for contact_name, law in current_laws.items():
+        for contact_name, law in law_by_contact.items():
             if not isinstance(law, law_type):
                 raise self.missing_place(rig, f"{law_type.__struct_config__.tag} at {contact_name!r}")
             changed_laws[contact_name] = change_law(law)
@@ -228,7 +228,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
         """Body of that name; without a name the one that the (first) force drives."""
-        body_name = rig.first_driven if name is None else name
+        body_name = rig.first_driven_body if name is None else name
         for body in rig.bodies:
             if body.name == body_name:
                 return body

@@ -15,7 +15,7 @@ class ShakingBase(Effect, frozen=True):
 
     name: ClassVar[str] = "base_motion"
     words: ClassVar[str] = "an unmeasured base motion of {acceleration_rms_m_per_s2} rms from {low_hz} to {high_hz}"
-    separated_by: ClassVar[str] = "record without force, or put an accelerometer on the base"
+    separating_test: ClassVar[str] = "record without force, or put an accelerometer on the base"
     stochastic: ClassVar[bool] = True
     acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0, 0.0)] = 0.5
     low_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 8.0
@@ -34,22 +34,22 @@ class ShakingBase(Effect, frozen=True):
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        lightest_kg = min(scale.with_place({"body": body.name}).mass_kg() for body in scale.rig.bodies)
+        lightest_body_kg = min(scale.with_place({"body": body.name}).mass_kg() for body in scale.rig.bodies)
         low_hz, high_hz = scale.band_hz
-        middle_hz = (low_hz * high_hz) ** 0.5
+        band_middle_hz = (low_hz * high_hz) ** 0.5
         return cls(
-            acceleration_rms_m_per_s2=0.1 * scale.force_rms_n / lightest_kg,
-            low_hz=0.8 * middle_hz,
-            high_hz=1.2 * middle_hz,
+            acceleration_rms_m_per_s2=0.1 * scale.force_rms_n / lightest_body_kg,
+            low_hz=0.8 * band_middle_hz,
+            high_hz=1.2 * band_middle_hz,
         )
 
     def applied_to(self, rig: Rig) -> Rig:
         if rig.base_motion is not None:
             raise RigError(f"effect {self.name}: the base of rig {rig.name!r} moves already; give the effect once")
-        base = BaseMotion(
+        added_base_motion = BaseMotion(
             acceleration_rms_m_per_s2=self.acceleration_rms_m_per_s2,
             low_hz=self.low_hz,
             high_hz=self.high_hz,
             seed=self.seed,
         )
-        return replace(rig, base_motion=base)
+        return replace(rig, base_motion=added_base_motion)

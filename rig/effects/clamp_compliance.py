@@ -15,7 +15,7 @@ class ClampCompliance(Effect, frozen=True):
 
     name: ClassVar[str] = "clamp_compliance"
     words: ClassVar[str] = "a clamp of {beam} that gives way (compliance {compliance})"
-    separated_by: ClassVar[str] = (
+    separating_test: ClassVar[str] = (
         "measure close to the clamp, where a clamp that gives moves and a softer beam does not"
     )
     compliance: Annotated[float, Parameter("1", 0.002, 0.3, 0.0)] = 0.03

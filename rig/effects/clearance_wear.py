@@ -15,7 +15,7 @@ class ClearanceWear(Effect, frozen=True):
 
     name: ClassVar[str] = "clearance_wear"
     words: ClassVar[str] = "a clearance of {contact} that grows by {growth_per_minute} of itself"
-    separated_by: ClassVar[str] = "record for longer: wear goes on, an error of the clearance does not"
+    separating_test: ClassVar[str] = "record for longer: wear goes on, an error of the clearance does not"
     growth_per_minute: Annotated[float, Parameter("1/min", 0.0, 0.5, 0.0)] = 0.1
     contact: str | None = None
 

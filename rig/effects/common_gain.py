@@ -14,7 +14,7 @@ class CommonGain(Effect, frozen=True):
 
     name: ClassVar[str] = "common_gain"
     words: ClassVar[str] = "a gain of all sensors that is {factor}"
-    separated_by: ClassVar[str] = "measure one motion with a sensor of another chain, or shake a known free mass"
+    separating_test: ClassVar[str] = "measure one motion with a sensor of another chain, or shake a known free mass"
     factor: Annotated[float, Parameter("1", 0.05, 20.0, 1.0)] = 1.05
 
     def applied_to(self, rig: Rig) -> Rig:

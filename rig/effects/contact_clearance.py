@@ -13,7 +13,7 @@ class ContactClearance(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_clearance"
     words: ClassVar[str] = "a clearance of {contact} that is {factor}"
-    separated_by: ClassVar[str] = "measure the relative displacement itself, with its zero"
+    separating_test: ClassVar[str] = "measure the relative displacement itself, with its zero"
     factor: Annotated[float, Parameter("1", 0.1, 4.0, 1.0)] = 1.1
     contact: str | None = None
 

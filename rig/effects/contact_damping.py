@@ -15,7 +15,7 @@ class ContactDamping(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_damping"
     words: ClassVar[str] = "an additional damping of {damping_n_s_per_m} in {contact}"
-    separated_by: ClassVar[str] = "excite more strongly, so that the stops are struck faster"
+    separating_test: ClassVar[str] = "excite more strongly, so that the stops are struck faster"
     damping_n_s_per_m: Annotated[float, Parameter("N s/m", 0.0, 200.0, 0.0)] = 20.0
     contact: str | None = None
 

@@ -18,18 +18,18 @@ class ContactPosition(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_m": ("shorter than believed", "longer than believed", "not as believed")
     }
-    separated_by: ClassVar[str] = "measure where the parts touch"
+    separating_test: ClassVar[str] = "measure where the parts touch"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
 
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the shortest beam, either way."""
-        max_shift_m = 0.1 * _shortest_m(scale.rig)
+        max_shift_m = 0.1 * _shortest_beam_m(scale.rig)
         return cls.ranged(shift_m=(-max_shift_m, max_shift_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, shift_m=0.01 * _shortest_m(scale.rig))
+        return cls.placed(scale, shift_m=0.01 * _shortest_beam_m(scale.rig))
 
     def applied_to(self, rig: Rig) -> Rig:
         self.beams_of(rig, None)
@@ -52,5 +52,5 @@ class ContactPosition(Effect, frozen=True):
         return Station(station.body, station.position_m + shift_m)
 
 
-def _shortest_m(rig: Rig) -> float:
+def _shortest_beam_m(rig: Rig) -> float:
     return min((beam.length_m for beam in rig.beams), default=0.0)

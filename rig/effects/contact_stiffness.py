@@ -15,7 +15,7 @@ class ContactStiffness(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_stiffness"
     words: ClassVar[str] = "a stiffness of {contact} that is {factor}"
-    separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
+    separating_test: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
     factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.3
     contact: str | None = None
 

@@ -15,7 +15,7 @@ class CoulombFriction(Effect, frozen=True):
 
     name: ClassVar[str] = "coulomb_friction"
     words: ClassVar[str] = "a dry friction of {force_n} in {contact}"
-    separated_by: ClassVar[str] = "record at a low level that opens no contact"
+    separating_test: ClassVar[str] = "record at a low level that opens no contact"
     force_n: Annotated[float, Parameter("N", 0.0, 5.0, 0.0)] = 2.0
     contact: str | None = None
 

@@ -14,9 +14,9 @@ class ForceGain(Effect, frozen=True):
 
     name: ClassVar[str] = "force_gain"
     words: ClassVar[str] = "a gain of the force sensor that is {factor}"
-    separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
+    separating_test: ClassVar[str] = "shake a known free mass with the same force sensor"
     factor: Annotated[float, Parameter("1", 0.2, 5.0, 1.0)] = 1.05
 
     def applied_to(self, rig: Rig) -> Rig:
-        sensor = rig.force_sensor
-        return replace(rig, force_sensor=replace(sensor, gain=sensor.gain * self.factor))
+        force_sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(force_sensor, gain=force_sensor.gain * self.factor))

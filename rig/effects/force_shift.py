@@ -18,7 +18,7 @@ class ForceShift(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_s": ("earlier than measured", "later than measured", "at another time than measured")
     }
-    separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
+    separating_test: ClassVar[str] = "shake a known free mass with the same force sensor"
     shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
 
     @classmethod
@@ -28,5 +28,5 @@ class ForceShift(Effect, frozen=True):
         return cls.ranged(shift_s=(-max_shift_s, max_shift_s))
 
     def applied_to(self, rig: Rig) -> Rig:
-        sensor = rig.force_sensor
-        return replace(rig, force_sensor=replace(sensor, lag_s=sensor.lag_s + self.shift_s))
+        force_sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(force_sensor, lag_s=force_sensor.lag_s + self.shift_s))

@@ -14,7 +14,7 @@ class GroundDamper(Effect, frozen=True):
 
     name: ClassVar[str] = "ground_damper"
     words: ClassVar[str] = "a damper of {damping_n_s_per_m} between {body}{at} and the ground"
-    separated_by: ClassVar[str] = "record free decays: a damper at a place damps modes by their motion there"
+    separating_test: ClassVar[str] = "record free decays: a damper at a place damps modes by their motion there"
     damping_n_s_per_m: Annotated[float, Parameter("N s/m", 0.0, 200.0, 0.0)] = 2.0
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None

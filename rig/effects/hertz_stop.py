@@ -19,7 +19,7 @@ class HertzStop(Effect, frozen=True):
 
     name: ClassVar[str] = "hertz_stop"
     words: ClassVar[str] = "a force of the stops of {contact} that grows with the power {exponent} of their depth"
-    separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
+    separating_test: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
     contains: ClassVar[tuple[str, ...]] = ("contact_stiffness",)
     exponent: Annotated[float, Parameter("1", 1.0, 2.0, 1.0)] = 1.5
     reference_force_n: Annotated[float, Parameter("N", 0.2, 2000.0)] = 20.0

@@ -19,7 +19,7 @@ class LinearSpring(Effect, frozen=True):
 
     name: ClassVar[str] = "linear_spring"
     words: ClassVar[str] = "a spring of {stiffness_n_per_m} between {body}{at} and the ground"
-    separated_by: ClassVar[str] = "fix a known mass to the body: a spring and a mass shift its modes differently"
+    separating_test: ClassVar[str] = "fix a known mass to the body: a spring and a mass shift its modes differently"
     stiffness_n_per_m: Annotated[float, Parameter("N/m", 0.0, 1e4, 0.0)] = 500.0
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None

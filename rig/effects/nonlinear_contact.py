@@ -15,7 +15,7 @@ class NonlinearContact(Effect, frozen=True):
 
     name: ClassVar[str] = "nonlinear_contact"
     words: ClassVar[str] = "a cubic stiffness of {cubic_n_per_m3} in the stops of {contact}"
-    separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
+    separating_test: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
     cubic_n_per_m3: Annotated[float, Parameter("N/m^3", 0.0, 3e11, 0.0)] = 3e10
     contact: str | None = None
 

@@ -16,7 +16,7 @@ class OneStop(Effect, frozen=True):
 
     name: ClassVar[str] = "one_stop"
     words: ClassVar[str] = "a stiffness of the {side} stop of {contact} that is {factor}"
-    separated_by: ClassVar[str] = "press the parts to either side with a static force and compare"
+    separating_test: ClassVar[str] = "press the parts to either side with a static force and compare"
     factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.5
     contact: str | None = None
     side: Literal["upper", "lower"] = "upper"
@@ -24,15 +24,15 @@ class OneStop(Effect, frozen=True):
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Either side that has a stop, of every contact and of all."""
-        single_stops = super().placements(rig, sensors)
-        sides_by_contact = {
-            single_stop["contact"]: _stop_sides(rig, single_stop["contact"]) for single_stop in single_stops
+        contact_placements = super().placements(rig, sensors)
+        stop_sides_by_contact = {
+            placement["contact"]: _stop_sides(rig, placement["contact"]) for placement in contact_placements
         }
         return [
-            {**single_stop, "side": side_name}
-            for single_stop in single_stops
+            {**placement, "side": side_name}
+            for placement in contact_placements
             for side_name, side in (("upper", 1), ("lower", -1))
-            if side in sides_by_contact[single_stop["contact"]]
+            if side in stop_sides_by_contact[placement["contact"]]
         ]
 
     def applied_to(self, rig: Rig) -> Rig:

@@ -14,7 +14,7 @@ class Preload(Effect, frozen=True):
 
     name: ClassVar[str] = "preload"
     words: ClassVar[str] = "a constant force of {force_n} on {body}{at}"
-    separated_by: ClassVar[str] = "measure a static displacement, or turn the rig over"
+    separating_test: ClassVar[str] = "measure a static displacement, or turn the rig over"
     force_n: Annotated[float, Parameter("N", -20.0, 20.0, 0.0)] = 2.0
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 0.5
     body: str | None = None

@@ -18,7 +18,7 @@ class SensorDelay(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "delay_s": ("too early", "too late", "at the wrong time")
     }
-    separated_by: ClassVar[str] = "exchange the sensor's channel with another and record again"
+    separating_test: ClassVar[str] = "exchange the sensor's channel with another and record again"
     delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3, 0.0)] = 5e-4
     sensor: str | None = None
 

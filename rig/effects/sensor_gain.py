@@ -14,7 +14,7 @@ class SensorGain(Effect, frozen=True):
 
     name: ClassVar[str] = "sensor_gain"
     words: ClassVar[str] = "a gain of {sensor} that is {factor}"
-    separated_by: ClassVar[str] = "exchange the sensor with another and record again"
+    separating_test: ClassVar[str] = "exchange the sensor with another and record again"
     factor: Annotated[float, Parameter("1", 0.2, 5.0, 1.0)] = 1.05
     sensor: str | None = None
 

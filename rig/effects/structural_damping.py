@@ -15,15 +15,15 @@ class StructuralDamping(Effect, frozen=True):
 
     name: ClassVar[str] = "structural_damping"
     words: ClassVar[str] = "a damping of {body} that is {factor}"
-    separated_by: ClassVar[str] = "record a free decay at a low level that opens no contact"
+    separating_test: ClassVar[str] = "record a free decay at a low level that opens no contact"
     factor: Annotated[float, Parameter("1", 0.1, 15.0, 1.0)] = 3.0
     body: str | None = None
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Places as of every effect, and all bodies, tied."""
-        everywhere: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
-        return super().placements(rig, sensors) + everywhere
+        all_bodies_placement: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
+        return super().placements(rig, sensors) + all_bodies_placement
 
     def applied_to(self, rig: Rig) -> Rig:
         damped_bodies = rig.bodies if self.body is None else (self.body_of(rig, self.body),)

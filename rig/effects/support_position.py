@@ -22,7 +22,7 @@ class SupportPosition(Effect, frozen=True):
     signed_words: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "shift_m": ("nearer to the left end", "farther from the left end", "elsewhere")
     }
-    separated_by: ClassVar[str] = "measure where the supports stand"
+    separating_test: ClassVar[str] = "measure where the supports stand"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
     body: str | None = None
 

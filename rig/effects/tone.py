@@ -14,7 +14,7 @@ class HarmonicForce(Effect, frozen=True):
 
     name: ClassVar[str] = "tone"
     words: ClassVar[str] = "an unmeasured tone of {frequency_hz} on {body}{at}"
-    separated_by: ClassVar[str] = "record without force, with motors and mains switched on and off"
+    separating_test: ClassVar[str] = "record without force, with motors and mains switched on and off"
     grid_screened: ClassVar[str | None] = "frequency_hz"
     of_a_record: ClassVar[tuple[str, ...]] = ("cosine_n", "sine_n")
     cosine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 1.0

@@ -14,7 +14,7 @@ class YoungsModulus(Effect, frozen=True):
 
     name: ClassVar[str] = "youngs_modulus"
     words: ClassVar[str] = "a Young's modulus of {beam} that is {factor}"
-    separated_by: ClassVar[str] = (
+    separating_test: ClassVar[str] = (
         "fix a known mass to the beam's end: a softer beam and a giving clamp shift modes differently"
     )
     factor: Annotated[float, Parameter("1", 0.5, 2.0, 1.0)] = 0.95

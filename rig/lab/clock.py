@@ -66,62 +66,62 @@ def evenly_sampled(
     Raises RigError, without the name of the file, if the stamps are uneven or at another rate and it is not, and
     always for a rate below rate_hz or over MAX_DECIMATION times as high.
     """
-    measured_hz, stamp_fault = sample_times.rate_hz, sample_times.fault
+    record_rate_hz, stamp_fault = sample_times.rate_hz, sample_times.fault
     if stamp_fault and not resample:
         raise RigError(f"{stamp_fault}; mend the record, or set resample = true in the map")
-    is_other_rate = abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE
-    if is_other_rate and measured_hz < rate_hz:
+    is_other_rate = abs(record_rate_hz / rate_hz - 1) > RATE_TOLERANCE
+    if is_other_rate and record_rate_hz < rate_hz:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
+            f"it is sampled at {record_rate_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
         )
-    if measured_hz > MAX_DECIMATION * rate_hz:
+    if record_rate_hz > MAX_DECIMATION * rate_hz:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
+            f"it is sampled at {record_rate_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
             "rig; correct the unit or scale of its time, or rig.json"
         )
     if is_other_rate and not resample:
         raise RigError(
-            f"it is sampled at {measured_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
+            f"it is sampled at {record_rate_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
             "set resample = true in the map"
         )
-    rate_ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
-    grid_hz = rate_hz / float(rate_ratio)
-    steps = []
-    if stamp_fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
-        values = _resample_to_grid(values, sample_times, grid_hz)
-        reason = stamp_fault or "the rate is uneven"
-        steps.append(f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {reason}")
+    rate_ratio = Fraction(rate_hz / record_rate_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
+    grid_rate_hz = rate_hz / float(rate_ratio)
+    processing_steps = []
+    if stamp_fault or abs(grid_rate_hz / record_rate_hz - 1) > RATE_TOLERANCE:
+        values = _resample_to_grid(values, sample_times, grid_rate_hz)
+        grid_reason = stamp_fault or "the rate is uneven"
+        processing_steps.append(f"resampled to an even {grid_rate_hz:.9g} Hz by a cubic spline, since {grid_reason}")
     if rate_ratio != 1:
-        values = np.stack([_filter_to_rate(samples, rate_ratio) for samples in values])
-        steps.append(f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
-    return values, tuple(steps)
+        values = np.stack([_filter_to_rate(channel_values, rate_ratio) for channel_values in values])
+        processing_steps.append(f"resampled from {grid_rate_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
+    return values, tuple(processing_steps)
 
 
 def _resample_to_grid(
     values: Float[np.ndarray, "channels samples"], sample_times: SampleTimes, grid_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
     """Resample to an even grid by cubic splines, piece by piece with overlapping knots."""
-    count = sample_times.sample_count
-    (start_s,), (end_s,) = sample_times.stamps(0, 1), sample_times.stamps(count - 1, count)
-    grid = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
+    sample_count = sample_times.sample_count
+    (start_s,), (end_s,) = sample_times.stamps(0, 1), sample_times.stamps(sample_count - 1, sample_count)
+    grid_values = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
     piece_length = max(PIECE_SAMPLES // len(values), OVERLAP_SAMPLES)
     grid_start = 0
-    for first in range(0, count - 1, piece_length):
-        last = min(first + piece_length, count - 1)
-        knots = slice(max(first - OVERLAP_SAMPLES, 0), min(last + OVERLAP_SAMPLES, count))
-        knots_s = sample_times.stamps(knots.start, knots.stop)
-        grid_stop = grid.shape[1]
-        if last < count - 1:
-            grid_stop = math.ceil((knots_s[last - knots.start] - start_s) * grid_hz)
-        spline = scipy.interpolate.CubicSpline(knots_s, values[:, knots], axis=1)
-        grid[:, grid_start:grid_stop] = spline(start_s + np.arange(grid_start, grid_stop) / grid_hz)
-        grid_start = grid_stop
-    return grid
+    for first_knot in range(0, sample_count - 1, piece_length):
+        last_knot = min(first_knot + piece_length, sample_count - 1)
+        knot_span = slice(max(first_knot - OVERLAP_SAMPLES, 0), min(last_knot + OVERLAP_SAMPLES, sample_count))
+        knots_s = sample_times.stamps(knot_span.start, knot_span.stop)
+        grid_end = grid_values.shape[1]
+        if last_knot < sample_count - 1:
+            grid_end = math.ceil((knots_s[last_knot - knot_span.start] - start_s) * grid_hz)
+        spline = scipy.interpolate.CubicSpline(knots_s, values[:, knot_span], axis=1)
+        grid_values[:, grid_start:grid_end] = spline(start_s + np.arange(grid_start, grid_end) / grid_hz)
+        grid_start = grid_end
+    return grid_values
 
 
 def _filter_to_rate(samples: Float[np.ndarray, " samples"], rate_ratio: Fraction) -> Float[np.ndarray, " fewer"]:
-    up, down = rate_ratio.numerator, rate_ratio.denominator
-    filtered = scipy.signal.resample_poly(samples, up, down, window=("kaiser", 8.0), padtype="line")
+    upsampling, downsampling = rate_ratio.numerator, rate_ratio.denominator
+    filtered = scipy.signal.resample_poly(samples, upsampling, downsampling, window=("kaiser", 8.0), padtype="line")
     return np.asarray(filtered, dtype=float)
 
 
@@ -131,14 +131,14 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         raise RigError("it holds fewer than two samples; export more")
     intervals_s = np.diff(time_s)
     if not (intervals_s > 0).all():
-        first_fault = int(np.argmin(intervals_s > 0))
+        fault_index = int(np.argmin(intervals_s > 0))
         raise RigError(
-            f"its time does not increase after {time_s[first_fault]:.6f} s (sample {first_fault}); sort or mend it"
+            f"its time does not increase after {time_s[fault_index]:.6f} s (sample {fault_index}); sort or mend it"
         )
     interval_s = float(np.median(intervals_s))
     duration_s = float(time_s[-1] - time_s[0])
-    gaps = np.flatnonzero(intervals_s > MIN_GAP_INTERVALS * interval_s)
-    if gaps.size:
+    gap_indices = np.flatnonzero(intervals_s > MIN_GAP_INTERVALS * interval_s)
+    if gap_indices.size:
         widest = int(np.argmax(intervals_s))
         if intervals_s[widest] > MAX_BRIDGED_INTERVALS * interval_s:
             raise RigError(
@@ -146,16 +146,16 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
                 "record there and import the longer part"
             )
         rate_hz = float(np.divide(float(np.round(intervals_s / interval_s).sum()), duration_s))
-        return rate_hz, f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
+        return rate_hz, f"its time stamps have {gap_indices.size} gaps, the first after {time_s[gap_indices[0]]:.6f} s"
     del intervals_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
-    deviations = time_s - time_s[0]  # in intervals, in place: records are long
-    deviations *= rate_hz
-    deviations -= np.arange(time_s.size)
-    np.abs(deviations, out=deviations)
-    worst = int(np.argmax(deviations))
-    if deviations[worst] > MAX_JITTER_INTERVALS:
+    stamp_errors = time_s - time_s[0]  # in intervals, in place: records are long
+    stamp_errors *= rate_hz
+    stamp_errors -= np.arange(time_s.size)
+    np.abs(stamp_errors, out=stamp_errors)
+    worst = int(np.argmax(stamp_errors))
+    if stamp_errors[worst] > MAX_JITTER_INTERVALS:
         return rate_hz, (
-            f"its time stamps are uneven, by {deviations[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
+            f"its time stamps are uneven, by {stamp_errors[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
         )
     return rate_hz, ""

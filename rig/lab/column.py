@@ -15,7 +15,7 @@ class Column:
     values: Float[np.ndarray, " samples"]
     unit: str | None = None
     sample_rate_hz: float | None = None
-    recorded: str = ""
+    date_text: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,6 @@ def decode_text(encoded_text: bytes) -> str:
         return encoded_text.decode("latin-1")
 
 
-def column_names(name: str, count: int) -> tuple[str, ...]:
+def column_names(matrix_name: str, count: int) -> tuple[str, ...]:
     """Names of the columns of a matrix: its own of a single one, else NAME[1], NAME[2], ..."""
-    return (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
+    return (matrix_name,) if count == 1 else tuple(f"{matrix_name}[{number}]" for number in range(1, count + 1))

@@ -73,26 +73,26 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     name_line = next(islice(lines_of(path, form.encoding), form.lines_before_names, None), None)
     if name_line is None:
         raise RigError(f"{path}: has no line after the first {form.lines_before_names}; check lines_before_names")
-    names = names_in(name_line, form.delimiter)
+    header_names = names_in(name_line, form.delimiter)
     has_names = form.names
     if has_names is None:
-        has_names = not all(is_number(name, form.decimal) for name in names if name)
+        has_names = not all(is_number(name, form.decimal) for name in header_names if name)
     skipped_count = form.lines_before_names + has_names + form.lines_after_names
-    shape = _count_lines(path, form, skipped_count)
-    cell_count = used_count = shape.cell_count
+    line_shape = _count_lines(path, form, skipped_count)
+    cell_count = used_count = line_shape.cell_count
     if has_names:
-        used_count = _used_column_count(path, names, cell_count, shape.trailing_empty_count)
+        used_count = _used_column_count(path, header_names, cell_count, line_shape.trailing_empty_count)
     # of last columns without a name there may be any number
-    for count, line_number in shape.first_line_by_count.items():
-        is_other = count != cell_count and (count < used_count or used_count == cell_count)
-        if is_other and not form.cut_incomplete_end:
+    for line_cell_count, line_number in line_shape.first_line_by_count.items():
+        is_ragged = line_cell_count != cell_count and (line_cell_count < used_count or used_count == cell_count)
+        if is_ragged and not form.cut_incomplete_end:
             raise RigError(
-                f"{path}: the number of columns changed from {cell_count} to {count} in line {line_number}; "
+                f"{path}: the number of columns changed from {cell_count} to {line_cell_count} in line {line_number}; "
                 "check delimiter"
             )
-    used_names = tuple(names[:used_count] if has_names else (f"column {k}" for k in range(1, used_count + 1)))
-    columns = _Columns(path, form, skipped_count, used_names, shape.sample_count)
-    yield ColumnBlock(used_names, shape.sample_count, columns.read)
+    used_names = tuple(header_names[:used_count] if has_names else (f"column {k}" for k in range(1, used_count + 1)))
+    csv_columns = _CsvColumns(path, form, skipped_count, used_names, line_shape.sample_count)
+    yield ColumnBlock(used_names, line_shape.sample_count, csv_columns.read)
 
 
 def lines_of(path: Path, encoding: str) -> Iterator[str]:
@@ -125,32 +125,32 @@ def sample_lines(path: Path, form: TextForm, skipped_line_count: int) -> Iterato
 
 def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _SampleLines:
     delimiter = form.delimiter
-    lines = sample_lines(path, form, skipped_line_count)
-    line_number, first_line = next(lines, (0, ""))
+    numbered_lines = sample_lines(path, form, skipped_line_count)
+    line_number, first_line = next(numbered_lines, (0, ""))
     if not first_line:
         raise RigError(f"{path}: holds no samples; export it again")
-    first_count = len(cells_of(first_line, delimiter))
-    first_line_by_count, sample_count = {first_count: line_number}, 1
-    empty_count = _trailing_empty_count(first_line, delimiter)
-    for line_number, line in lines:
-        is_plain = '"' not in line and delimiter != " "
-        count = line.count(delimiter) + 1 if is_plain else len(cells_of(line, delimiter))
+    first_cell_count = len(cells_of(first_line, delimiter))
+    first_line_by_count, sample_count = {first_cell_count: line_number}, 1
+    trailing_empty_count = _trailing_empty_count(first_line, delimiter)
+    for line_number, line in numbered_lines:
+        is_unquoted = '"' not in line and delimiter != " "
+        count = line.count(delimiter) + 1 if is_unquoted else len(cells_of(line, delimiter))
         if count not in first_line_by_count:
             first_line_by_count[count] = line_number
-        if empty_count:
-            empty_count = min(empty_count, _trailing_empty_count(line, delimiter))
+        if trailing_empty_count:
+            trailing_empty_count = min(trailing_empty_count, _trailing_empty_count(line, delimiter))
         sample_count += 1
-    filled_line = first_line.rsplit(delimiter, empty_count)[0] if empty_count else first_line
+    filled_line = first_line.rsplit(delimiter, trailing_empty_count)[0] if trailing_empty_count else first_line
     filled_count = len(cells_of(filled_line, delimiter))
-    first_lines = {count - first_count + filled_count: number for count, number in first_line_by_count.items()}
-    return _SampleLines(filled_count, sample_count, first_lines, empty_count)
+    line_by_count = {count - first_cell_count + filled_count: number for count, number in first_line_by_count.items()}
+    return _SampleLines(filled_count, sample_count, line_by_count, trailing_empty_count)
 
 
 NumberedLines = list[tuple[int, str]]
 
 
 @dataclass(frozen=True)
-class _Columns:
+class _CsvColumns:
     """Columns of a file by index, with their names, and the number of lines of samples."""
 
     path: Path
@@ -160,7 +160,7 @@ class _Columns:
     sample_count: int
 
     def read(self, indices: Sequence[int]) -> list[Column]:
-        form, values, read_count = self.form, np.empty((len(indices), self.sample_count)), 0
+        form, column_values, read_line_count = self.form, np.empty((len(indices), self.sample_count)), 0
         remaining_lines = sample_lines(self.path, form, self.skipped_line_count)
         while lines := list(islice(remaining_lines, LINES_PER_BLOCK)):
             if form.decimal != ".":
@@ -172,18 +172,18 @@ class _Columns:
                 continue
             delimiter = None if form.delimiter == " " else form.delimiter
             try:
-                rows = np.loadtxt(texts, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=indices)
+                numbers = np.loadtxt(texts, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=indices)
             except ValueError as error:
                 raise self._no_number_error(indices, lines) from error
-            values[:, read_count : read_count + len(rows)] = rows.T
-            read_count += len(rows)
-        if not read_count:
+            column_values[:, read_line_count : read_line_count + len(numbers)] = numbers.T
+            read_line_count += len(numbers)
+        if not read_line_count:
             raise RigError(f"{self.path}: has no line with numbers in all columns of the map; check its columns")
-        names = [self.names[index] for index in indices]
-        units = [name_and_unit(name)[1] for name in names]
+        column_names = [self.names[index] for index in indices]
+        column_units = [name_and_unit(name)[1] for name in column_names]
         return [
-            Column(name, row, unit if quantity_of(unit) else None)
-            for name, unit, row in zip(names, units, values[:, :read_count], strict=True)
+            Column(name, samples, unit if quantity_of(unit) else None)
+            for name, unit, samples in zip(column_names, column_units, column_values[:, :read_line_count], strict=True)
         ]
 
     def _complete_lines(
@@ -194,10 +194,10 @@ class _Columns:
         def is_whole(line: str) -> bool:
             cells = cells_of(line, self.form.delimiter)
             return len(cells) > max(indices) and all(
-                number_in(cells[k], self.form.decimal) is not None for k in indices
+                number_in(cells[line_index], self.form.decimal) is not None for line_index in indices
             )
 
-        whole_count = next((k for k, (_, line) in enumerate(lines) if not is_whole(line)), len(lines))
+        whole_count = next((line_index for line_index, (_, line) in enumerate(lines) if not is_whole(line)), len(lines))
         if whole_count < len(lines):
             for line_number, line in chain(lines[whole_count:], remaining_lines):
                 if is_whole(line):

@@ -18,8 +18,8 @@ from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
 from rig.recording.channels import Channels
 
-_UFF_KINDS = {quantity.name: quantity.uff_kind for quantity in QUANTITIES.values()} | {"force": 13}
-_UFF_TIME = 17
+_UFF_KIND_BY_GROUP = {quantity.name: quantity.uff_kind for quantity in QUANTITIES.values()} | {"force": 13}
+_UFF_TIME_KIND = 17
 TIME_COLUMN = "time_s"
 MAX_UFF_NAME_LENGTH = 80
 LINES_PER_BLOCK = 16384
@@ -45,13 +45,13 @@ def export(
 
 
 def _write_csv(recording: Recording, path: Path, progress: Progress) -> None:
-    names = [name for signals in recording.signals.values() for name in signals.channels.names]
+    channel_names = [name for signals in recording.signals.values() for name in signals.channels.names]
     table = np.vstack([recording.signals["force"].time_s, *(signals.values for signals in recording.signals.values())])
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *names])
-        for first in range(0, table.shape[1], LINES_PER_BLOCK):
-            np.savetxt(stream, table[:, first : first + LINES_PER_BLOCK].T, fmt="%.17g", delimiter=",")
-            progress(first / table.shape[1])
+        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *channel_names])
+        for first_sample in range(0, table.shape[1], LINES_PER_BLOCK):
+            np.savetxt(stream, table[:, first_sample : first_sample + LINES_PER_BLOCK].T, fmt="%.17g", delimiter=",")
+            progress(first_sample / table.shape[1])
 
 
 def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
@@ -61,15 +61,15 @@ def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
 
     node_by_station = nodes_of(recording.rig)
     datasets = [*mode_shapes(recording.rig, node_by_station)]
-    time_axis = {"abscissa_spacing": 1, "abscissa_spec_data_type": _UFF_TIME, "abscissa_axis_units_lab": "s"}
-    form: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
-    form |= time_axis | {"orddenom_spec_data_type": 0, "x": recording.signals["force"].time_s}
-    for group, signals in recording.signals.items():
+    time_axis = {"abscissa_spacing": 1, "abscissa_spec_data_type": _UFF_TIME_KIND, "abscissa_axis_units_lab": "s"}
+    uff_fields: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
+    uff_fields |= time_axis | {"orddenom_spec_data_type": 0, "x": recording.signals["force"].time_s}
+    for group_name, signals in recording.signals.items():
         channels = signals.channels
-        kind = {"ordinate_spec_data_type": _UFF_KINDS[group], "ordinate_axis_units_lab": channels.unit}
-        for name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
+        ordinate = {"ordinate_spec_data_type": _UFF_KIND_BY_GROUP[group_name], "ordinate_axis_units_lab": channels.unit}
+        for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
             node = node_by_station.get(station, 0) if station else 0  # 0: on the ground, or without a single place
-            datasets.append(form | kind | {"id1": name, "rsp_node": node, "data": samples})
+            datasets.append(uff_fields | ordinate | {"id1": channel_name, "rsp_node": node, "data": samples})
     path.unlink(missing_ok=True)
     try:
         pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
@@ -82,11 +82,11 @@ def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
 def _write_mat(recording: Recording, path: Path, _: Progress) -> None:
     from scipy.io import savemat
 
-    variables: dict[str, object] = {"sample_rate_hz": recording.rig.sample_rate_hz}
-    for group, signals in recording.signals.items():
-        variables[group] = signals.values.T
-        variables[f"{group}_names"] = np.array(signals.channels.names, dtype=object)
-    savemat(path, variables, appendmat=False, do_compression=True)
+    variable_by_name: dict[str, object] = {"sample_rate_hz": recording.rig.sample_rate_hz}
+    for group_name, signals in recording.signals.items():
+        variable_by_name[group_name] = signals.values.T
+        variable_by_name[f"{group_name}_names"] = np.array(signals.channels.names, dtype=object)
+    savemat(path, variable_by_name, appendmat=False, do_compression=True)
 
 
 def _write_hdf5(recording: Recording, path: Path, _: Progress) -> None:
@@ -111,14 +111,14 @@ def _write_mdf(recording: Recording, path: Path, _: Progress) -> None:
     with needs_extra("mdf", f"{path}: an MDF file"):
         from asammdf import MDF, Signal
     time_s = recording.signals["force"].time_s
-    columns = [
+    mdf_signals = [
         Signal(samples=samples, timestamps=time_s, name=name, unit=signals.channels.unit)
         for signals in recording.signals.values()
         for name, samples in zip(signals.channels.names, signals.values, strict=True)
     ]
     buffer = BytesIO()
     with MDF(version="4.10") as file:
-        file.append(columns)
+        file.append(mdf_signals)
         file.save(buffer)
     path.write_bytes(buffer.getvalue())
 
@@ -131,7 +131,7 @@ WRITERS: dict[str, Writer] = {
     "h5": _write_hdf5,
     "mf4": _write_mdf,
 }
-FILE_ENDINGS: dict[str, tuple[str, ...]] = {
+FILE_ENDINGS_BY_FORMAT: dict[str, tuple[str, ...]] = {
     "csv": (".csv", ".txt"),
     "uff": (".uff", ".unv"),
     "mat": (".mat",),
@@ -146,26 +146,26 @@ def import_map(channels_by_group: Mapping[str, Channels], file_format: str) -> s
 
     A column is named by its number if the format may change its name, or if the name occurs twice.
     """
-    all_names = (name.strip() for channels in channels_by_group.values() for name in channels.names)
-    counts = Counter([TIME_COLUMN, *all_names])
+    channel_names = (name.strip() for channels in channels_by_group.values() for name in channels.names)
+    name_counts = Counter([TIME_COLUMN, *channel_names])
     clock = f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}"
     if file_format == "csv":
-        clock = f'time = {{ column = {1 if counts[TIME_COLUMN] > 1 else json.dumps(TIME_COLUMN)}, unit = "s" }}'
+        clock = f'time = {{ column = {1 if name_counts[TIME_COLUMN] > 1 else json.dumps(TIME_COLUMN)}, unit = "s" }}'
     force_entries, sensor_lines = [], []
     column_numbers = itertools.count(2 if file_format == "csv" else 1)
-    for group, channels in channels_by_group.items():
-        for k, name in enumerate(channels.names, start=1):
-            key: str | int = next(column_numbers)
-            is_kept = counts[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME_LENGTH
+    for group_name, channels in channels_by_group.items():
+        for channel_number, name in enumerate(channels.names, start=1):
+            column_key: str | int = next(column_numbers)
+            is_name_kept = name_counts[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME_LENGTH
             if file_format == "mat":
-                key = group if len(channels.names) == 1 else f"{group}[{k}]"
-            elif is_kept and name == name.strip():
-                key = name
-            entry = f"{{ column = {json.dumps(key)}, unit = {json.dumps(channels.unit)} }}"
-            if group == "force":
+                column_key = group_name if len(channels.names) == 1 else f"{group_name}[{channel_number}]"
+            elif is_name_kept and name == name.strip():
+                column_key = name
+            entry = f"{{ column = {json.dumps(column_key)}, unit = {json.dumps(channels.unit)} }}"
+            if group_name == "force":
                 force_entries.append(entry)
             else:
                 sensor_lines.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
-    force = force_entries[0] if len(force_entries) == 1 else f"[{', '.join(force_entries)}]"
+    force_entry = force_entries[0] if len(force_entries) == 1 else f"[{', '.join(force_entries)}]"
     rig_line = f"rig = {json.dumps(RIG_NAME)}"
-    return "\n".join([rig_line, clock, f"force = {force}", "", "[sensors]", *sensor_lines, ""])
+    return "\n".join([rig_line, clock, f"force = {force_entry}", "", "[sensors]", *sensor_lines, ""])

@@ -26,7 +26,7 @@ DATE_ATTRIBUTES = ("recorded", "start_time", "date")
 """Attributes of a dataset or the file that state when it was recorded."""
 SINGLE_VALUE_SHAPES = ((), (1,))
 """Shapes of an attribute with a single value."""
-BYTES_READ_AT_ONCE = 32_000_000
+BYTES_PER_READ = 32_000_000
 """Bytes of a matrix read at once."""
 DEFLATE, LZF = 1, 32000
 PLAIN_FILTERS = {2, 3}
@@ -35,7 +35,7 @@ MAX_EXPANSION = {DEFLATE: 1032, LZF: 90}
 """Largest expansion on decompression (zlib: 258 bytes from two bits; LZF: 264 bytes from three)."""
 UNCHECKED_CHUNK_BYTES = 100_000_000
 """Size up to which a chunk is decompressed without a check of its content."""
-INFLATED_PIECE_BYTES = 1 << 20
+BYTES_PER_INFLATION = 1 << 20
 
 
 @contextmanager
@@ -57,30 +57,30 @@ def hdf5_blocks(path: Path) -> Blocks:
 
 
 def _group_blocks(
-    path: Path, group: Any, prefix: str, visited_addresses: set[int], depth: int
+    path: Path, group: Any, prefix: str, visited_addresses: set[int], nesting_depth: int
 ) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
-    for item_name, item in members(group, prefix, depth):
+    for item_name, item in members(group, prefix, nesting_depth):
         full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
             yield item
         elif not is_new(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
-            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, depth + 1)
+            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, nesting_depth + 1)
         elif isinstance(item, h5py.Dataset):
             yield from dataset_blocks(path, item, attribute_text(item, NAME_ATTRIBUTES) or full_name)
 
 
-def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
+def members(group: Any, prefix: str, nesting_depth: int) -> Iterator[tuple[str, Any]]:
     """Name and object of every member, sorted by name; a link to another file is a Refused.
 
     Soft links, which are aliases, are left out. Raises UnreadableError where groups are nested too deep.
     """
     import h5py
 
-    if len(prefix) > MAX_NAME_LENGTH or depth > MAX_DEPTH:
+    if len(prefix) > MAX_NAME_LENGTH or nesting_depth > MAX_DEPTH:
         raise UnreadableError(
             f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
         )
@@ -88,7 +88,7 @@ def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
         link_type = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
         if link_type == h5py.h5l.TYPE_EXTERNAL:
             full_name = f"{prefix}{name}"
-            yield name, Refused(full_name, _elsewhere_sentence(full_name, "is a link to another file"))
+            yield name, Refused(full_name, _refusal_sentence(full_name, "is a link to another file"))
         elif link_type == h5py.h5l.TYPE_HARD:
             yield name, group[name]
 
@@ -106,13 +106,13 @@ def is_new(item: Any, visited_addresses: set[int]) -> bool:
     return True
 
 
-def dataset_blocks(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
+def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
     """
-    if sentence := elsewhere_sentence(dataset, name):
-        yield Refused(name, sentence)
+    if sentence := elsewhere_sentence(dataset, dataset_name):
+        yield Refused(dataset_name, sentence)
         return
     try:
         shape, number_type = dataset.shape, dataset.dtype
@@ -123,28 +123,28 @@ def dataset_blocks(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock 
     sample_axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
     column_count = math.prod(shape) // shape[sample_axis]
     if column_count > MAX_ITEMS:
-        raise UnreadableError(f"its dataset {name!r} has {column_count} columns")
-    names = column_names(name, column_count)
+        raise UnreadableError(f"its dataset {dataset_name!r} has {column_count} columns")
+    channel_names = column_names(dataset_name, column_count)
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
-    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_READ_AT_ONCE)
-    read = partial(_read_columns, path, dataset, sample_axis, names)
-    yield ColumnBlock(names, shape[sample_axis], read, working_bytes)
+    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_PER_READ)
+    read = partial(_read_columns, path, dataset, sample_axis, channel_names)
+    yield ColumnBlock(channel_names, shape[sample_axis], read, working_bytes)
 
 
-def elsewhere_sentence(dataset: Any, name: str) -> str:
+def elsewhere_sentence(dataset: Any, dataset_name: str) -> str:
     """Sentence that refuses a dataset whose numbers are in other files; empty if they are in this one."""
     import h5py
 
-    properties = dataset.id.get_create_plist()
-    if properties.get_layout() == h5py.h5d.VIRTUAL:
-        return _elsewhere_sentence(name, "is a view of other files (a virtual dataset)")
-    if properties.get_external_count():
-        return _elsewhere_sentence(name, "has its bytes in another file (external storage)")
+    creation_properties = dataset.id.get_create_plist()
+    if creation_properties.get_layout() == h5py.h5d.VIRTUAL:
+        return _refusal_sentence(dataset_name, "is a view of other files (a virtual dataset)")
+    if creation_properties.get_external_count():
+        return _refusal_sentence(dataset_name, "has its bytes in another file (external storage)")
     return ""
 
 
-def _elsewhere_sentence(name: str, reason: str) -> str:
-    return f"{name!r} {reason}, which is not opened; store its numbers in this one"
+def _refusal_sentence(content_name: str, reason: str) -> str:
+    return f"{content_name!r} {reason}, which is not opened; store its numbers in this one"
 
 
 def _read_columns(
@@ -159,9 +159,9 @@ def _read_columns(
         rate_hz = None if rate_text is None else float(rate_text)
     except ValueError:
         raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate_text!r}") from None
-    rows = _read_rows(dataset, sample_axis, indices)
-    date = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
-    return [Column(names[k], row, unit, rate_hz, date) for k, row in zip(indices, rows, strict=True)]
+    channel_rows = _read_rows(dataset, sample_axis, indices)
+    date_text = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
+    return [Column(names[k], row, unit, rate_hz, date_text) for k, row in zip(indices, channel_rows, strict=True)]
 
 
 def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
@@ -169,18 +169,18 @@ def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) ->
     sample_count = dataset.shape[sample_axis]
     values = np.empty((len(column_indices), sample_count))
     chunk_length = dataset.chunks[sample_axis] if dataset.chunks else 1
-    span_length = BYTES_READ_AT_ONCE // (dataset.nbytes // sample_count) // chunk_length * chunk_length
+    span_length = BYTES_PER_READ // (dataset.nbytes // sample_count) // chunk_length * chunk_length
     if dataset.ndim == 1:
         values[0] = dataset[()]
-    elif dataset.nbytes <= BYTES_READ_AT_ONCE or (span_length and len(column_indices) > 1):
+    elif dataset.nbytes <= BYTES_PER_READ or (span_length and len(column_indices) > 1):
         span_length = span_length or sample_count
-        for first in range(0, sample_count, span_length):
-            span = slice(first, first + span_length)
-            rows = dataset[:, span] if sample_axis else dataset[span].T
-            values[:, span] = rows[column_indices]
+        for first_sample in range(0, sample_count, span_length):
+            sample_span = slice(first_sample, first_sample + span_length)
+            span_rows = dataset[:, sample_span] if sample_axis else dataset[sample_span].T
+            values[:, sample_span] = span_rows[column_indices]
     else:
-        for row, column_index in zip(values, column_indices, strict=True):
-            row[:] = dataset[column_index] if sample_axis else dataset[:, column_index]
+        for channel_values, column_index in zip(values, column_indices, strict=True):
+            channel_values[:] = dataset[column_index] if sample_axis else dataset[:, column_index]
     return values
 
 
@@ -189,13 +189,13 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     import h5py
 
     dataset_label = f"{path}: {dataset_name!r}"
-    properties = dataset.id.get_create_plist()
-    layout = properties.get_layout()
+    creation_properties = dataset.id.get_create_plist()
+    layout = creation_properties.get_layout()
     if layout == h5py.h5d.CONTIGUOUS and not dataset.id.get_storage_size():
         raise _unwritten_error(dataset_label, dataset.size, dataset.size)
     if layout != h5py.h5d.CHUNKED:
         return
-    chunk_filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
+    chunk_filters = [creation_properties.get_filter(k) for k in range(creation_properties.get_nfilters())]
     compression_codes = [code for code, *_ in chunk_filters if code not in PLAIN_FILTERS]
     if len(compression_codes) > 1 or not set(compression_codes) <= set(MAX_EXPANSION):
         filter_names = ", ".join(f"{code} {decode_text(filter_name)!r}" for code, _, _, filter_name in chunk_filters)
@@ -204,21 +204,21 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
         )
     chunk_bytes = math.prod(dataset.chunks) * dataset.dtype.itemsize
     doubtful_offsets: list[tuple[int, ...]] = []
-    stored_count = 0
+    stored_values = 0
 
     def count_stored(chunk: Any) -> None:
-        nonlocal stored_count
-        axes = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        stored_count += math.prod(max(0, min(chunk_length, length - start)) for chunk_length, length, start in axes)
-        expansion = MAX_EXPANSION[compression_codes[0]] if compression_codes else 0
-        if chunk.size * expansion > max(UNCHECKED_CHUNK_BYTES, chunk_bytes):
+        nonlocal stored_values
+        extents = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        stored_values += math.prod(max(0, min(chunk_length, extent - start)) for chunk_length, extent, start in extents)
+        max_expansion = MAX_EXPANSION[compression_codes[0]] if compression_codes else 0
+        if chunk.size * max_expansion > max(UNCHECKED_CHUNK_BYTES, chunk_bytes):
             doubtful_offsets.append(chunk.chunk_offset)
 
     dataset.id.chunk_iter(count_stored)
-    if stored_count < dataset.size:
-        raise _unwritten_error(dataset_label, dataset.size - stored_count, dataset.size)
-    for offset in doubtful_offsets:
-        if compression_codes == [LZF] or not _fits_in(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
+    if stored_values < dataset.size:
+        raise _unwritten_error(dataset_label, dataset.size - stored_values, dataset.size)
+    for chunk_offset in doubtful_offsets:
+        if compression_codes == [LZF] or not _swells_within(dataset.id.read_direct_chunk(chunk_offset)[1], chunk_bytes):
             raise RigError(
                 f"{dataset_label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
             )
@@ -230,13 +230,13 @@ def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) 
     )
 
 
-def _fits_in(compressed: bytes, max_bytes: int) -> bool:
+def _swells_within(compressed: bytes, max_bytes: int) -> bool:
     """True if a zlib stream decompresses to at most `max_bytes`."""
     decompressor, decompressed_count = zlib.decompressobj(), 0
-    for first_byte in range(0, len(compressed), INFLATED_PIECE_BYTES):
-        compressed_piece = compressed[first_byte : first_byte + INFLATED_PIECE_BYTES]
+    for first_byte in range(0, len(compressed), BYTES_PER_INFLATION):
+        compressed_piece = compressed[first_byte : first_byte + BYTES_PER_INFLATION]
         while compressed_piece and decompressed_count <= max_bytes:
-            decompressed_count += len(decompressor.decompress(compressed_piece, INFLATED_PIECE_BYTES))
+            decompressed_count += len(decompressor.decompress(compressed_piece, BYTES_PER_INFLATION))
             compressed_piece = decompressor.unconsumed_tail
     return decompressed_count <= max_bytes
 
@@ -245,8 +245,8 @@ def attribute_text(item: Any, attribute_names: Sequence[str]) -> str | None:
     """First of these attributes that has a single value, as text; None if there is none."""
     for attribute_name in attribute_names:
         if attribute_name in item.attrs and item.attrs.get_id(attribute_name).shape in SINGLE_VALUE_SHAPES:
-            value = np.ravel(np.asarray(item.attrs[attribute_name], dtype=object))[0]
-            if isinstance(value, str):
-                value = value.encode("utf-8", "surrogateescape")
-            return decode_text(value) if isinstance(value, bytes) else str(value)
+            attribute_value = np.ravel(np.asarray(item.attrs[attribute_name], dtype=object))[0]
+            if isinstance(attribute_value, str):
+                attribute_value = attribute_value.encode("utf-8", "surrogateescape")
+            return decode_text(attribute_value) if isinstance(attribute_value, bytes) else str(attribute_value)
     return None

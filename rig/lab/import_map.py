@@ -79,7 +79,7 @@ def read_map(path: Path, out: Path) -> tuple[Map, Rig]:
 
     Raises RigError if a placeholder is left, if either file is invalid, or if their sensors or forces differ.
     """
-    column_map = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
+    column_map = read_toml(path, Map, "map", "rig/lab/README.md", lambda map_values: _check_filled(path, map_values))
     rig_path = path.parent / column_map.rig
     check_target(out, rig_path)
     if not rig_path.exists():
@@ -101,22 +101,22 @@ def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
             f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
             "give each column body and position_m"
         )
-    stations = tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
-    stations = stations or rig.forces
+    force_places = tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+    force_places = force_places or rig.forces
     if any(source.body for source in column_map.sensors.values()):
         sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
         sensors = rig.sensors
-        rig_names, map_names = {sensor.name for sensor in sensors}, set(column_map.sensors)
-        if differing := map_names - rig_names or rig_names - map_names:
-            fault = "is no sensor of the rig" if map_names - rig_names else "is missing"
+        rig_names, map_sensor_names = {sensor.name for sensor in sensors}, set(column_map.sensors)
+        if differing := map_sensor_names - rig_names or rig_names - map_sensor_names:
+            fault = "is no sensor of the rig" if map_sensor_names - rig_names else "is missing"
             raise RigError(
                 f"{path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(rig_names))}, or give "
                 "each column body, position_m and quantity"
             )
-    if sensors == rig.sensors and stations == rig.forces:
+    if sensors == rig.sensors and force_places == rig.forces:
         return rig
-    return replace(rig, sensors=sensors, force_at=stations if len(stations) > 1 else stations[0])
+    return replace(rig, sensors=sensors, force_at=force_places if len(force_places) > 1 else force_places[0])
 
 
 def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
@@ -124,15 +124,15 @@ def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
 
     A new one has the noise that all sensors of its quantity in rig.json have in common.
     """
-    known = next((sensor for sensor in rig.sensors if sensor.name == name), None)
+    described = next((sensor for sensor in rig.sensors if sensor.name == name), None)
     station, quantity = source.station, source.quantity
-    if known is not None:
-        if quantity not in (None, known.quantity):
+    if described is not None:
+        if quantity not in (None, described.quantity):
             raise RigError(
-                f"sensor {name!r} measures {known.quantity} in rig.json and {quantity} in the map; give it another "
+                f"sensor {name!r} measures {described.quantity} in rig.json and {quantity} in the map; give it another "
                 "name here"
             )
-        return replace(known, station=station or known.station)
+        return replace(described, station=station or described.station)
     if station is None:
         raise RigError(
             f"sensor {name!r} is no sensor of the rig{hint(name, [sensor.name for sensor in rig.sensors])}, and has "
@@ -140,8 +140,8 @@ def _mapped_sensor(name: str, source: Source, rig: Rig) -> Sensor:
         )
     if quantity is None:
         raise RigError(f"sensor {name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
-    densities = {sensor.noise_density for sensor in rig.sensors if sensor.quantity == quantity}
-    noise_density = densities.pop() if len(densities) == 1 else 0.0
+    noise_densities = {sensor.noise_density for sensor in rig.sensors if sensor.quantity == quantity}
+    noise_density = noise_densities.pop() if len(noise_densities) == 1 else 0.0
     return Sensor(name=name, station=station, quantity=quantity, noise_density=noise_density)
 
 
@@ -159,8 +159,8 @@ def _check_filled(path: Path, map_values: dict[str, Any]) -> None:
         )
 
 
-def _enumeration(texts: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(texts[:-1]), texts[-1]]))
+def _enumeration(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -170,12 +170,12 @@ def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:
             yield "", key
         elif key == "sensors" and isinstance(value, dict):
             for sensor_name, entry in value.items():
-                yield from ((f"sensor {sensor_name!r}", k) for k in _placeholder_keys(entry))
+                yield from ((f"sensor {sensor_name!r}", entry_key) for entry_key in _placeholder_keys(entry))
         elif isinstance(value, list):
             for entry_number, entry in enumerate(value, start=1):
-                yield from ((f"{key} {entry_number}", k) for k in _placeholder_keys(entry))
+                yield from ((f"{key} {entry_number}", entry_key) for entry_key in _placeholder_keys(entry))
         else:
-            yield from ((key, k) for k in _placeholder_keys(value))
+            yield from ((key, entry_key) for entry_key in _placeholder_keys(value))
 
 
 def _placeholder_keys(entry: object) -> list[str]:

@@ -21,21 +21,21 @@ from rig.lab.hdf5 import attribute_text, check_stored, dataset_blocks, elsewhere
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 _HEADER_BYTES = 128
-_HEAD_BYTES = 8192
+_ARRAY_HEAD_BYTES = 8192
 """Bytes of a compressed array that hold its class, size and name."""
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT = 1, 2
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_NUMPY_TYPE_BY_CODE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
-_COMPLEX = 1 << 11
+_COMPLEX_FLAG = 1 << 11
 
 ReadArray = Callable[[], np.ndarray]
 
 
-def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
+def matlab_blocks(path: Path, min_value_count: int = 2) -> Blocks:
     """Block per real numeric matrix, named as in MATLAB: `a`, `run.a`, `run(2).a`, `c{3}`; `a[1]` is a channel.
 
-    Matrices of fewer than least_values are left out (of version 7.3, of fewer than two).
+    Matrices of fewer than min_value_count are left out (of version 7.3, of fewer than two).
     Raises RigError if version 7.3 needs h5py and it is not installed, and RigError or UnreadableError if the file is
     cut, damaged or too large.
     """
@@ -45,28 +45,28 @@ def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
     if header.startswith(b"MATLAB 7.3"):
         yield from matlab_hdf5_blocks(path)
     elif byte_order is None or not header.startswith(b"MATLAB 5.0"):
-        yield from _version_4_blocks(path.read_bytes(), least_values)
+        yield from _version_4_blocks(path.read_bytes(), min_value_count)
     else:
-        yield from _Version5(path, path.read_bytes(), byte_order, least_values).blocks()
+        yield from _Version5File(path, path.read_bytes(), byte_order, min_value_count).blocks()
 
 
 def _matrix_block(
-    name: str, shape: tuple[int, ...], read_array: ReadArray, least_values: int, working_bytes: int = 0
+    matrix_name: str, shape: tuple[int, ...], read_array: ReadArray, min_value_count: int, working_bytes: int = 0
 ) -> Iterator[ColumnBlock]:
     """Channels of a matrix: its rows or columns, whichever are fewer."""
-    if len(shape) != 2 or math.prod(shape) < least_values:
+    if len(shape) != 2 or math.prod(shape) < min_value_count:
         return
     channel_count, sample_count = sorted(shape)
     if channel_count > MAX_ITEMS:
-        raise UnreadableError(f"its array {name!r} has {channel_count} columns")
-    names = column_names(name, channel_count)
-    yield ColumnBlock(names, sample_count, partial(_read_columns, names, read_array), working_bytes)
+        raise UnreadableError(f"its array {matrix_name!r} has {channel_count} columns")
+    channel_names = column_names(matrix_name, channel_count)
+    yield ColumnBlock(channel_names, sample_count, partial(_read_columns, channel_names, read_array), working_bytes)
 
 
 def _read_columns(names: Sequence[str], read_array: ReadArray, indices: Sequence[int]) -> list[Column]:
-    values = read_array()
-    rows = values if values.shape[0] < values.shape[1] else values.T
-    return [Column(names[k], rows[k].astype(float)) for k in indices]
+    matrix = read_array()
+    channel_rows = matrix if matrix.shape[0] < matrix.shape[1] else matrix.T
+    return [Column(names[index], channel_rows[index].astype(float)) for index in indices]
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,15 @@ class _Head:
 
     @property
     def is_real(self) -> bool:
-        return self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX
+        return self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX_FLAG
 
 
-class _Version5:
+class _Version5File:
     """Traversal of a file of version 5 to 7, which counts the elements of structs and cells."""
 
-    def __init__(self, path: Path, file_content: bytes, byte_order: str, least_values: int) -> None:
-        self._path, self._content, self._order = path, memoryview(file_content), byte_order
-        self._least_values = least_values
+    def __init__(self, path: Path, file_content: bytes, byte_order: str, min_value_count: int) -> None:
+        self._path, self._content, self._byte_order = path, memoryview(file_content), byte_order
+        self._min_value_count = min_value_count
         self._element_count = 0
 
     def blocks(self) -> Iterator[ColumnBlock]:
@@ -104,91 +104,91 @@ class _Version5:
 
     def _compressed_blocks(self, compressed: memoryview) -> Iterator[ColumnBlock]:
         """Blocks of a compressed array; only the head of a numeric one is decompressed, structs and cells wholly."""
-        first_bytes = memoryview(zlib.decompressobj().decompress(compressed, _HEAD_BYTES))
+        first_bytes = memoryview(zlib.decompressobj().decompress(compressed, _ARRAY_HEAD_BYTES))
         element_type, data_length, data_start, _ = self._tag(first_bytes, 0)
         if element_type != _MATRIX or not data_length:
             return
         element_size = data_start + data_length
 
-        def unpacked() -> memoryview:
-            return memoryview(_unpack(compressed, element_size))[data_start:]
+        def unpacked_data() -> memoryview:
+            return memoryview(_decompressed_element(compressed, element_size))[data_start:]
 
         head = self._head(first_bytes[data_start:])
         if head.is_real:
-            yield from self._numeric_blocks(head, first_bytes[data_start:], head.name, unpacked, element_size)
+            yield from self._numeric_blocks(head, first_bytes[data_start:], head.name, unpacked_data, element_size)
         elif head.array_class in (_CELL, _STRUCT):
-            label = f"{self._path}: its variable {head.name!r}"
-            check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), label)
-            yield from self._array_blocks(unpacked(), "", 0)
+            memory_label = f"{self._path}: its variable {head.name!r}"
+            check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), memory_label)
+            yield from self._array_blocks(unpacked_data(), "", 0)
 
-    def _array_blocks(self, content: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _array_blocks(self, content: memoryview, enclosing_name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
         if not content:
             return
         head = self._head(content)
         name = enclosing_name or head.name
-        if depth > MAX_DEPTH or len(name) > MAX_NAME_LENGTH:
+        if nesting_depth > MAX_DEPTH or len(name) > MAX_NAME_LENGTH:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
             )
         if head.array_class == _CELL:
             cell_names = (f"{name}{{{k}}}" for k in range(1, self._count_elements(name, head.shape) + 1))
-            yield from self._element_blocks(content, head.data_offset, cell_names, depth + 1)
+            yield from self._element_blocks(content, head.data_offset, cell_names, nesting_depth + 1)
         elif head.array_class == _STRUCT:
-            yield from self._struct_blocks(content, head, name, depth + 1)
+            yield from self._struct_blocks(content, head, name, nesting_depth + 1)
         elif head.is_real:
             yield from self._numeric_blocks(head, content, name, lambda: content, 0)
 
-    def _struct_blocks(self, content: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _struct_blocks(self, content: memoryview, head: _Head, name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
         _, length_bytes, offset = self._element(content, head.data_offset)
         _, names_bytes, offset = self._element(content, offset)
-        (length,) = struct.unpack(f"{self._order}i", length_bytes)
-        if length < 1:
+        (name_length,) = struct.unpack(f"{self._byte_order}i", length_bytes)
+        if name_length < 1:
             raise UnreadableError(f"the fields of its struct {name!r} have no names")
-        starts = range(0, len(names_bytes), length)
-        fields = [decode_text(bytes(names_bytes[k : k + length]).partition(b"\0")[0]) for k in starts]
-        count = self._count_elements(name, (*head.shape, len(fields))) // max(1, len(fields))
-        structs = (name if count == 1 else f"{name}({k})" for k in range(1, count + 1))
-        field_names = (f"{struct_name}.{field}" for struct_name in structs for field in fields)
-        yield from self._element_blocks(content, offset, field_names, depth)
+        name_starts = range(0, len(names_bytes), name_length)
+        struct_fields = [decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts]
+        struct_count = self._count_elements(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
+        struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
+        field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
+        yield from self._element_blocks(content, offset, field_names, nesting_depth)
 
     def _element_blocks(
-        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], depth: int
+        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], nesting_depth: int
     ) -> Iterator[ColumnBlock]:
         """Blocks of consecutive arrays with these names."""
         for array_name in array_names:
             element_type, element_bytes, offset = self._element(array_bytes, offset)
             if element_type != _MATRIX:
                 raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
-            yield from self._array_blocks(element_bytes, array_name, depth)
+            yield from self._array_blocks(element_bytes, array_name, nesting_depth)
 
     def _numeric_blocks(
         self, head: _Head, first_bytes: memoryview, name: str, read_bytes: Callable[[], memoryview], working_bytes: int
     ) -> Iterator[ColumnBlock]:
         """Block of a numeric array from its first bytes; `read_bytes` returns all of it."""
         element_type, length, start, _ = self._tag(first_bytes, head.data_offset)
-        if element_type not in _TYPES:
+        if element_type not in _NUMPY_TYPE_BY_CODE:
             raise UnreadableError(f"its array {name!r} is of the unknown type {element_type}")
-        number_type = np.dtype(self._order + _TYPES[element_type])
+        number_type = np.dtype(self._byte_order + _NUMPY_TYPE_BY_CODE[element_type])
         if min(head.shape, default=0) < 0 or length != math.prod(head.shape) * number_type.itemsize:
             raise UnreadableError(f"its array {name!r} of {head.shape} holds {length // number_type.itemsize} values")
 
         def read_array() -> np.ndarray:
             return np.frombuffer(read_bytes()[start : start + length], number_type).reshape(head.shape, order="F")
 
-        yield from _matrix_block(name, head.shape, read_array, self._least_values, working_bytes)
+        yield from _matrix_block(name, head.shape, read_array, self._min_value_count, working_bytes)
 
     def _head(self, array_bytes: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(array_bytes, 0)
-        (flags,) = struct.unpack_from(f"{self._order}I", flag_bytes)
-        _, size_bytes, offset = self._element(array_bytes, offset)
+        (flags,) = struct.unpack_from(f"{self._byte_order}I", flag_bytes)
+        _, shape_bytes, offset = self._element(array_bytes, offset)
         _, name_bytes, offset = self._element(array_bytes, offset)
-        shape = tuple(np.frombuffer(size_bytes, f"{self._order}i4").tolist())
+        shape = tuple(np.frombuffer(shape_bytes, f"{self._byte_order}i4").tolist())
         return _Head(flags & 0xFF, flags, shape, decode_text(bytes(name_bytes)), offset)
 
     def _tag(self, content: memoryview, offset: int) -> tuple[int, int, int, int]:
         """Tag of an element: type, length and offset of its data, and offset of the next element."""
-        element_type, data_length = struct.unpack_from(f"{self._order}II", content, offset)
+        element_type, data_length = struct.unpack_from(f"{self._byte_order}II", content, offset)
         if element_type >> 16:  # up to four bytes, in the tag itself
             return element_type & 0xFFFF, element_type >> 16, offset + 4, offset + 8
         padding = -data_length % 8 if element_type != _COMPRESSED else 0
@@ -212,7 +212,7 @@ class _Version5:
         return element_count
 
 
-def _unpack(compressed: memoryview, element_size: int) -> bytes:
+def _decompressed_element(compressed: memoryview, element_size: int) -> bytes:
     """Decompressed element of exactly `element_size` bytes; raises UnreadableError if it has fewer or more."""
     decompressor = zlib.decompressobj()
     content = decompressor.decompress(compressed, element_size)
@@ -222,15 +222,15 @@ def _unpack(compressed: memoryview, element_size: int) -> bytes:
     return content
 
 
-def _version_4_blocks(content: bytes, least_values: int) -> Iterator[ColumnBlock]:
+def _version_4_blocks(file_content: bytes, min_value_count: int) -> Iterator[ColumnBlock]:
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 
-    if matfile_version(BytesIO(content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
+    if matfile_version(BytesIO(file_content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
         raise UnreadableError("its header is damaged")
-    for array_name, array in loadmat(BytesIO(content)).items():
+    for array_name, array in loadmat(BytesIO(file_content)).items():
         if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
-            yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), least_values)
+            yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), min_value_count)
 
 
 def matlab_hdf5_blocks(path: Path) -> Blocks:
@@ -241,13 +241,13 @@ def matlab_hdf5_blocks(path: Path) -> Blocks:
     """
     purpose = "a MATLAB file of version 7.3 (save(..., '-v7') stores it as an older one)"
     with open_hdf5(path, purpose) as file:
-        arrays = _Version73(path, file)
+        arrays = _Version73File(path, file)
         for name, item in members(file, "", 0):
             if not name.startswith("#"):  # what references point to
                 yield from arrays.array_blocks(name, item, 1)
 
 
-class _Version73:
+class _Version73File:
     """Traversal of a file of version 7.3, which records visited objects and counts references."""
 
     def __init__(self, path: Path, file: Any) -> None:
@@ -255,21 +255,21 @@ class _Version73:
         self._visited: set[int] = set()
         self._reference_count = 0
 
-    def array_blocks(self, name: str, item: Any, depth: int) -> Iterator[ColumnBlock | Refused]:
+    def array_blocks(self, name: str, item: Any, nesting_depth: int) -> Iterator[ColumnBlock | Refused]:
         """Blocks of an array, of a struct (a group), or of the targets of a cell array's references."""
         import h5py
 
         if isinstance(item, Refused):
             yield item
         elif isinstance(item, h5py.Group):
-            for field, member in members(item, f"{name}.", depth) if is_new(item, self._visited) else ():
+            for field, member in members(item, f"{name}.", nesting_depth) if is_new(item, self._visited) else ():
                 has_references = isinstance(member, h5py.Dataset) and _holds_references(member)
                 if has_references and not _has_class(member, "cell"):
-                    yield from self._reference_blocks(member, f"{name}(", f").{field}", depth + 1)
+                    yield from self._reference_blocks(member, f"{name}(", f").{field}", nesting_depth + 1)
                 else:
-                    yield from self.array_blocks(f"{name}.{field}", member, depth + 1)
+                    yield from self.array_blocks(f"{name}.{field}", member, nesting_depth + 1)
         elif isinstance(item, h5py.Dataset) and _has_class(item, "cell"):
-            yield from self._reference_blocks(item, f"{name}{{", "}", depth + 1)
+            yield from self._reference_blocks(item, f"{name}{{", "}", nesting_depth + 1)
         elif isinstance(item, h5py.Dataset) and not _has_class(item, "char") and not _is_empty(item):
             yield from dataset_blocks(self._path, item, name)
 

@@ -8,9 +8,9 @@ import numpy as np
 from rig.model.description import Body, Rig, Station, stations_of
 from rig.model.modes import mode_count, modes_of
 
-MOST_MODES = 24
+MAX_MODES_PER_BEAM = 24
 """Modes of a beam, as in a replay by the plant `modal`."""
-PLACE_COUNT = 2 * MOST_MODES + 1
+PLACE_COUNT = 2 * MAX_MODES_PER_BEAM + 1
 SAME_NODE_SHARE = 1e-4
 """Distance, relative to the length, below which two places are one node."""
 NODES_PER_BODY = 1000
@@ -25,9 +25,9 @@ def nodes_of(rig: Rig) -> dict[Station, int]:
         positions_m = {station.position_m for station in stations if station.body == body.name}
         tolerance_m = SAME_NODE_SHARE * body.length_m
         positions_m |= {
-            x
-            for x in body.places(PLACE_COUNT).tolist()
-            if all(abs(x - position_m) > tolerance_m for position_m in positions_m)
+            x_m
+            for x_m in body.places(PLACE_COUNT).tolist()
+            if all(abs(x_m - position_m) > tolerance_m for position_m in positions_m)
         }
         first_number = NODES_PER_BODY * body_number + 1
         number_by_station |= {
@@ -42,29 +42,29 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
     As nothing but the contacts joins the bodies, each mode moves one of them, and holds the nodes of no other.
     """
     yield {"type": 164, "units_code": 1, "temp_mode": 1, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 0.0}
-    nodes, zeros = np.array([*node_by_station.values()]), np.zeros(len(node_by_station))
+    node_numbers, zeros = np.array([*node_by_station.values()]), np.zeros(len(node_by_station))
     x_m = np.array([station.position_m for station in node_by_station])
     zero_columns = {"def_cs": zeros, "disp_cs": zeros, "color": zeros}
-    yield {"type": 15, "node_nums": nodes, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
+    yield {"type": 15, "node_nums": node_numbers, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
     for body in rig.bodies:
         body_nodes = {s.position_m: node for s, node in node_by_station.items() if s.body == body.name}
         yield from _body_shapes(rig, body, body_nodes)
 
 
 def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
-    modes, count = modes_of(rig, body), mode_count(body, MOST_MODES)
-    shapes = modes.shapes(np.array([*node_by_position]), count)
-    mode_rows = zip(modes.frequencies_hz(count), modes.damping_ratios(count), shapes.T, strict=True)
+    modes, taken_count = modes_of(rig, body), mode_count(body, MAX_MODES_PER_BEAM)
+    shapes = modes.shapes(np.array([*node_by_position]), taken_count)
+    mode_rows = zip(modes.frequencies_hz(taken_count), modes.damping_ratios(taken_count), shapes.T, strict=True)
     zeros = np.zeros(len(node_by_position))
-    for number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
+    for mode_number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
         yield {
             "type": 55,
-            "id1": f"{body.name} mode {number}",
+            "id1": f"{body.name} mode {mode_number}",
             "analysis_type": 2,  # normal mode
             "data_ch": 2,  # translations alone
             "spec_data_type": 8,  # displacement
             "load_case": 0,
-            "mode_n": number,
+            "mode_n": mode_number,
             "freq": float(frequency_hz),
             "modal_m": 1.0,
             "modal_damp_vis": float(damping_ratio),

@@ -14,19 +14,19 @@ MAX_LINE_LENGTH = 500
 """Characters of a line in which a date or rate is looked for."""
 _MATLAB_HEAD_BYTES = 116
 """Bytes of the text at the beginning of a .mat file, which states when it was written."""
-_MONTHS = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
-_MONTH_NUMBERS = {name: number for number, names in enumerate(_MONTHS, start=1) for name in names.split()}
-_MONTH = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
+_MONTH_NAMES = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
+_MONTH_NUMBERS = {name: number for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
+_MONTH_TEXT = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
 _YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<![\d.])(?P<day>\d\d?)\.(?P<month>\d\d?)\.(?P<year>\d{4})(?!\d)")
 _EITHER_ORDER = re.compile(r"(?<!\d)(?P<first>\d\d?)(?P<mark>[/-])(?P<second>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
-_DAY_NAMED = re.compile(rf"(?<!\d)(?P<day>\d\d?)[-. ]+{_MONTH}[-, ]+(?P<year>\d{{4}}|\d\d)(?!\d)", re.IGNORECASE)
-_CTIME = re.compile(rf"\b{_MONTH} +(?P<day>\d\d?),? +(?:\d\d?:\d\d:\d\d +)?(?P<year>\d{{4}})(?!\d)", re.IGNORECASE)
+_DAY_NAMED = re.compile(rf"(?<!\d)(?P<day>\d\d?)[-. ]+{_MONTH_TEXT}[-, ]+(?P<year>\d{{4}}|\d\d)(?!\d)", re.IGNORECASE)
+_CTIME = re.compile(rf"\b{_MONTH_TEXT} +(?P<day>\d\d?),? +(?:\d\d?:\d\d:\d\d +)?(?P<year>\d{{4}})(?!\d)", re.IGNORECASE)
 _TIME_OF_DAY = re.compile(
     r"(?<![\d:])(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,9}))?)?"
     r"(?![\d:])\s*(?P<half>[AaPp]\.?[Mm])?"
 )
-_ZONE = re.compile(r"\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)(?![\w:])")
+_ZONE_PATTERN = re.compile(r"\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)(?![\w:])")
 _DATE_LABEL = re.compile(
     r"date|datum|start|begin|record|aufge|messzeit|zeitpunkt|created|erstellt|acqui|\bt0\b", re.IGNORECASE
 )
@@ -38,7 +38,7 @@ _INTERVAL_LABEL = re.compile(
     r"sampl\w*[ _-]*(?:interval|period|time)|abtast(?:intervall|zeit)|delta[ _]?[xt]\b|axis[ _]delta|\bdt\b|increment",
     re.IGNORECASE,
 )
-_NUMBER = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+_NUMBER_PATTERN = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _HZ_BY_UNIT = {"ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0, "ms/s": 1e6, "ks/s": 1e3, "s/s": 1.0}
 _S_BY_UNIT = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "s": 1.0}
 
@@ -50,14 +50,14 @@ def recorded_date(source: Path, form: TextForm, stated_dates: Iterable[str]) -> 
     modification time.
     """
     date_lines = [*_header_lines(source, form), *dict.fromkeys(text for text in stated_dates if text)]
-    date, doubtful_text = date_in(date_lines)
-    if date is not None:
-        saved = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
-        zone = "" if date.tzinfo else ", which states no time zone"
-        return date.isoformat(), f"the file's header{saved}{zone}"
-    modified = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
+    header_date, doubtful_text = date_in(date_lines)
+    if header_date is not None:
+        saving_note = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
+        zone_note = "" if header_date.tzinfo else ", which states no time zone"
+        return header_date.isoformat(), f"the file's header{saving_note}{zone_note}"
+    modification_date = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
     reason = f"{doubtful_text!r} in its header is two dates" if doubtful_text else "its header states no date"
-    return modified, f"the file's modification time, since {reason}"
+    return modification_date, f"the file's modification time, since {reason}"
 
 
 def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
@@ -67,12 +67,12 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
     """
     header_lines = [line[:MAX_LINE_LENGTH] for line in islice(lines, MAX_HEADER_LINES)]
     doubtful_text = ""
-    for line in sorted(header_lines, key=lambda text: not _DATE_LABEL.search(text)):
-        year_month_day, text = _day_in(line)
-        doubtful_text = doubtful_text or text
+    for line in sorted(header_lines, key=lambda doubt: not _DATE_LABEL.search(doubt)):
+        year_month_day, doubt = _day_in(line)
+        doubtful_text = doubtful_text or doubt
         if year_month_day is not None:
             clock_lines = [line, *(other_line for other_line in header_lines if _TIME_LABEL.search(other_line))]
-            time_matches = (match for text in clock_lines if (match := _TIME_OF_DAY.search(text)))
+            time_matches = (match for doubt in clock_lines if (match := _TIME_OF_DAY.search(doubt)))
             return _date_and_time(year_month_day, next(time_matches, None)), doubtful_text
     return None, doubtful_text
 
@@ -81,28 +81,28 @@ def rate_in(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
     """Sampling rate, Hz, stated in the cells of a header: a rate or an interval, beside or below its label."""
     for row, next_row in zip_longest(header_rows, header_rows[1:], fillvalue=()):
         for k, cell in enumerate(row):
-            for label, factors in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
-                if not (match := label.search(cell[:MAX_LINE_LENGTH])):
+            for label_pattern, factor_by_unit in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
+                if not (match := label_pattern.search(cell[:MAX_LINE_LENGTH])):
                     continue
-                rest, beside, below = cell[match.end() :], row[k + 1 : k + 3], next_row[k : k + 1]
-                for text in (cell[match.end() : MAX_LINE_LENGTH], *beside, *below):
-                    value = _quantity_in(text, f"{rest} {' '.join(beside)}", factors, decimal)
+                text_behind, cells_beside, cells_below = cell[match.end() :], row[k + 1 : k + 3], next_row[k : k + 1]
+                for text in (cell[match.end() : MAX_LINE_LENGTH], *cells_beside, *cells_below):
+                    value = _quantity_in(text, f"{text_behind} {' '.join(cells_beside)}", factor_by_unit, decimal)
                     if value is not None and 0 < value < 1e12:
-                        return value if factors is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
+                        return value if factor_by_unit is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
     return None
 
 
 def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], decimal: str) -> float | None:
     """Number in a text times its unit, which stands behind it or somewhere in unit_text."""
-    match = _NUMBER.search(text)
+    match = _NUMBER_PATTERN.search(text)
     if match is None:
         return None
-    value = number_in(match[0], decimal)
-    if value is None:
-        value = number_in(match[0].replace(",", "."), ".")
-    words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE_LENGTH].lower())
-    factor = next((factor_by_unit[word] for word in words if word in factor_by_unit), 1.0)
-    return None if value is None else value * factor
+    number = number_in(match[0], decimal)
+    if number is None:
+        number = number_in(match[0].replace(",", "."), ".")
+    unit_words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE_LENGTH].lower())
+    unit_factor = next((factor_by_unit[word] for word in unit_words if word in factor_by_unit), 1.0)
+    return None if number is None else number * unit_factor
 
 
 def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
@@ -116,11 +116,11 @@ def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
             if _is_date(year_month_day):
                 return year_month_day, ""
     if match := _EITHER_ORDER.search(line):
-        first, second, year = int(match["first"]), int(match["second"]), int(match["year"])
-        days = set(filter(_is_date, ((year, first, second), (year, second, first))))
-        if len(days) == 1:
-            return days.pop(), ""
-        return None, match[0] if days else ""
+        first_number, second_number, year = int(match["first"]), int(match["second"]), int(match["year"])
+        valid_days = set(filter(_is_date, ((year, first_number, second_number), (year, second_number, first_number))))
+        if len(valid_days) == 1:
+            return valid_days.pop(), ""
+        return None, match[0] if valid_days else ""
     return None, ""
 
 
@@ -139,7 +139,7 @@ def _date_and_time(year_month_day: tuple[int, int, int], time_match: re.Match[st
     if time_match["half"]:
         hour = hour % 12 + (12 if time_match["half"][0] in "pP" else 0)
     microsecond = int((time_match["fraction"] or "0").ljust(6, "0")[:6])
-    zone_match = _ZONE.match(time_match.string, time_match.end())
+    zone_match = _ZONE_PATTERN.match(time_match.string, time_match.end())
     try:
         date = datetime(*year_month_day, hour, int(time_match["minute"]), int(time_match["second"] or 0), microsecond)
         if zone_match is None:

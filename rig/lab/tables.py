@@ -17,7 +17,7 @@ from rig.lab.uff import uff_blocks
 from rig.limits import MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 Result = TypeVar("Result")
-Key = str | int
+ColumnKey = str | int
 """Name of a column, or its number from 1."""
 WORKING_BYTES_PER_SAMPLE = 16
 """An imported sample is held twice as a double: in its column and in the rows in SI."""
@@ -35,22 +35,22 @@ class Table:
     def of(cls, columns: Sequence[Column]) -> "Table":
         return cls(tuple(column.name for column in columns), dict(enumerate(columns)))
 
-    def column(self, column_key: Key) -> Column:
+    def column(self, column_key: ColumnKey) -> Column:
         """Column by name or number; raises RigError if there is none, or more than one."""
         if isinstance(column_key, int):
             if not 1 <= column_key <= len(self.names):
                 raise RigError(f"there is no column {column_key}; the file has 1 to {len(self.names)}")
             return self.columns[column_key - 1]
-        matches = [index for index, name in enumerate(self.names) if name == column_key]
-        if len(matches) > 1:
-            raise RigError(f"{len(matches)} columns are named {column_key!r}; give the number of the one meant")
-        if not matches:
-            names_text = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
-            raise RigError(f"there is no column {column_key!r}; the file has {names_text}")
-        return self.columns[matches[0]]
+        match_indices = [index for index, name in enumerate(self.names) if name == column_key]
+        if len(match_indices) > 1:
+            raise RigError(f"{len(match_indices)} columns are named {column_key!r}; give the number of the one meant")
+        if not match_indices:
+            listed_names = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
+            raise RigError(f"there is no column {column_key!r}; the file has {listed_names}")
+        return self.columns[match_indices[0]]
 
 
-def read_table(path: Path, text_form: TextForm, column_keys: Collection[Key] | None = None) -> Table:
+def read_table(path: Path, text_form: TextForm, column_keys: Collection[ColumnKey] | None = None) -> Table:
     """Requested columns (None: all) of a file, whose format follows from its suffix; no others are decoded.
 
     Raises RigError as `with_blocks` does, and with a sentence if the file holds no numbers, or keeps a column that is
@@ -62,8 +62,8 @@ def read_table(path: Path, text_form: TextForm, column_keys: Collection[Key] | N
     return table
 
 
-def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Result]) -> Result:
-    """Result of `consume`, given the content of a file, whose format follows from its suffix.
+def with_blocks(path: Path, text_form: TextForm, consume_blocks: Callable[[Blocks], Result]) -> Result:
+    """Result of `consume_blocks`, given the content of a file, whose format follows from its suffix.
 
     Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, or would take more
     memory than `rig.limits` allows.
@@ -75,7 +75,7 @@ def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Res
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
         with closing(READERS[suffix](path, text_form)) as blocks:
-            return consume(blocks)
+            return consume_blocks(blocks)
     except OSError as error:
         if error.errno is None:  # of a format's library, in words of its own
             raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
@@ -90,40 +90,40 @@ def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Res
         raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
 
 
-def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[Key] | None) -> Table:
-    names: list[str] = []
+def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] | None) -> Table:
+    column_names: list[str] = []
     columns: dict[int, Column] = {}
     notes: tuple[str, ...] = ()
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
     for block in blocks:
-        first = len(names)
+        first_index = len(column_names)
         if isinstance(block, Refused):
-            if _may_select(block, first, column_keys):
+            if _may_select(block, first_index, column_keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
-        names += block.names
-        if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME_LENGTH:
+        column_names += block.names
+        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME_LENGTH:
             raise UnreadableError(
                 f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME_LENGTH} characters"
             )
-        chosen = [
-            k
-            for k, name in enumerate(block.names)
-            if column_keys is None or name in column_keys or first + k + 1 in column_keys
+        chosen_indices = [
+            index
+            for index, name in enumerate(block.names)
+            if column_keys is None or name in column_keys or first_index + index + 1 in column_keys
         ]
-        if chosen:
-            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen)
-            other_count = len(columns) + len(chosen) - 1
-            others = f" with {other_count} more" if other_count else ""
-            label = f"{path}: column {block.names[chosen[-1]]!r}{others}"
-            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, label)
-            columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
-            if missing_count := block.sample_count - columns[first + chosen[0]].values.size:
+        if chosen_indices:
+            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen_indices)
+            other_count = len(columns) + len(chosen_indices) - 1
+            others_note = f" with {other_count} more" if other_count else ""
+            memory_label = f"{path}: column {block.names[chosen_indices[-1]]!r}{others_note}"
+            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, memory_label)
+            columns |= zip((first_index + index for index in chosen_indices), block.read(chosen_indices), strict=True)
+            if missing_count := block.sample_count - columns[first_index + chosen_indices[0]].values.size:
                 notes = (f"the last {missing_count} lines are incomplete and were left out",)
-    return Table(tuple(names), columns, notes)
+    return Table(tuple(column_names), columns, notes)
 
 
-def _may_select(refused: Refused, column_count: int, column_keys: Collection[Key] | None) -> bool:
+def _may_select(refused: Refused, column_count: int, column_keys: Collection[ColumnKey] | None) -> bool:
     """True if a key may select refused content: by its name, one of its channels, or a number beyond `column_count`."""
     if column_keys is None:
         return True

@@ -54,12 +54,12 @@ def tdms_blocks(path: Path) -> Blocks:
                     yield ColumnBlock((name,), len(channel), partial(_read_column, channel, name), 8 * len(channel))
 
 
-def _read_column(channel: Any, name: str, _: object) -> list[Column]:
+def _read_column(channel: Any, channel_name: str, _: object) -> list[Column]:
     unit = channel.properties.get("unit_string")
     interval_s = channel.properties.get("wf_increment")
     rate_hz = 1 / interval_s if isinstance(interval_s, int | float) and interval_s > 0 else None
     date_text = f"{start_utc} UTC" if (start_utc := channel.properties.get("wf_start_time")) is not None else ""
-    return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate_hz, date_text)]
+    return [Column(channel_name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate_hz, date_text)]
 
 
 def _check_segments(path: Path, stream: BufferedReader, file_bytes: int) -> None:

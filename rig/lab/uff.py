@@ -21,13 +21,13 @@ MARK_PATTERN = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 MARK_LINE_PATTERN = re.compile(rb"(?:\A|(?<=[\r\n]))" + MARK_PATTERN.pattern)
 LINE_PATTERN = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 TIME_RESPONSE_CODE, EVEN_CODE = 1, 1
-SINGLE, DOUBLE = 2, 4
+SINGLE_CODE, DOUBLE_CODE = 2, 4
 """Codes of real number types; those of complex ones are 5 and 6."""
 NUMBER_WIDTHS = {
-    (SINGLE, True): (13,) * 6,
-    (SINGLE, False): (13,) * 6,
-    (DOUBLE, True): (20,) * 4,
-    (DOUBLE, False): (13, 20) * 2,
+    (SINGLE_CODE, True): (13,) * 6,
+    (SINGLE_CODE, False): (13,) * 6,
+    (DOUBLE_CODE, True): (20,) * 4,
+    (DOUBLE_CODE, False): (13, 20) * 2,
 }
 """Widths (characters) of the numbers of a text line, by type and by whether the abscissas are even and left out."""
 LINES_PER_BLOCK = 4096
@@ -40,8 +40,8 @@ class Dataset:
 
     type_code: int
     is_binary: bool
-    start: int
-    stop: int
+    start_offset: int
+    stop_offset: int
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class _History:
     interval_s: float
     byte_order: str
     """Byte order of a binary dataset, < or >; empty for text."""
-    start: int
-    stop: int
+    start_offset: int
+    stop_offset: int
     date_text: str
     """ID lines two to five, of which one states the date."""
 
@@ -120,10 +120,10 @@ def _closing_mark(content: mmap.mmap, start_offset: int, binary_head: bytes) -> 
 
 def _line(content: mmap.mmap, offset: int) -> tuple[bytes, int]:
     """Line at an offset, and the offset of the next."""
-    match = LINE_PATTERN.match(content, offset)
-    if match is None:
+    line_match = LINE_PATTERN.match(content, offset)
+    if line_match is None:
         raise UnreadableError("a dataset has no header")
-    return match[1], match.end()
+    return line_match[1], line_match.end()
 
 
 def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
@@ -144,11 +144,11 @@ def _integer(line: bytes | str, first_character: int, end_character: int) -> int
 
 
 def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
-    type_line, header_lines, numbers_offset = _header(content, dataset.start)
+    type_line, header_lines, numbers_offset = _header(content, dataset.start_offset)
     name = header_lines[0][:80].strip()
     unit = header_lines[8][46:67].strip()
     type_code = _integer(header_lines[6], 0, 10)
-    if _integer(header_lines[5], 0, 5) != TIME_RESPONSE_CODE or type_code not in (SINGLE, DOUBLE):
+    if _integer(header_lines[5], 0, 5) != TIME_RESPONSE_CODE or type_code not in (SINGLE_CODE, DOUBLE_CODE):
         return Refused(name, f"dataset {name!r} is no time history; export time histories alone")
     try:
         interval_s = float(header_lines[6][43:56])
@@ -162,21 +162,21 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
         is_even=_integer(header_lines[6], 20, 30) == EVEN_CODE,
         interval_s=interval_s,
         byte_order=("<" if _integer(type_line, 7, 13) == 1 else ">") if dataset.is_binary else "",
-        start=numbers_offset,
-        stop=dataset.stop,
+        start_offset=numbers_offset,
+        stop_offset=dataset.stop_offset,
         date_text=" ".join(line[:80].strip() for line in (header_lines[2], header_lines[1], *header_lines[3:5])),
     )
     number_bytes = min(NUMBER_WIDTHS[type_code, history.is_even])
     if dataset.is_binary:
-        number_bytes = 4 if type_code == SINGLE else 8
-    count = (dataset.stop - numbers_offset) // number_bytes
-    is_wrong = count != history.value_count if dataset.is_binary else count < history.value_count
-    if history.point_count < 0 or is_wrong:
-        raise _wrong_length_error(name, count, history.is_even, history.point_count)
-    read = partial(_read_columns, content, history)
+        number_bytes = 4 if type_code == SINGLE_CODE else 8
+    number_count = (dataset.stop_offset - numbers_offset) // number_bytes
+    has_wrong_length = number_count != history.value_count if dataset.is_binary else number_count < history.value_count
+    if history.point_count < 0 or has_wrong_length:
+        raise _wrong_length_error(name, number_count, history.is_even, history.point_count)
+    read_columns = partial(_read_columns, content, history)
     if history.is_even:
-        return ColumnBlock((name,), history.point_count, read)
-    return ColumnBlock((f"{name} time", name), history.point_count, read, 16 * history.point_count)
+        return ColumnBlock((name,), history.point_count, read_columns)
+    return ColumnBlock((f"{name} time", name), history.point_count, read_columns, 16 * history.point_count)
 
 
 def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequence[int]) -> list[Column]:
@@ -192,22 +192,22 @@ def _read_columns(content: mmap.mmap, history: _History, column_indices: Sequenc
 
 
 def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
-    number_type = f"{history.byte_order}f{4 if history.type_code == SINGLE else 8}"
-    return np.frombuffer(content, number_type, history.value_count, history.start).astype(float)
+    numpy_type = f"{history.byte_order}f{4 if history.type_code == SINGLE_CODE else 8}"
+    return np.frombuffer(content, numpy_type, history.value_count, history.start_offset).astype(float)
 
 
 def _text_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     spans = list(pairwise(accumulate(NUMBER_WIDTHS[history.type_code, history.is_even], initial=0)))
-    values, count = np.empty(history.value_count), 0
-    lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start, history.stop))
-    while batch := list(islice(lines, LINES_PER_BLOCK)):
-        numbers = [float(cell) for line in batch for first, last in spans if (cell := line[first:last].strip())]
-        if count + len(numbers) <= values.size:
-            values[count : count + len(numbers)] = numbers
-        count += len(numbers)
-    if count != values.size:
-        raise _wrong_length_error(history.name, count, history.is_even, history.point_count)
-    return values
+    history_numbers, number_count = np.empty(history.value_count), 0
+    lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start_offset, history.stop_offset))
+    while line_batch := list(islice(lines, LINES_PER_BLOCK)):
+        numbers = [float(cell) for line in line_batch for first, last in spans if (cell := line[first:last].strip())]
+        if number_count + len(numbers) <= history_numbers.size:
+            history_numbers[number_count : number_count + len(numbers)] = numbers
+        number_count += len(numbers)
+    if number_count != history_numbers.size:
+        raise _wrong_length_error(history.name, number_count, history.is_even, history.point_count)
+    return history_numbers
 
 
 def _wrong_length_error(name: str, value_count: int, is_even: bool, point_count: int) -> UnreadableError:

@@ -13,7 +13,7 @@ FACTORS: dict[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
 }
 """Value of each unit in SI, by quantity."""
-_SPELLINGS = {
+_PLAIN_BY_SPELLING = {
     "\u00b5": "u",
     "\u03bc": "u",
     "\u03b5": "strain",
@@ -28,7 +28,7 @@ _SPELLINGS = {
     "*s-2": "/s^2",
     " ": "",
 }
-_ALIASES = {
+_UNIT_BY_ALIAS = {
     "ms-2": "m/s^2",
     "ms-^2": "m/s^2",
     "ms^-2": "m/s^2",
@@ -88,9 +88,9 @@ def si_factor(quantity: str, unit: str) -> float:
 
 def canonical_unit(unit: str) -> str:
     """Unit in a canonical spelling: m/s², m/s**2, ms^-2 and m/s2 become m/s^2, µm becomes um, Sek becomes s."""
-    for spelling, plain_spelling in _SPELLINGS.items():
+    for spelling, plain_spelling in _PLAIN_BY_SPELLING.items():
         unit = unit.replace(spelling, plain_spelling)
-    return _ALIASES.get(unit, unit)
+    return _UNIT_BY_ALIAS.get(unit, unit)
 
 
 def quantity_of(unit: str | None) -> str | None:

@@ -118,8 +118,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
         """Natural frequencies beta_i^2 sqrt(E I / rho A) / 2 pi; zero for rigid modes."""
-        beta = self._wavenumbers(count) / self.length_m
-        return beta**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
+        wavenumbers_per_m = self._wavenumbers_times_length(count) / self.length_m
+        return wavenumbers_per_m**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
 
     def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
         """Modal damping ratios: the same for every elastic mode, zero for rigid ones."""
@@ -150,35 +150,35 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
         """
         self._check_modes(count)
-        relative_position = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
-        rotation = (
+        relative_positions = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
+        rotation_shape = (
             np.sqrt(12)
-            * np.array([relative_position - 0.5, np.ones_like(relative_position), np.zeros_like(relative_position)])[
+            * np.array([relative_positions - 0.5, np.ones_like(relative_positions), np.zeros_like(relative_positions)])[
                 order
             ]
         )
-        rigid_shapes = np.concatenate([np.full_like(relative_position, order == 0), rotation], axis=1)[
+        rigid_shapes = np.concatenate([np.full_like(relative_positions, order == 0), rotation_shape], axis=1)[
             :, : self.rigid_modes
         ]
-        beta = self._wavenumbers(count)[self.rigid_modes :]
+        beta_l = self._wavenumbers_times_length(count)[self.rigid_modes :]
         trigonometric_sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
-        decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
+        decay, sine, cosine = np.exp(-beta_l), np.sin(beta_l), np.cos(beta_l)
         denominator = 1 - decay**2 - trigonometric_sign * 2 * sine * decay  # 2 e^-b (sinh b -+ sin b)
         growing_coefficient = trigonometric_sign * (cosine - sine) - decay  # (1 - sigma)(sinh b -+ sin b)
         sine_coefficient = (1 + decay**2 - trigonometric_sign * 2 * cosine * decay) / denominator
-        argument = beta * relative_position
+        argument = beta_l * relative_positions
         waves = np.cos(argument), -np.sin(argument), -np.cos(argument), np.sin(argument)  # each the last one's slope
         elastic_shapes = (
-            growing_coefficient / denominator * np.exp(beta * (relative_position - 1))
+            growing_coefficient / denominator * np.exp(beta_l * (relative_positions - 1))
             + (-1.0) ** order * (1 + sine_coefficient) / 2 * np.exp(-argument)
             + trigonometric_sign * (waves[order] - sine_coefficient * waves[order - 1])
         )
-        derivatives = np.concatenate([rigid_shapes, beta**order * elastic_shapes], axis=1)[:, :count]
-        return derivatives / (self.length_m**order * np.sqrt(self.mass_kg))
+        unscaled_derivatives = np.concatenate([rigid_shapes, beta_l**order * elastic_shapes], axis=1)[:, :count]
+        return unscaled_derivatives / (self.length_m**order * np.sqrt(self.mass_kg))
 
-    def _wavenumbers(self, count: int) -> Float[np.ndarray, " modes"]:
+    def _wavenumbers_times_length(self, count: int) -> Float[np.ndarray, " modes"]:
         self._check_modes(count)
-        return np.array(_roots(self.ends)[:count])
+        return np.array(_characteristic_roots(self.ends)[:count])
 
     def _check_modes(self, count: int) -> None:
         if not 1 <= count <= MAX_MODES:
@@ -186,7 +186,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 @lru_cache
-def _roots(end_condition: str) -> tuple[float, ...]:
+def _characteristic_roots(end_condition: str) -> tuple[float, ...]:
     """Roots beta l of cos(b) cosh(b) = -1 (clamped-free) or +1 (free-free, after two zeros)."""
     cosh_sign, first_centre_over_pi = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
 
@@ -195,7 +195,7 @@ def _roots(end_condition: str) -> tuple[float, ...]:
 
     root_centres = (first_centre_over_pi + np.arange(MAX_MODES)) * np.pi
     elastic_roots = [
-        scipy.optimize.brentq(characteristic, centre - 0.4, centre + 0.4, xtol=1e-14, rtol=1e-15)
-        for centre in root_centres
+        scipy.optimize.brentq(characteristic, root_centre - 0.4, root_centre + 0.4, xtol=1e-14, rtol=1e-15)
+        for root_centre in root_centres
     ]
     return tuple(([] if end_condition == "clamped-free" else [0.0, 0.0]) + elastic_roots)

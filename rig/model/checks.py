@@ -38,12 +38,12 @@ def check_components(rig: "Rig") -> None:
     ):
         for component in components:
             _check_station(rig, f"a {kind}", component.station)
-    _check_held(rig)
+    _check_supports_and_clamps(rig)
     _check_directions(rig)
     if not abs(rig.gravity_m_per_s2) < np.inf:
         raise RigError(f"rig {rig.name!r}: gravity_m_per_s2 is {rig.gravity_m_per_s2}; give a finite value")
     for body in rig.bodies if rig.base_motion or rig.base_sensors or rig.gravity_m_per_s2 else ():
-        _check_carried(body)
+        _check_carried_by_base(body)
 
 
 def _check_forces(rig: "Rig") -> None:
@@ -54,12 +54,12 @@ def _check_forces(rig: "Rig") -> None:
                 f"itself, those of several as a list of 2 to {MAX_PER_KIND}"
             )
         _check_names(f"rig {rig.name!r}", "channel", [*rig.force_names, *(sensor.name for sensor in rig.sensors)])
-    for name, station in zip(rig.force_names, rig.forces, strict=True):
+    for force_name, station in zip(rig.force_names, rig.forces, strict=True):
         if not rig.is_on_ground(station):
-            _check_station(rig, f"the {name}", station)
+            _check_station(rig, f"the {force_name}", station)
         elif len(rig.forces) > 1 or not rig.base_sensors:
             raise RigError(
-                f"rig {rig.name!r}: the {name} acts on the ground, where it moves nothing; give force_at the "
+                f"rig {rig.name!r}: the {force_name} acts on the ground, where it moves nothing; give force_at the "
                 "place of the measured force, or leave it out and put a sensor on the ground, if it shakes"
             )
 
@@ -94,7 +94,7 @@ def _check_directions(rig: "Rig") -> None:
         )
 
 
-def _check_held(rig: "Rig") -> None:
+def _check_supports_and_clamps(rig: "Rig") -> None:
     for support in rig.supports:
         _check_support(rig, support)
     for clamp in rig.clamps:
@@ -117,10 +117,10 @@ def _check_support(rig: "Rig", support: Support) -> None:
         raise RigError(f"more than one support stands at {position_m} m of {body.name!r}; give one")
 
 
-def _check_station(rig: "Rig", label: str, station: Station) -> None:
+def _check_station(rig: "Rig", owner: str, station: Station) -> None:
     body = rig.body(station.body)
     if not 0 <= station.position_m <= body.length_m:
-        raise RigError(f"{label} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
+        raise RigError(f"{owner} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
 
 
 def _check_names(owner: str, kind: str, names: Sequence[str]) -> None:
@@ -129,11 +129,11 @@ def _check_names(owner: str, kind: str, names: Sequence[str]) -> None:
         raise RigError(f"{owner}: has {len(names)} times a {kind}; give at most {MAX_PER_KIND}")
     for name in names:
         check_name(kind, name)
-    if duplicates := sorted({duplicate for duplicate in names if names.count(duplicate) > 1}):
+    if duplicates := sorted({name_twice for name_twice in names if names.count(name_twice) > 1}):
         raise RigError(f"{owner}: more than one {kind} is named {duplicates[0]!r}; names must differ")
 
 
-def _check_carried(body: "Body") -> None:
+def _check_carried_by_base(body: "Body") -> None:
     """Raise RigError if the modes of a body do not say how a moving base carries it."""
     if isinstance(body, Structure):
         body.translation()

@@ -96,13 +96,13 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def response(self, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
         """Response at each frequency (rad/s): g exp(-i omega tau) i omega / (i omega + 2 pi f_high_pass)."""
         gain_and_delay = self.gain * np.exp(-1j * omega * self.delay_s)
-        corner_omega = 2 * np.pi * self.high_pass_hz
+        corner_rad_per_s = 2 * np.pi * self.high_pass_hz
         return np.asarray(
-            gain_and_delay * (1j * omega / (1j * omega + corner_omega)) if corner_omega else gain_and_delay
+            gain_and_delay * (1j * omega / (1j * omega + corner_rad_per_s)) if corner_rad_per_s else gain_and_delay
         )
 
     def __post_init__(self) -> None:
-        if not _is_gain(self.gain):
+        if not _is_plausible_gain(self.gain):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
         if not abs(self.delay_s) <= MAX_DELAY_S:
             raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
@@ -129,7 +129,7 @@ class PointMass(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     mass_kg: float
 
     def __post_init__(self) -> None:
-        _check_number("point mass", "mass_kg", self.mass_kg)
+        _check_not_negative("point mass", "mass_kg", self.mass_kg)
 
 
 class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -146,12 +146,12 @@ class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         for field in ("stiffness_n_per_m", "cubic_n_per_m3"):
             _check_finite("point spring", field, getattr(self, field))
-        _check_number("point spring", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
+        _check_not_negative("point spring", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
 
     @property
     def law(self) -> DeadZone:
         """Contact law, without clearance, of the force beyond the body's linear model: k3 w^3."""
-        return _without_stops(cubic_n_per_m3=self.cubic_n_per_m3)
+        return _law_without_stops(cubic_n_per_m3=self.cubic_n_per_m3)
 
 
 class Support(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -181,12 +181,12 @@ class PointDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def __post_init__(self) -> None:
         for field in ("damping_n_s_per_m", "friction_n"):
-            _check_number("point damper", field, getattr(self, field))
+            _check_not_negative("point damper", field, getattr(self, field))
 
     @property
     def law(self) -> DeadZone:
         """Contact law, without clearance and stiffness, of the damper's force."""
-        return _without_stops(open_damping_n_s_per_m=self.damping_n_s_per_m, friction_n=self.friction_n)
+        return _law_without_stops(open_damping_n_s_per_m=self.damping_n_s_per_m, friction_n=self.friction_n)
 
 
 class Clamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -196,7 +196,7 @@ class Clamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     rotational_n_m_per_rad: float
 
     def __post_init__(self) -> None:
-        _check_number(f"clamp of {self.body!r}", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
+        _check_not_negative(f"clamp of {self.body!r}", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
 
 
 class StaticLoad(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -227,9 +227,9 @@ class Tone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             raise RigError(f"tone: frequency_hz is {self.frequency_hz}; give a finite value above zero")
 
     def force_n(self, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-        rise_share, phase = np.clip(time_s / RISE_S, 0, 1), 2 * np.pi * self.frequency_hz * time_s
+        rise_share, phase_rad = np.clip(time_s / RISE_S, 0, 1), 2 * np.pi * self.frequency_hz * time_s
         rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
-        return np.asarray(rise * (self.cosine_n * np.cos(phase) + self.sine_n * np.sin(phase)))
+        return np.asarray(rise * (self.cosine_n * np.cos(phase_rad) + self.sine_n * np.sin(phase_rad)))
 
 
 class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -246,7 +246,7 @@ class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         for field in ("acceleration_rms_m_per_s2", "start_s"):
-            _check_number("base motion", field, getattr(self, field))
+            _check_not_negative("base motion", field, getattr(self, field))
         if not 0 < self.low_hz < self.high_hz < np.inf:
             raise RigError(f"base motion: the band {self.low_hz} to {self.high_hz} Hz is empty; give 0 < low < high")
         if self.seed < 0:
@@ -263,13 +263,13 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     lag_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not _is_gain(self.gain):
+        if not _is_plausible_gain(self.gain):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
         if not abs(self.lag_s) <= MAX_DELAY_S:
             raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, -1 to 1 s")
 
 
-def _is_gain(value: float) -> bool:
+def _is_plausible_gain(value: float) -> bool:
     """True if 1e-12 <= |value| <= 1e12, so that no plausible signal becomes zero or infinite by this gain."""
     return bool(1e-12 <= abs(value) <= 1e12)
 
@@ -279,12 +279,12 @@ def _check_finite(owner: str, field: str, value: float) -> None:
         raise RigError(f"{owner}: {field} is {value}; give a finite value")
 
 
-def _check_number(owner: str, field: str, value: float) -> None:
+def _check_not_negative(owner: str, field: str, value: float) -> None:
     if not (np.isfinite(value) and value >= 0):
         raise RigError(f"{owner}: {field} is {value}; give a finite value, zero or above")
 
 
-def _without_stops(**coefficients: float) -> DeadZone:
+def _law_without_stops(**coefficients: float) -> DeadZone:
     return msgspec.structs.replace(
         DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0), **coefficients
     )

@@ -149,10 +149,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def directions(self) -> tuple[Direction, ...]:
         """Directions in which the bodies move: y, and z if something measures or acts in it."""
-        in_z = any(station.direction == "z" for station in self._stations) or any(
+        moves_in_z = any(station.direction == "z" for station in self._stations) or any(
             contact.law.spatial for contact in self.contacts
         )
-        return DIRECTIONS if in_z else DIRECTIONS[:1]
+        return DIRECTIONS if moves_in_z else DIRECTIONS[:1]
 
     @property
     def in_space(self) -> bool:
@@ -164,8 +164,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         """Stations of everything that has a direction."""
         yield from self.forces
         yield from (station for contact in self.contacts for station in contact_stations(contact))
-        for items in (self.sensors, self.springs, self.loads, self.dampers, self.tones):
-            yield from (item.station for item in items)
+        for components in (self.sensors, self.springs, self.loads, self.dampers, self.tones):
+            yield from (component.station for component in components)
 
     @property
     def forces(self) -> tuple[Station, ...]:
@@ -173,7 +173,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return self.force_at if isinstance(self.force_at, tuple) else (self.force_at,)
 
     @property
-    def first_driven(self) -> str:
+    def first_driven_body(self) -> str:
         """Name of the body of the (first) force; of the first body where the base alone shakes."""
         station = self.forces[0]
         return self.bodies[0].name if self.is_on_ground(station) else station.body
@@ -181,8 +181,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def inputs(self) -> tuple[Station, ...]:
         """Places of the measured excitation: those of the forces on bodies, then the ground if it has a sensor."""
-        on_bodies = tuple(station for station in self.forces if not self.is_on_ground(station))
-        return (*on_bodies, ON_GROUND) if self.base_sensors else on_bodies
+        stations_on_bodies = tuple(station for station in self.forces if not self.is_on_ground(station))
+        return (*stations_on_bodies, ON_GROUND) if self.base_sensors else stations_on_bodies
 
     @property
     def force_names(self) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def force_names_in(self, direction: Direction) -> tuple[str, ...]:
         """Channel names of the forces in one direction."""
         return tuple(
-            n for n, station in zip(self.force_names, self.forces, strict=True) if station.direction == direction
+            name for name, station in zip(self.force_names, self.forces, strict=True) if station.direction == direction
         )
 
     def body(self, name: str) -> Body:
@@ -248,15 +248,15 @@ def stations_of(rig: Rig) -> tuple[Station, ...]:
 def contact_rows(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by the components of their relative displacement: an annular one twice, NAME_y and NAME_z."""
     return tuple(
-        component
+        row
         for contact in rig.contacts
-        for component in (
-            [_component(contact, direction) for direction in DIRECTIONS] if contact.law.spatial else [contact]
+        for row in (
+            [_contact_component(contact, direction) for direction in DIRECTIONS] if contact.law.spatial else [contact]
         )
     )
 
 
-def _component(contact: Contact, direction: Direction) -> Contact:
+def _contact_component(contact: Contact, direction: Direction) -> Contact:
     at, against = (
         None if station is None else replace(station, direction=direction) for station in (contact.at, contact.against)
     )

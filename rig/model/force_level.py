@@ -42,34 +42,34 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     motion the ground and its stops share, the inertial force acts: its level is that of the base's acceleration.
     """
     if rig.in_space:
-        driven_axes = {station.direction for station in rig.forces}
-        planes = (plane for axis, plane in plane_rigs(rig).items() if axis in driven_axes)
-        return max((rattling_level(plane, low_hz, high_hz) for plane in planes), key=lambda level: level.rms_n)
+        driven_directions = {station.direction for station in rig.forces}
+        planes = (plane_rig for direction, plane_rig in plane_rigs(rig).items() if direction in driven_directions)
+        return max((rattling_level(plane_rig, low_hz, high_hz) for plane_rig in planes), key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
-    mean_squares = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
-    levels_n: list[tuple[float, str, float]] = []
-    for contact, mean_square in zip(rig.contacts, mean_squares, strict=True):
-        rms_m_per_n, clearance_m = float(np.sqrt(mean_square)), reachable_clearance_m(contact.law)
+    mean_square_receptances = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
+    contact_levels: list[tuple[float, str, float]] = []
+    for contact, mean_square_m2_per_n2 in zip(rig.contacts, mean_square_receptances, strict=True):
+        rms_m_per_n, clearance_m = float(np.sqrt(mean_square_m2_per_n2)), reachable_clearance_m(contact.law)
         if rms_m_per_n > 0 and clearance_m:
-            levels_n.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
-    highest_level_n, contact_name, clearance_m = max(levels_n, default=(np.inf, "", 0.0))
+            contact_levels.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
+    highest_level_n, contact_name, clearance_m = max(contact_levels, default=(np.inf, "", 0.0))
     if not np.isfinite(highest_level_n):
         reason = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
         return ForceLevel(1.0, reason if rig.contacts else "as there is no contact")
-    least_moved = ", which moves least," if len(levels_n) > 1 else ""
-    motion = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
-    reason = f"by which {contact_name!r}{least_moved} would move by {motion}"
+    least_moved_clause = ", which moves least," if len(contact_levels) > 1 else ""
+    motion_words = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
+    reason = f"by which {contact_name!r}{least_moved_clause} would move by {motion_words}"
     return ForceLevel(float(f"{highest_level_n:.1g}"), reason)
 
 
 def reachable_clearance_m(law: ContactLaw) -> float:
     """Mean clearance, m, of the stops of a contact that a laboratory's force can reach; zero if there are none."""
     clearances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
-    farthest_m = FARTHEST_STOP_M
+    farthest_reachable_m = FARTHEST_STOP_M
     if clearances_m and clearances_m[0]:
-        farthest_m = min(farthest_m, FAR_STOP_RATIO * clearances_m[0])
-    reachable_m = [clearance_m for clearance_m in clearances_m if clearance_m <= farthest_m]
-    return sum(reachable_m) / len(reachable_m) if reachable_m else 0.0
+        farthest_reachable_m = min(farthest_reachable_m, FAR_STOP_RATIO * clearances_m[0])
+    reachable_clearances_m = [clearance_m for clearance_m in clearances_m if clearance_m <= farthest_reachable_m]
+    return sum(reachable_clearances_m) / len(reachable_clearances_m) if reachable_clearances_m else 0.0
 
 
 def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
@@ -81,24 +81,24 @@ def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"
     station_pairs = [(force_at, None), *((contact.at, contact.against) for contact in rig.contacts)]
     receptances = np.zeros((len(station_pairs), len(station_pairs), omega.size), dtype=complex)
     for body in rig.bodies:
-        modes, taken_count = modes_of(rig, body), mode_count(body, MODE_COUNT)
-        natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(taken_count)[:, None]
-        ratios = np.maximum(modes.damping_ratios(taken_count), MIN_DAMPING_RATIO)[:, None]
-        shapes = np.zeros((len(station_pairs), taken_count))
+        modes, body_mode_count = modes_of(rig, body), mode_count(body, MODE_COUNT)
+        natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(body_mode_count)[:, None]
+        damping_ratios = np.maximum(modes.damping_ratios(body_mode_count), MIN_DAMPING_RATIO)[:, None]
+        shapes = np.zeros((len(station_pairs), body_mode_count))
         if rig.is_on_ground(force_at):
-            shapes[0] = participation(rig, body, modes, taken_count)
+            shapes[0] = participation(rig, body, modes, body_mode_count)
         for i, station_pair in enumerate(station_pairs):
             for sign, station in zip((1, -1), station_pair, strict=True):
                 if station is not None and station.body == body.name:
-                    shapes[i] += sign * modes.shapes(np.array([station.position_m]), taken_count)[0]
-        modal_receptances = 1 / (natural_rad_per_s**2 - omega**2 + 2j * ratios * natural_rad_per_s * omega)
+                    shapes[i] += sign * modes.shapes(np.array([station.position_m]), body_mode_count)[0]
+        modal_receptances = 1 / (natural_rad_per_s**2 - omega**2 + 2j * damping_ratios * natural_rad_per_s * omega)
         receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal_receptances)
-    springs = [j for j, contact in enumerate(rig.contacts) if not contact.law.has_stops]
-    by_force, by_springs = receptances[1:, 0], receptances[1:, 1:][:, springs]
-    if springs:
-        laws = [rig.contacts[spring].law for spring in springs]
-        stiffness = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
-        feedback = np.eye(len(springs)) + (by_springs[springs] * stiffness).transpose(2, 0, 1)
-        spring_eta = np.linalg.solve(feedback, by_force[springs].T[..., None])
-        by_force = by_force - np.einsum("csl,sl,ls->cl", by_springs, stiffness, spring_eta[..., 0])
-    return np.asarray(np.mean(np.abs(by_force) ** 2, axis=1))
+    spring_indices = [j for j, contact in enumerate(rig.contacts) if not contact.law.has_stops]
+    eta_by_force, eta_by_springs = receptances[1:, 0], receptances[1:, 1:][:, spring_indices]
+    if spring_indices:
+        laws = [rig.contacts[spring].law for spring in spring_indices]
+        dynamic_stiffness = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
+        feedback = np.eye(len(spring_indices)) + (eta_by_springs[spring_indices] * dynamic_stiffness).transpose(2, 0, 1)
+        spring_eta = np.linalg.solve(feedback, eta_by_force[spring_indices].T[..., None])
+        eta_by_force = eta_by_force - np.einsum("csl,sl,ls->cl", eta_by_springs, dynamic_stiffness, spring_eta[..., 0])
+    return np.asarray(np.mean(np.abs(eta_by_force) ** 2, axis=1))

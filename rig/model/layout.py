@@ -17,8 +17,8 @@ def left_ends(rig: Rig) -> dict[str, float]:
 
 def station_named(rig: Rig, name: str, relative_position: float = 0.5) -> Station | None:
     """Station of a contact, a sensor, or a relative position on a body; None for other names."""
-    stations = {body.name: Station(body.name, relative_position * body.length_m) for body in rig.bodies}
-    stations |= {sensor.name: sensor.station for sensor in rig.sensors} | {
+    station_by_name = {body.name: Station(body.name, relative_position * body.length_m) for body in rig.bodies}
+    station_by_name |= {sensor.name: sensor.station for sensor in rig.sensors} | {
         contact.name: contact.at for contact in rig.contacts
     }
-    return stations.get(name)
+    return station_by_name.get(name)

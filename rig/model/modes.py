@@ -20,9 +20,9 @@ from rig.model.supports import attached_springs
 ELEMENT_COUNT = 80
 """Elements of a beam with attachments: its sixteenth mode is within 0.02 % of Bernoulli-Euler theory."""
 
-CONDENSED_PLACES = 81
+PLACE_COUNT = 81
 """Places along a beam at which `condensed` gives its shapes."""
-ROUNDING = 1e-9
+EIGENVALUE_ROUNDING = 1e-9
 """Share of the highest mode's eigenvalue within which rounding may make one negative: the mesh's highest is 1e5 times
 that of the sixteenth mode, of which double precision therefore loses some 2e-11."""
 
@@ -43,9 +43,9 @@ class FiniteElementModes:
     """Mass-normalised modes of a beam from its finite elements; every mode keeps the uniform beam's damping ratio."""
 
     beam: Beam
-    nodes_m: Float[np.ndarray, " nodes"]
+    node_positions_m: Float[np.ndarray, " nodes"]
     natural_hz: Float[np.ndarray, " all"]
-    vectors: Float[np.ndarray, "coordinates all"]
+    eigenvectors: Float[np.ndarray, "coordinates all"]
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
         if not 1 <= count <= len(self.natural_hz):
@@ -58,8 +58,8 @@ class FiniteElementModes:
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        rows = [hermite(self.nodes_m, float(position_m), order) for position_m in positions_m]
-        return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :count]
+        node_weights = [hermite_weights(self.node_positions_m, float(position_m), order) for position_m in positions_m]
+        return np.array(node_weights).reshape(len(node_weights), len(self.eigenvectors)) @ self.eigenvectors[:, :count]
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CoupledModes:
 
     structure: Structure
     natural_hz: Float[np.ndarray, " all"]
-    vectors: Float[np.ndarray, "all all"]
+    eigenvectors: Float[np.ndarray, "all all"]
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
         if not 1 <= count <= len(self.natural_hz):
@@ -83,7 +83,7 @@ class CoupledModes:
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        return self.structure.shapes(positions_m, self.structure.max_modes, order) @ self.vectors[:, :count]
+        return self.structure.shapes(positions_m, self.structure.max_modes, order) @ self.eigenvectors[:, :count]
 
 
 Meshed = Beam | Oscillator
@@ -101,16 +101,16 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     A beam with attachments has 80 Hermite elements; a structure's modes are coupled by the attachments, exact except
     for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
-    masses = [mass for mass in rig.masses if mass.station.body == body.name]
+    point_masses = [mass for mass in rig.masses if mass.station.body == body.name]
     springs = [spring for spring in attached_springs(rig) if spring.station.body == body.name]
     clamps = [clamp for clamp in rig.clamps if clamp.body == body.name]
     linear_springs = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]
-    if not (masses or linear_springs or clamps):
+    if not (point_masses or linear_springs or clamps):
         return body
     if isinstance(body, Oscillator):
         return with_attachments(rig, body)
     if isinstance(body, Structure):
-        return coupled(rig, body)
+        return coupled_modes(rig, body)
     nodes_m = np.linspace(0, body.length_m, ELEMENT_COUNT + 1)
     mass_matrix, stiffness_matrix = matrices(rig, body, nodes_m)
     held_count = held_coordinate_count(rig, body)
@@ -119,15 +119,15 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     natural_hz, free_vectors = _natural_modes(
         body, stiffness_matrix[held_count:, held_count:], mass_matrix[held_count:, held_count:], floating_count
     )
-    vectors = np.concatenate([np.zeros((held_count, free_vectors.shape[1])), free_vectors])
-    return FiniteElementModes(body, nodes_m, natural_hz, vectors)
+    eigenvectors = np.concatenate([np.zeros((held_count, free_vectors.shape[1])), free_vectors])
+    return FiniteElementModes(body, nodes_m, natural_hz, eigenvectors)
 
 
 def condensed(rig: Rig) -> Rig:
     """Rig whose point masses, linear springs, supports and clamps are part of its bodies, for what asks bodies for
     their modes: a mass on a stiffer spring, else a structure with the modes `modes_of`.
 
-    Its shapes are given at all stations and at `CONDENSED_PLACES` along the body. A structure loses a mode, the highest
+    Its shapes are given at all stations and at `PLACE_COUNT` places of the body. A structure loses a mode, the highest
     one, for each stiff support: that of the support's own motion.
     """
     stations = [*(mass.station for mass in rig.masses), *(spring.station for spring in attached_springs(rig))]
@@ -147,8 +147,8 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
             if support.station.body == body.name and support.stiffness_n_per_m is None
         ]
         count = max(1, count - len(stiff_supports))
-    stations = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
-    positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])
+    stations_m = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
+    positions_m = np.unique([*stations_m, *body.places(PLACE_COUNT)])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, count)
     condensed_body = structure_of(
@@ -157,7 +157,7 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     return msgspec.structs.replace(
         condensed_body,
         has_axis=getattr(body, "has_axis", True),
-        participations=tuple(stated_participation(rig, body, modes, count).tolist()),
+        participations=tuple(participation_or_empty(rig, body, modes, count).tolist()),
     )
 
 
@@ -169,33 +169,33 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
     places_m = body.positions_m
-    index_after = int(np.searchsorted(places_m, position_m))
-    return tuple(float(x_m) for x_m in places_m[max(index_after - 1, 0) : index_after + 1])
+    next_index = int(np.searchsorted(places_m, position_m))
+    return tuple(float(x_m) for x_m in places_m[max(next_index - 1, 0) : next_index + 1])
 
 
-def coupled(rig: Rig, body: Structure) -> CoupledModes:
+def coupled_modes(rig: Rig, body: Structure) -> CoupledModes:
     """Modes of a structure coupled by masses m and springs k, k_r at places with shapes p and slopes s:
 
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
     """
-    count = body.max_modes
-    mass_matrix = np.eye(count)
-    attached_stiffness = np.zeros((count, count))
+    mode_total = body.max_modes
+    mass_matrix = np.eye(mode_total)
+    attached_stiffness = np.zeros((mode_total, mode_total))
     for mass_point in rig.masses:
         if mass_point.station.body == body.name:
-            shape = body.shapes(np.array([mass_point.station.position_m]), count)[0]
-            mass_matrix += mass_point.mass_kg * np.outer(shape, shape)
+            displacement_shape = body.shapes(np.array([mass_point.station.position_m]), mode_total)[0]
+            mass_matrix += mass_point.mass_kg * np.outer(displacement_shape, displacement_shape)
     for spring in attached_springs(rig):
         if spring.station.body == body.name:
             position_m = np.array([spring.station.position_m])
-            shape, shape_slope = (body.shapes(position_m, count, order)[0] for order in (0, 1))
-            attached_stiffness += spring.stiffness_n_per_m * np.outer(shape, shape)
+            displacement_shape, shape_slope = (body.shapes(position_m, mode_total, order)[0] for order in (0, 1))
+            attached_stiffness += spring.stiffness_n_per_m * np.outer(displacement_shape, displacement_shape)
             attached_stiffness += spring.rotational_n_m_per_rad * np.outer(shape_slope, shape_slope)
     rigid_count = body.rigid_modes
     floating_count = (
         rigid_count - int(np.linalg.matrix_rank(attached_stiffness[:rigid_count, :rigid_count])) if rigid_count else 0
     )
-    stiffness_matrix = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached_stiffness
+    stiffness_matrix = np.diag((2 * np.pi * body.frequencies_hz(mode_total)) ** 2) + attached_stiffness
     _check_stable(rig, body, stiffness_matrix)
     return CoupledModes(body, *_natural_modes(body, stiffness_matrix, mass_matrix, floating_count))
 
@@ -205,19 +205,19 @@ def _natural_modes(
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "n modes"]]:
     """Natural frequencies (Hz) and mass-normalised shapes of all modes; the first `floating_count` are set to 0 Hz.
 
-    So are those that rounding makes imaginary by less than `ROUNDING` of the highest: springs of next to nothing hold
-    such a mode. Raises RigError if rounding makes the eigenvalues meaningless.
+    So are those that rounding makes imaginary by less than `EIGENVALUE_ROUNDING` of the highest: springs of next to
+    nothing hold such a mode. Raises RigError if rounding makes the eigenvalues meaningless.
     """
     message = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
     try:
-        omega_squared, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
+        omega_squared, eigenvectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
         raise RigError(message) from error
     omega_squared[:floating_count] = 0.0  # rounding would give them a frequency
-    omega_squared[(omega_squared < 0) & (omega_squared > -ROUNDING * omega_squared[-1])] = 0.0
+    omega_squared[(omega_squared < 0) & (omega_squared > -EIGENVALUE_ROUNDING * omega_squared[-1])] = 0.0
     if not (omega_squared >= 0).all():
         raise RigError(message)
-    return np.sqrt(omega_squared) / (2 * np.pi), vectors
+    return np.sqrt(omega_squared) / (2 * np.pi), eigenvectors
 
 
 def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
@@ -246,22 +246,22 @@ def loaded_mass(rig: Rig, body: Body) -> Body:
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
-    masses = [mass for mass in rig.masses if mass.station.body == body.name]
+    attached = [mass for mass in rig.masses if mass.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
     if isinstance(body, Structure):
         translation = body.translation()
-        modal_translation = modes.vectors.T @ translation if isinstance(modes, CoupledModes) else translation
-        places = np.array([mass.station.position_m for mass in masses])
-        return modal_translation[:count] + np.array([mass.mass_kg for mass in masses]) @ modes.shapes(places, count)
+        modal_translation = modes.eigenvectors.T @ translation if isinstance(modes, CoupledModes) else translation
+        places_m = np.array([mass.station.position_m for mass in attached])
+        return modal_translation[:count] + np.array([mass.mass_kg for mass in attached]) @ modes.shapes(places_m, count)
     gauss_points, gauss_weights = leggauss(400)
     positions_m = (gauss_points + 1) / 2 * body.length_m
-    places = np.concatenate([positions_m, [mass.station.position_m for mass in masses]])
-    masses_kg = np.concatenate([gauss_weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
-    return masses_kg @ modes.shapes(places, count)
+    places_m = np.concatenate([positions_m, [mass.station.position_m for mass in attached]])
+    masses_kg = np.concatenate([gauss_weights / 2 * body.mass_kg, [mass.mass_kg for mass in attached]])
+    return masses_kg @ modes.shapes(places_m, count)
 
 
-def stated_participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
+def participation_or_empty(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """`participation`, in sqrt(kg); empty where the modal basis of a held body does not say it."""
     with suppress(RigError):
         return participation(rig, body, modes, count)
@@ -278,11 +278,11 @@ def matrices(
     mass_matrix, stiffness_matrix = _bare_matrices(body, nodes_m)
     for point_mass in rig.masses:
         if point_mass.station.body == body.name:
-            weights = hermite(nodes_m, point_mass.station.position_m)
+            weights = hermite_weights(nodes_m, point_mass.station.position_m)
             mass_matrix += point_mass.mass_kg * np.outer(weights, weights)
     for spring in attached_springs(rig):
         if spring.station.body == body.name:
-            weights, slope_weights = (hermite(nodes_m, spring.station.position_m, order) for order in (0, 1))
+            weights, slope_weights = (hermite_weights(nodes_m, spring.station.position_m, order) for order in (0, 1))
             stiffness_matrix += spring.stiffness_n_per_m * np.outer(weights, weights)
             stiffness_matrix += spring.rotational_n_m_per_rad * np.outer(slope_weights, slope_weights)
     for clamp in rig.clamps:
@@ -298,7 +298,7 @@ def held_coordinate_count(rig: Rig, body: Body) -> int:
     return 1 if any(clamp.body == body.name for clamp in rig.clamps) else 2
 
 
-def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int = 0) -> Float[np.ndarray, " n"]:
+def hermite_weights(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int = 0) -> Float[np.ndarray, " n"]:
     """Weights of (displacement, slope) of every node in the displacement at a position, its slope or its curvature.
 
     Cubic Hermite shapes; the order of the derivative is 0, 1 or 2. A single node is a mass: one coordinate, which has
@@ -306,11 +306,11 @@ def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int 
     """
     if len(nodes_m) == 1:
         return np.full(1, float(order == 0))
-    element = int(np.clip(np.searchsorted(nodes_m, position_m, side="right") - 1, 0, len(nodes_m) - 2))
-    h = nodes_m[element + 1] - nodes_m[element]
-    xi = (position_m - nodes_m[element]) / h
+    element_index = int(np.clip(np.searchsorted(nodes_m, position_m, side="right") - 1, 0, len(nodes_m) - 2))
+    h = nodes_m[element_index + 1] - nodes_m[element_index]
+    xi = (position_m - nodes_m[element_index]) / h
     weights = np.zeros(2 * len(nodes_m))
-    weights[2 * element : 2 * element + 4] = (
+    weights[2 * element_index : 2 * element_index + 4] = (
         (1 - 3 * xi**2 + 2 * xi**3, h * (xi - 2 * xi**2 + xi**3), 3 * xi**2 - 2 * xi**3, h * (xi**3 - xi**2)),
         (6 * (xi**2 - xi) / h, 1 - 4 * xi + 3 * xi**2, 6 * (xi - xi**2) / h, 3 * xi**2 - 2 * xi),
         ((12 * xi - 6) / h**2, (6 * xi - 4) / h, (6 - 12 * xi) / h**2, (6 * xi - 2) / h),
@@ -326,10 +326,10 @@ def _bare_matrices(
     coordinate_count = 2 * len(nodes_m)
     mass, stiffness = np.zeros((coordinate_count, coordinate_count)), np.zeros((coordinate_count, coordinate_count))
     for element, h in enumerate(np.diff(nodes_m)):
-        scale = np.diag([1, h, 1, h])
-        coordinates = slice(2 * element, 2 * element + 4)
-        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _BEAM_MASS @ scale
-        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _BEAM_STIFFNESS @ scale
+        scaling = np.diag([1, h, 1, h])
+        span = slice(2 * element, 2 * element + 4)
+        mass[span, span] += body.mass_per_length_kg_per_m * h / 420 * scaling @ _BEAM_MASS @ scaling
+        stiffness[span, span] += body.bending_stiffness_n_m2 / h**3 * scaling @ _BEAM_STIFFNESS @ scaling
     return mass, stiffness
 
 

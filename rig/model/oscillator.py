@@ -66,10 +66,10 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return np.zeros(1)
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._checked(count), self.frequency_hz)
+        return np.full(self._checked_count(count), self.frequency_hz)
 
     def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._checked(count), self.damping_ratio)
+        return np.full(self._checked_count(count), self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Oscillator":
         """Mass with the damping ratio times a factor."""
@@ -87,9 +87,9 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         """Mode shape 1/sqrt(mass) at every position; its derivatives along the body are zero."""
-        return np.full((len(positions_m), self._checked(count)), (order == 0) / np.sqrt(self.mass_kg))
+        return np.full((len(positions_m), self._checked_count(count)), (order == 0) / np.sqrt(self.mass_kg))
 
-    def _checked(self, count: int) -> int:
+    def _checked_count(self, count: int) -> int:
         if count != 1:
             raise RigError(f"oscillator {self.name!r}: {count} modes asked for; it has exactly one")
         return count

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-Vector = Float[np.ndarray, " parameters"]
+ParameterVector = Float[np.ndarray, " parameters"]
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class ParameterSet:
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def __add__(self, other: "ParameterSet") -> "ParameterSet":
-        return ParameterSet(self.parameters + other.parameters)
+    def __add__(self, added: "ParameterSet") -> "ParameterSet":
+        return ParameterSet(self.parameters + added.parameters)
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
@@ -52,7 +52,7 @@ class ParameterSet:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
-    def bounds(self) -> tuple[Vector, Vector]:
+    def bounds(self) -> tuple[ParameterVector, ParameterVector]:
         """Lower and upper bounds."""
         return np.array([parameter.low for parameter in self.parameters]), np.array(
             [parameter.high for parameter in self.parameters]
@@ -61,13 +61,13 @@ class ParameterSet:
     @property
     def strengths(self) -> list[int]:
         """Indices of the strengths: parameters with a neutral value."""
-        return [i for i, parameter in enumerate(self.parameters) if parameter.neutral is not None]
+        return [index for index, parameter in enumerate(self.parameters) if parameter.neutral is not None]
 
     def belonging_to(self, owner: str) -> "ParameterSet":
         """The same parameters with this owner."""
         return ParameterSet(tuple(dataclasses.replace(parameter, of=owner) for parameter in self.parameters))
 
-    def places_of(self, owner: str) -> list[int]:
+    def indices_of(self, owner: str) -> list[int]:
         """Indices of the owner's parameters."""
         return [i for i, parameter in enumerate(self.parameters) if parameter.of == owner]
 
@@ -85,9 +85,9 @@ class ParameterSet:
     def excluding(self, name: str) -> "ParameterSet":
         return ParameterSet(tuple(parameter for parameter in self.parameters if parameter.name != name))
 
-    def vector(self, numbers: Mapping[str, float]) -> Vector:
+    def vector(self, value_by_name: Mapping[str, float]) -> ParameterVector:
         """Vector of numbers given by name; zero for missing ones."""
-        return np.array([numbers.get(name, 0.0) for name in self.names])
+        return np.array([value_by_name.get(name, 0.0) for name in self.names])
 
-    def named(self, values: Vector) -> dict[str, float]:
-        return dict(zip(self.names, values.tolist(), strict=True))
+    def named(self, parameter_values: ParameterVector) -> dict[str, float]:
+        return dict(zip(self.names, parameter_values.tolist(), strict=True))

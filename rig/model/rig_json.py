@@ -24,15 +24,15 @@ def json_in_types(decoded: Any) -> Any:
     decoded.pop(SCHEMA_KEY, None)
     if _is_ground_word(decoded.get("force_at"), "force_at"):
         del decoded["force_at"]
-    for number, sensor in enumerate(_objects_in(decoded, "sensors")):
-        if _is_ground_word(sensor.get("station"), f"sensors[{number}].station"):
+    for index, sensor in enumerate(_objects_in(decoded, "sensors")):
+        if _is_ground_word(sensor.get("station"), f"sensors[{index}].station"):
             sensor["station"] = {"body": GROUND}
-    for number, contact in enumerate(_objects_in(decoded, "contacts")):
-        if _is_ground_word(contact.get("against"), f"contacts[{number}].against"):
+    for index, contact in enumerate(_objects_in(decoded, "contacts")):
+        if _is_ground_word(contact.get("against"), f"contacts[{index}].against"):
             contact["against"] = None
         if isinstance(law := contact.get("law"), dict):
             law.setdefault("type", "dead_zone")
-            law |= {name: math.inf for name in CLEARANCES if name in law and law[name] is None}
+            law |= {field: math.inf for field in CLEARANCES if field in law and law[field] is None}
     with_positions(decoded)
     return decoded
 

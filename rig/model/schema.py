@@ -8,22 +8,22 @@ import msgspec
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.description import GROUND, Contact, Rig, Sensor, Station
-from rig.model.nodes import NODE, POSITION
+from rig.model.nodes import NODE_KEY, POSITION_KEY
 from rig.model.rig_json import SCHEMA_KEY
 from rig.model.structure import ShapeRow, Structure
 
 JSON_SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
-def schema_of(kind: type[msgspec.Struct], title: str) -> dict[str, Any]:
+def schema_of(struct_type: type[msgspec.Struct], title: str) -> dict[str, Any]:
     """JSON Schema of a type's JSON, with the object itself at the top."""
-    schema = msgspec.json.schema(kind)
+    schema = msgspec.json.schema(struct_type)
     definitions = schema["$defs"]
     for definition in definitions.values():
         if "description" in definition:
             definition["description"] = cleandoc(definition["description"])
-    top = definitions.pop(kind.__name__)
-    return {SCHEMA_KEY: JSON_SCHEMA_DIALECT, **top, "title": title, "$defs": definitions}
+    object_schema = definitions.pop(struct_type.__name__)
+    return {SCHEMA_KEY: JSON_SCHEMA_DIALECT, **object_schema, "title": title, "$defs": definitions}
 
 
 def rig_schema() -> dict[str, Any]:
@@ -35,30 +35,30 @@ def rig_schema() -> dict[str, Any]:
     schema = schema_of(Rig, "rig.json")
     definitions = schema["$defs"]
     for definition in definitions.values():
-        for name, clearance in definition.get("properties", {}).items():
-            if name in CLEARANCES:
-                clearance["type"] = ["number", "null"]
-                clearance["description"] = "Clearance, m; null where there is no stop on that side."
+        for field_name, clearance_schema in definition.get("properties", {}).items():
+            if field_name in CLEARANCES:
+                clearance_schema["type"] = ["number", "null"]
+                clearance_schema["description"] = "Clearance, m; null where there is no stop on that side."
     definitions[DeadZone.__name__]["required"].remove("type")
-    against = definitions[Contact.__name__]["properties"]["against"]
-    against["anyOf"].append({"const": GROUND})
-    against["default"] = GROUND
-    station = definitions[Sensor.__name__]["properties"]["station"]
-    force_at = schema["properties"]["force_at"]
-    station["anyOf"] = [{"$ref": station.pop("$ref")}, {"const": GROUND}]
-    force_at["anyOf"].append({"const": GROUND})
-    force_at["default"] = GROUND
+    against_schema = definitions[Contact.__name__]["properties"]["against"]
+    against_schema["anyOf"].append({"const": GROUND})
+    against_schema["default"] = GROUND
+    station_schema = definitions[Sensor.__name__]["properties"]["station"]
+    force_at_schema = schema["properties"]["force_at"]
+    station_schema["anyOf"] = [{"$ref": station_schema.pop("$ref")}, {"const": GROUND}]
+    force_at_schema["anyOf"].append({"const": GROUND})
+    force_at_schema["default"] = GROUND
     schema["properties"][SCHEMA_KEY] = {"type": "string"}
-    _name_nodes(definitions)
+    _allow_node_names(definitions)
     return schema
 
 
-def _name_nodes(definitions: dict[str, Any]) -> None:
+def _allow_node_names(definitions: dict[str, Any]) -> None:
     """Let stations and rows of shapes have a node's name, or its number, in place of a position."""
     named = {"type": ["string", "integer"], "description": "Name of a node of the structure, in place of position_m."}
-    station, row = definitions[Station.__name__], definitions[ShapeRow.__name__]
-    for definition in (station, row):
-        definition["properties"][NODE] = named
-    row["required"].remove(POSITION)
-    row["anyOf"] = [{"required": [POSITION]}, {"required": [NODE]}]
+    station_schema, row_schema = definitions[Station.__name__], definitions[ShapeRow.__name__]
+    for definition in (station_schema, row_schema):
+        definition["properties"][NODE_KEY] = named
+    row_schema["required"].remove(POSITION_KEY)
+    row_schema["anyOf"] = [{"required": [POSITION_KEY]}, {"required": [NODE_KEY]}]
     definitions[Structure.__name__]["required"].remove("length_m")

@@ -17,8 +17,8 @@ def in_plane(rig: Rig, direction: Direction) -> Rig:
     """
     if not rig.in_space:
         return rig
-    forces = tuple(station_in_y(station) for station in rig.forces if station.direction == direction)
-    forces = forces or (station_in_y(rig.forces[0]),)
+    forces_in_y = tuple(station_in_y(station) for station in rig.forces if station.direction == direction)
+    forces_in_y = forces_in_y or (station_in_y(rig.forces[0]),)
     components_by_field = {}
     for field in ("sensors", "springs", "loads", "dampers", "tones"):
         components = (c for c in getattr(rig, field) if c.station.direction == direction)
@@ -28,7 +28,7 @@ def in_plane(rig: Rig, direction: Direction) -> Rig:
         rig,
         bodies=tuple(body.bending_in_z if direction == "z" and isinstance(body, Beam) else body for body in rig.bodies),
         contacts=tuple(map(_plane_contact, contacts)),
-        force_at=forces if len(forces) > 1 else forces[0],
+        force_at=forces_in_y if len(forces_in_y) > 1 else forces_in_y[0],
         gravity_m_per_s2=rig.gravity_m_per_s2 if direction == "y" else 0.0,
         **components_by_field,
     )

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 
 SAME_PLACE_M = 1e-9
-MAX_VALUE = 1e9
+MAX_MODAL_VALUE = 1e9
 """Largest frequency (Hz) and shape value (1/sqrt(kg)); larger ones would overflow."""
 MAX_TRANSLATION_ERROR = 1e-2
 """Largest error with which rigid-body modes may represent a unit translation."""
@@ -57,9 +57,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise self._error(
                 f"there are {len(self.ratios)} damping_ratios for {len(self.natural_hz)} frequencies_hz; give one each"
             )
-        for hz in self.natural_hz:
-            if not 0 <= hz <= MAX_VALUE:
-                raise self._error(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {MAX_VALUE:g} Hz")
+        for mode_hz in self.natural_hz:
+            if not 0 <= mode_hz <= MAX_MODAL_VALUE:
+                raise self._error(f"a frequency is {mode_hz} Hz; give 0 (a rigid-body mode) to {MAX_MODAL_VALUE:g} Hz")
         if any(np.diff(self.natural_hz) < 0):
             raise self._error("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
         for ratio in self.ratios:
@@ -70,7 +70,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                 f"there are {len(self.participations)} participations for {len(self.natural_hz)} frequencies_hz; give "
                 "one each, or none"
             )
-        if any(not abs(value) <= MAX_VALUE for value in self.participations):
+        if any(not abs(value) <= MAX_MODAL_VALUE for value in self.participations):
             raise self._error(f"participations are {self.participations}; give finite values in sqrt(kg)")
         self._check_rows()
 
@@ -86,10 +86,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                     "give one each"
                 )
             for value in row.values:
-                if not abs(value) <= MAX_VALUE:
+                if not abs(value) <= MAX_MODAL_VALUE:
                     raise self._error(
                         f"a shape value at {row.position_m} m is {value}; give finite values in 1/sqrt(kg), "
-                        f"{MAX_VALUE:g} at most"
+                        f"{MAX_MODAL_VALUE:g} at most"
                     )
         if any(np.diff(self.positions_m) <= SAME_PLACE_M):
             raise self._error("the positions of shapes do not ascend; sort them, each place once")
@@ -131,10 +131,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return self.positions_m
 
     def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
-        return np.array(self.natural_hz[: self._checked(count)])
+        return np.array(self.natural_hz[: self._checked_count(count)])
 
     def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
-        return np.array(self.ratios[: self._checked(count)])
+        return np.array(self.ratios[: self._checked_count(count)])
 
     def scale_damping(self, factor: float) -> "Structure":
         """Structure with all damping ratios times a factor."""
@@ -142,13 +142,13 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def scale_frequencies(self, factor: float) -> "Structure":
         """Structure with all frequencies times a factor."""
-        return msgspec.structs.replace(self, natural_hz=tuple(hz * factor for hz in self.natural_hz))
+        return msgspec.structs.replace(self, natural_hz=tuple(natural_hz * factor for natural_hz in self.natural_hz))
 
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
-        root, replace = float(np.sqrt(factor)), msgspec.structs.replace
-        rows = tuple(replace(row, values=tuple(value / root for value in row.values)) for row in self.rows)
-        return replace(self, rows=rows, participations=tuple(root * share for share in self.participations))
+        sqrt_factor, replace = float(np.sqrt(factor)), msgspec.structs.replace
+        rows = tuple(replace(row, values=tuple(value / sqrt_factor for value in row.values)) for row in self.rows)
+        return replace(self, rows=rows, participations=tuple(sqrt_factor * g for g in self.participations))
 
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
@@ -158,7 +158,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         Of order 1 or 2 the spline's derivatives along the body, per m or m^2: as good as the places are dense; zero if
         only one place is given.
         """
-        return self._interpolated(positions_m, order)[:, : self._checked(count)]
+        return self._interpolated_shapes(positions_m, order)[:, : self._checked_count(count)]
 
     def has_shapes_at(self, position_m: float) -> bool:
         """True if the modal basis gives shapes at this position."""
@@ -177,19 +177,19 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         if self.participations:
             return np.array(self.participations)
         rigid_count = self.rigid_modes
-        coordinates = np.zeros(self.max_modes)
+        participations = np.zeros(self.max_modes)
         rigid_shapes = np.array([row.values for row in self.rows])[:, :rigid_count]
         unit_translation = np.ones(len(self.rows))
         if 0 < rigid_count <= len(unit_translation):
-            coordinates[:rigid_count] = np.linalg.lstsq(rigid_shapes, unit_translation, rcond=None)[0]
-        if np.max(np.abs(rigid_shapes @ coordinates[:rigid_count] - unit_translation)) > MAX_TRANSLATION_ERROR:
+            participations[:rigid_count] = np.linalg.lstsq(rigid_shapes, unit_translation, rcond=None)[0]
+        if np.max(np.abs(rigid_shapes @ participations[:rigid_count] - unit_translation)) > MAX_TRANSLATION_ERROR:
             raise self._error(
                 "its modal basis does not say how its mass follows a moving base; give participations, in sqrt(kg), or "
                 "the rigid-body modes (0 Hz) of a free body"
             )
-        return coordinates
+        return participations
 
-    def _interpolated(
+    def _interpolated_shapes(
         self, positions_m: Float[np.ndarray, " stations"], order: int
     ) -> Float[np.ndarray, "stations all"]:
         requested_m, row_positions_m = np.asarray(positions_m, dtype=float), self.positions_m
@@ -197,7 +197,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         if len(row_positions_m) == 1 or not self.has_axis:
             nearest_shapes = row_shapes[np.abs(requested_m[:, None] - row_positions_m[None, :]).argmin(axis=1)]
             return nearest_shapes if order == 0 else np.zeros_like(nearest_shapes)
-        spline = _spline(self.rows)
+        spline = _shape_spline(self.rows)
         clipped_m = np.clip(requested_m, row_positions_m[0], row_positions_m[-1])
         if order:
             return np.asarray(spline(clipped_m, order))
@@ -208,7 +208,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             shapes[is_at_row] = row_shapes[distances.argmin(axis=1)[is_at_row]]
         return shapes
 
-    def _checked(self, count: int) -> int:
+    def _checked_count(self, count: int) -> int:
         if not 1 <= count <= self.max_modes:
             raise self._error(f"{count} modes asked for; its modal basis has 1 to {self.max_modes}")
         return count
@@ -224,19 +224,19 @@ def structure_of(
     damping_ratios: Float[np.ndarray, " modes"],
     positions_m: Float[np.ndarray, " places"],
     shapes: Float[np.ndarray, "places modes"],
-    nodes: Sequence[str | None] = (),
+    node_names: Sequence[str | None] = (),
 ) -> Structure:
     """Structure from arrays of a finite-element model or a modal analysis, with the names of its nodes if given."""
-    rows = zip(positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True)
+    row_values = zip(positions_m, shapes.tolist(), node_names or [None] * len(positions_m), strict=True)
     return Structure(
         name=name,
         length_m=float(length_m),
         natural_hz=tuple(frequencies_hz.tolist()),
         ratios=tuple(damping_ratios.tolist()),
-        rows=tuple(ShapeRow(float(position_m), tuple(values), node) for position_m, values, node in rows),
+        rows=tuple(ShapeRow(float(position_m), tuple(values), node) for position_m, values, node in row_values),
     )
 
 
 @lru_cache(maxsize=64)
-def _spline(rows: tuple[ShapeRow, ...]) -> "scipy.interpolate.CubicSpline":
+def _shape_spline(rows: tuple[ShapeRow, ...]) -> "scipy.interpolate.CubicSpline":
     return scipy.interpolate.CubicSpline([row.position_m for row in rows], [row.values for row in rows])

@@ -16,17 +16,17 @@ def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
 
     Raises RigError if a support stands where its body cannot move.
     """
-    return (*rig.springs, *(_spring(rig.body(support.station.body), support) for support in rig.supports))
+    return (*rig.springs, *(_support_spring(rig.body(support.station.body), support) for support in rig.supports))
 
 
-def _spring(body: Body, support: Support) -> PointSpring:
+def _support_spring(body: Body, support: Support) -> PointSpring:
     stiffness = support.stiffness_n_per_m
     return PointSpring(
-        station=support.station, stiffness_n_per_m=_rigid_n_per_m(body, support) if stiffness is None else stiffness
+        station=support.station, stiffness_n_per_m=_support_n_per_m(body, support) if stiffness is None else stiffness
     )
 
 
-def _rigid_n_per_m(body: Body, support: Support) -> float:
+def _support_n_per_m(body: Body, support: Support) -> float:
     """Stiffness of a rigid support, N/m: RIGID_SUPPORT_RATIO / sum phi^2 / omega^2 over the elastic modes there."""
     omega = 2 * np.pi * body.frequencies_hz(body.max_modes)
     shapes = body.shapes(np.array([support.station.position_m]), body.max_modes)[0]

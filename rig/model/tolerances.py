@@ -9,7 +9,7 @@ from rig.errors import RigError
 from rig.model.toml_file import read_toml
 
 
-def _check(label: str, tolerances: msgspec.Struct) -> None:
+def _check_tolerances(label: str, tolerances: msgspec.Struct) -> None:
     for field in tolerances.__struct_fields__:
         value = getattr(tolerances, field)
         if isinstance(value, (int, float)) and not (np.isfinite(value) and value >= 0):
@@ -81,17 +81,17 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Tolerances of single modes by body and number: "barrel 3"."""
 
     def __post_init__(self) -> None:
-        _check("tolerances", self)
+        _check_tolerances("tolerances", self)
         for name, tolerance in (*self.sensors.items(), *self.modes.items()):
-            _check(f"tolerances of {name}", tolerance)
+            _check_tolerances(f"tolerances of {name}", tolerance)
 
     def of_sensor(self, name: str) -> "Tolerances":
         """Tolerances with the sensor's own values in place of the common ones."""
         return self._overridden(self.sensors.get(name))
 
-    def of_mode(self, body: str, number: int) -> "Tolerances":
+    def of_mode(self, body_name: str, mode_number: int) -> "Tolerances":
         """Tolerances with the mode's own values in place of the common ones; modes count from 1."""
-        return self._overridden(self.modes.get(f"{body} {number}"))
+        return self._overridden(self.modes.get(f"{body_name} {mode_number}"))
 
     def _overridden(self, overrides: msgspec.Struct | None) -> "Tolerances":
         if overrides is None:

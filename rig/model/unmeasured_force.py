@@ -4,7 +4,7 @@ from typing import Literal
 
 import msgspec
 
-Kind = Literal["force", "pair", "sensor", "distributed", "contact"]
+UnmeasuredForceKind = Literal["force", "pair", "sensor", "distributed", "contact"]
 When = Literal["always", "in contact", "growing with time"]
 Against = Literal["displacement", "velocity", "velocity squared", "acceleration", "time", "clearance", "none"]
 
@@ -42,7 +42,7 @@ class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     sentence: str
-    kind: Kind
+    kind: UnmeasuredForceKind
     body: str | None = None
     position_m: float | None = None
     position_error_m: float | None = None

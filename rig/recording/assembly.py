@@ -18,7 +18,7 @@ class SampleAssembly:
     def __init__(
         self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, capacity: int = 0
     ) -> None:
-        """Start at sample `first_sample`, with memory for `room_samples`."""
+        """Start at sample `first_sample`, with memory for `capacity` samples."""
         self._path, self._group_name, self._channels = path, group_name, channels
         self._first_sample = self._end_sample = first_sample
         self._values = np.empty((len(channels.names), capacity))

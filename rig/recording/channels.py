@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.limits import unique_keys
 from rig.model.description import Rig, Station, check_name
 
-_JSON_KEYS = ("names", "stations", "sample_rate_hz")
+_JSON_TEXT_KEYS = ("names", "stations", "sample_rate_hz")
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,19 @@ class Channels:
 
 def to_metadata(channels: Channels) -> dict[str, str]:
     """MCAP channel metadata of a group; lists and numbers as JSON."""
-    station_values = [None if station is None else _station_value(station) for station in channels.stations]
+    station_objects = [None if station is None else _station_json(station) for station in channels.stations]
     return {
         "quantity": channels.quantity,
         "unit": channels.unit,
         "sample_rate_hz": json.dumps(channels.sample_rate_hz),
         "names": json.dumps(channels.names),
-        "stations": json.dumps(station_values),
+        "stations": json.dumps(station_objects),
     }
 
 
-def _station_value(station: Station) -> dict[str, str | float]:
-    value: dict[str, str | float] = {"body": station.body, "position_m": station.position_m}
-    return value if station.direction == "y" else value | {"direction": station.direction}
+def _station_json(station: Station) -> dict[str, str | float]:
+    station_json: dict[str, str | float] = {"body": station.body, "position_m": station.position_m}
+    return station_json if station.direction == "y" else station_json | {"direction": station.direction}
 
 
 def _station(value: Mapping[str, Any]) -> Station:
@@ -48,14 +48,14 @@ def _station(value: Mapping[str, Any]) -> Station:
 
 def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     """Group described by MCAP channel metadata; raises RigError if they are incomplete or inconsistent."""
-    if missing_keys := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
+    if missing_keys := [key for key in ("quantity", "unit", *_JSON_TEXT_KEYS) if key not in metadata]:
         raise RigError(f"the metadata of channel {topic} lack {missing_keys[0]!r}; see rig/recording/README.md")
     try:
-        names = tuple(str(name_value) for name_value in json.loads(metadata["names"]))
+        names = tuple(str(json_name) for json_name in json.loads(metadata["names"]))
         station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if station_value is None else _station(station_value) for station_value in station_values)
-        for name in names:
-            check_name("channel", name)
+        stations = tuple(None if station_json is None else _station(station_json) for station_json in station_values)
+        for channel_name in names:
+            check_name("channel", channel_name)
         rate_hz = float(json.loads(metadata["sample_rate_hz"]))
         if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate_hz < math.inf:
             raise RigError(
@@ -66,7 +66,7 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
         raise RigError(f"the metadata of channel {topic} cannot be used: {error}") from error
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RigError(
-            f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON_KEYS)} as JSON, as "
+            f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON_TEXT_KEYS)} as JSON, as "
             "rig/recording/README.md says"
         ) from error
     return Channels(metadata["quantity"], metadata["unit"], names, stations, rate_hz)
@@ -88,21 +88,21 @@ def check_channels(
             )
         if group_name not in expected_by_group:
             continue
-        unit = expected_by_group[group_name].unit
-        if (channels.quantity, channels.unit) != (group_name, unit):
+        expected_unit = expected_by_group[group_name].unit
+        if (channels.quantity, channels.unit) != (group_name, expected_unit):
             raise RigError(
                 f"{path}: group {group_name} holds {channels.quantity!r} in {channels.unit!r}; write {group_name} in "
-                f"{unit}"
+                f"{expected_unit}"
             )
         if group_name == "force":
             station_pairs = zip(channels.stations, rig.forces, strict=False)
             if len(channels.names) != len(rig.forces) or any(
                 measured_station not in (None, believed_station) for measured_station, believed_station in station_pairs
             ):
-                force_text = f"one at {rig.force_at}" if len(rig.forces) == 1 else f"{len(rig.forces)} at {rig.forces}"
+                force_words = f"one at {rig.force_at}" if len(rig.forces) == 1 else f"{len(rig.forces)} at {rig.forces}"
                 raise RigError(
                     f"{path}: group force has the channels {channels.names} at {channels.stations}, rig.json "
-                    f"{force_text}; make them agree"
+                    f"{force_words}; make them agree"
                 )
             continue
         for channel_name, station in zip(channels.names, channels.stations, strict=True):

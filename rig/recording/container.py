@@ -25,21 +25,21 @@ from rig.errors import RigError, TooLargeError
 from rig.files import check_source
 from rig.limits import MemoryCounter
 
-MAX_BYTES = 64 * 1024 * 1024
+MAX_RECORD_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
 MAX_DESCRIPTION_BYTES = 4 * 1024 * 1024
 """The largest record that is no chunk, message or attachment."""
 COPIES_PER_BYTE, MESSAGE_BYTES, ENTRY_BYTES = 4, 400, 200
 """Memory counted for what the chunks of a file hold: so many times its bytes, and what each message and each entry of a
 map takes beside them where it is kept."""
-_PIECE_BYTES = 1024 * 1024  # a file is read in pieces of this size, which a processor's cache holds
+_WINDOW_BYTES = 1024 * 1024  # a file is read in pieces of this size, which a processor's cache holds
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_CHANNEL = struct.Struct("<H")
-_CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the name of the compression
-_LENGTH = struct.Struct("<Q")
-_RECORD_TYPES = {
+_MESSAGE_FIELDS = struct.Struct("<HIQQ")
+_CHANNEL_ID = struct.Struct("<H")
+_CHUNK_FIELDS = struct.Struct("<QQQII")  # times, size, checksum, length of the name of the compression
+_RECORDS_LENGTH = struct.Struct("<Q")
+_RECORD_TYPE_BY_OPCODE = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
@@ -59,12 +59,12 @@ def open_recording(path: Path) -> BufferedReader:
     """
     check_source(path)
     try:
-        with ExitStack() as closing:
-            file = closing.enter_context(path.open("rb"))
-            first_bytes = file.read(len(_MAGIC))
+        with ExitStack() as exit_stack:
+            recording_file = exit_stack.enter_context(path.open("rb"))
+            first_bytes = recording_file.read(len(_MAGIC))
             if first_bytes == _MAGIC:
-                closing.pop_all()
-                return file
+                exit_stack.pop_all()
+                return recording_file
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
     if not first_bytes:
@@ -78,10 +78,10 @@ def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = l
     The data of a message are valid until the next record is requested. Messages of channels for which is_wanted is
     false are only counted. A record with a forbidden size or name raises RigError, without the name of the file.
     """
-    crc, message_count, skipped_ids, memory_counter = crc32(_MAGIC), 0, set[int](), memory_counter_of(file)
+    data_crc, message_count, skipped_ids, memory_counter = crc32(_MAGIC), 0, set[int](), memory_counter_of(file)
     for opcode, content in _top_level_records(file):
         for record in records(opcode, content[_HEAD.size :], memory_counter, skipped_ids):
-            if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
+            if isinstance(record, DataEnd) and record.data_section_crc not in (0, data_crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != message_count:
                 raise ValueError(f"{message_count} messages where its statistics count {record.message_count}")
@@ -89,13 +89,13 @@ def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = l
                 skipped_ids.add(record.id)
             message_count += record.message_count if isinstance(record, UnreadMessages) else isinstance(record, Message)
             yield record
-        crc = crc32(content, crc)
+        data_crc = crc32(content, data_crc)
 
 
-def with_path_in_error(path: Path, steps: Iterator[ReadingStep]) -> Iterator[ReadingStep]:
+def with_path_in_error(path: Path, reading_steps: Iterator[ReadingStep]) -> Iterator[ReadingStep]:
     """Pass on the steps of reading a file; turn every error into a RigError that names the file."""
     try:
-        yield from steps
+        yield from reading_steps
     except RigError as error:
         raise RigError(f"{path}: {error}") from error
     except DAMAGE as error:
@@ -117,15 +117,15 @@ def read_sound(file: BufferedReader) -> Iterator[McapRecord]:
 
     A chunk without a checksum is skipped. Raises TooLargeError where the content exceeds the bound of the file.
     """
-    memory_counter, top_level = memory_counter_of(file), _top_level_records(file)
+    memory_counter, top_level_records = memory_counter_of(file), _top_level_records(file)
     while True:
         try:
-            opcode, content = next(top_level)
+            opcode, content = next(top_level_records)
         except (StopIteration, *DAMAGE):
             return
         record_body = content[_HEAD.size :]
         try:
-            if opcode != Opcode.CHUNK or _CHUNK.unpack_from(record_body)[3]:
+            if opcode != Opcode.CHUNK or _CHUNK_FIELDS.unpack_from(record_body)[3]:
                 yield from records(opcode, record_body, memory_counter)
         except TooLargeError:
             raise
@@ -148,7 +148,7 @@ def memory_counter_of(file: BufferedReader) -> MemoryCounter:
 def records(
     opcode: int, record_body: memoryview, memory_counter: MemoryCounter, skipped_ids: Container[int] = ()
 ) -> Iterator[McapRecord | UnreadMessages]:
-    """Relevant records in one top-level record; a chunk is decompressed to at most MAX_BYTES.
+    """Relevant records in one top-level record; a chunk is decompressed to at most MAX_RECORD_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
@@ -156,12 +156,12 @@ def records(
         yield from _chunk_records(_decompress(record_body, memory_counter), memory_counter, skipped_ids)
     elif opcode == Opcode.MESSAGE:
         yield _message(record_body, memory_counter)
-    elif opcode in _RECORD_TYPES:
+    elif opcode in _RECORD_TYPE_BY_OPCODE:
         if opcode != Opcode.ATTACHMENT and len(record_body) > MAX_DESCRIPTION_BYTES:
             raise RigError(
                 f"a description declares {len(record_body)} bytes; write at most {MAX_DESCRIPTION_BYTES} bytes"
             )
-        record = _RECORD_TYPES[Opcode(opcode)].read(ReadDataStream(BytesIO(record_body)))
+        record = _RECORD_TYPE_BY_OPCODE[Opcode(opcode)].read(ReadDataStream(BytesIO(record_body)))
         if isinstance(record, Attachment):
             _check_attachment(record, record_body)
         if isinstance(record, Channel | Metadata):
@@ -175,7 +175,7 @@ def _chunk_records(
     offset = 0
     while offset < len(chunk_records):
         opcode, body_start, offset = _next_record(chunk_records, offset)
-        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(chunk_records, body_start)[0] in skipped_ids:
+        if opcode == Opcode.MESSAGE and _CHANNEL_ID.unpack_from(chunk_records, body_start)[0] in skipped_ids:
             run_length = _run_length(chunk_records[body_start - _HEAD.size :], _HEAD.size + offset - body_start)
             offset += (run_length - 1) * (_HEAD.size + offset - body_start)
             yield UnreadMessages(run_length)
@@ -185,20 +185,20 @@ def _chunk_records(
             yield from records(opcode, chunk_records[body_start:offset], memory_counter)
 
 
-def _run_length(chunk_records: memoryview, record_length: int) -> int:
+def _run_length(chunk_records: memoryview, record_bytes: int) -> int:
     """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
-    record_count = min(len(chunk_records) // record_length, 64)
+    record_count = min(len(chunk_records) // record_bytes, 64)
     first_eight_bytes, last_eight_bytes = (
-        np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_length,)) for offset in (0, 3)
+        np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_bytes,)) for offset in (0, 3)
     )
-    is_same = (first_eight_bytes == first_eight_bytes[0]) & (last_eight_bytes == last_eight_bytes[0])
-    return record_count if is_same.all() else int(np.argmin(is_same))
+    is_like_first = (first_eight_bytes == first_eight_bytes[0]) & (last_eight_bytes == last_eight_bytes[0])
+    return record_count if is_like_first.all() else int(np.argmin(is_like_first))
 
 
 def _message(record_body: memoryview, memory_counter: MemoryCounter) -> Message:
     memory_counter.add(MESSAGE_BYTES)
-    channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(record_body)
-    return Message(channel_id, log_time, record_body[_MESSAGE.size :], publish_time, sequence)
+    channel_id, sequence, log_time, publish_time = _MESSAGE_FIELDS.unpack_from(record_body)
+    return Message(channel_id, log_time, record_body[_MESSAGE_FIELDS.size :], publish_time, sequence)
 
 
 def _top_level_records(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
@@ -219,19 +219,19 @@ class _Window:
     """Sliding window on a file in one reused buffer: allocation costs more than the reading."""
 
     def __init__(self, file: BufferedReader) -> None:
-        self._file, self._buffer = file, memoryview(bytearray(_PIECE_BYTES))
+        self._file, self._buffer = file, memoryview(bytearray(_WINDOW_BYTES))
         self._position = self._end = 0
 
     def peek(self, byte_count: int) -> memoryview:
         """The next `byte_count` bytes, without moving; raises EOFError if the file ends before."""
         if self._end - self._position < byte_count:
             unread_bytes = self._buffer[self._position : self._end]
-            buffer = self._buffer if byte_count <= len(self._buffer) else memoryview(bytearray(byte_count))
-            buffer[: len(unread_bytes)] = unread_bytes
+            larger_buffer = self._buffer if byte_count <= len(self._buffer) else memoryview(bytearray(byte_count))
+            larger_buffer[: len(unread_bytes)] = unread_bytes
             self._buffer, self._position, self._end = (
-                buffer,
+                larger_buffer,
                 0,
-                len(unread_bytes) + self._file.readinto(buffer[len(unread_bytes) :]),
+                len(unread_bytes) + self._file.readinto(larger_buffer[len(unread_bytes) :]),
             )
         if self._end < byte_count:
             raise EOFError(
@@ -257,43 +257,43 @@ def _next_record(content: memoryview, offset: int) -> tuple[int, int, int]:
 
 
 def _record_head(content: memoryview, offset: int) -> tuple[int, int]:
-    """Opcode of the record at an offset and the length of its body, at most MAX_BYTES (else RigError)."""
+    """Opcode of the record at an offset and the length of its body, at most MAX_RECORD_BYTES (else RigError)."""
     opcode, body_length = _HEAD.unpack_from(content, offset)
     if opcode == 0:
         raise ValueError("a record without a kind")
-    if body_length > MAX_BYTES:
-        raise RigError(f"a record declares {body_length} bytes; write records of at most {MAX_BYTES} bytes")
+    if body_length > MAX_RECORD_BYTES:
+        raise RigError(f"a record declares {body_length} bytes; write records of at most {MAX_RECORD_BYTES} bytes")
     return opcode, body_length
 
 
 def _decompress(record_body: memoryview, memory_counter: MemoryCounter) -> memoryview:
     """Decompressed records of a chunk; their memory is counted before the checksum is compared."""
-    _, _, declared_size, crc, name_length = _CHUNK.unpack_from(record_body)
-    compression = bytes(record_body[_CHUNK.size : _CHUNK.size + name_length]).decode()
-    (compressed_length,) = _LENGTH.unpack_from(record_body, _CHUNK.size + name_length)
-    if declared_size > MAX_BYTES:
-        raise RigError(f"a chunk declares {declared_size} bytes when decompressed; write at most {MAX_BYTES}")
-    compressed = record_body[_CHUNK.size + name_length + _LENGTH.size :][:compressed_length]
+    _, _, declared_bytes, declared_crc, name_length = _CHUNK_FIELDS.unpack_from(record_body)
+    compression_name = bytes(record_body[_CHUNK_FIELDS.size : _CHUNK_FIELDS.size + name_length]).decode()
+    (compressed_length,) = _RECORDS_LENGTH.unpack_from(record_body, _CHUNK_FIELDS.size + name_length)
+    if declared_bytes > MAX_RECORD_BYTES:
+        raise RigError(f"a chunk declares {declared_bytes} bytes when decompressed; write at most {MAX_RECORD_BYTES}")
+    compressed = record_body[_CHUNK_FIELDS.size + name_length + _RECORDS_LENGTH.size :][:compressed_length]
     if len(compressed) < compressed_length:
         raise EOFError(f"a chunk of {compressed_length} bytes ends after {len(compressed)}")
-    if compression == "lz4":
-        chunk_records = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(compressed, max_length=declared_size))
-    elif compression == "zstd":
-        chunk_records = memoryview(zstandard.ZstdDecompressor().stream_reader(compressed).read(declared_size))
-    elif compression == "":
+    if compression_name == "lz4":
+        chunk_records = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(compressed, max_length=declared_bytes))
+    elif compression_name == "zstd":
+        chunk_records = memoryview(zstandard.ZstdDecompressor().stream_reader(compressed).read(declared_bytes))
+    elif compression_name == "":
         chunk_records = compressed
     else:
-        raise ValueError(f"unknown compression {compression!r}")
+        raise ValueError(f"unknown compression {compression_name!r}")
     memory_counter.add(COPIES_PER_BYTE * len(chunk_records))
-    if len(chunk_records) != declared_size or crc not in (0, crc32(chunk_records)):
+    if len(chunk_records) != declared_bytes or declared_crc not in (0, crc32(chunk_records)):
         raise ValueError("the checksum of a chunk is wrong")
     return chunk_records
 
 
 def _check_attachment(record: Attachment, record_body: memoryview) -> None:
-    name = PurePosixPath(record.name.replace("\\", "/"))
-    if name.is_absolute() or ".." in name.parts:
+    attachment_path = PurePosixPath(record.name.replace("\\", "/"))
+    if attachment_path.is_absolute() or ".." in attachment_path.parts:
         raise RigError(f"the attachment {record.name!r} is named like a path out of its folder; rename it")
-    (crc,) = struct.unpack("<I", record_body[-4:])
-    if crc not in (0, crc32(record_body[:-4])):
+    (declared_crc,) = struct.unpack("<I", record_body[-4:])
+    if declared_crc not in (0, crc32(record_body[:-4])):
         raise ValueError(f"the checksum of the attachment {record.name!r} is wrong")

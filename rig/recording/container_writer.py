@@ -81,8 +81,8 @@ class Chunk:
         self._times_ns.append(time_ns)
         self.message_counts[channel_id] += 1
         self._append(record_head)
-        offset = self._reserve(8 * values.size)
-        np.ndarray(values.shape, "<f8", self._bytes, offset)[:] = values
+        values_offset = self._reserve(8 * values.size)
+        np.ndarray(values.shape, "<f8", self._bytes, values_offset)[:] = values
 
     def add_many(
         self,
@@ -92,19 +92,19 @@ class Chunk:
         values: Float[np.ndarray, "messages channels"],
     ) -> None:
         """Append messages with the same head and the same number of doubles."""
-        record_type = _record_type(len(message_head), values.shape[1])
+        message_type = _message_type(len(message_head), values.shape[1])
         index_entries = np.empty((len(values), 2), "<u8")
-        index_entries[:, 0], index_entries[:, 1] = times_ns, self.size + record_type.itemsize * np.arange(len(values))
+        index_entries[:, 0], index_entries[:, 1] = times_ns, self.size + message_type.itemsize * np.arange(len(values))
         self._index_entries.setdefault(channel_id, []).append(index_entries.tobytes())
         self._times_ns += [int(times_ns[0]), int(times_ns[-1])]
         self.message_counts[channel_id] += len(values)
-        offset = self._reserve(len(values) * record_type.itemsize)
-        records = np.ndarray(len(values), record_type, self._bytes, offset)
-        record_start = _MESSAGE_START.pack(Opcode.MESSAGE, record_type.itemsize - _HEAD.size, channel_id, 0)
-        records["start"] = np.frombuffer(record_start, "u1")
-        records["times"] = times_ns[:, None]  # logged and published
-        records["head"] = np.frombuffer(message_head, "u1")
-        records["values"] = values
+        messages_offset = self._reserve(len(values) * message_type.itemsize)
+        message_rows = np.ndarray(len(values), message_type, self._bytes, messages_offset)
+        message_start = _MESSAGE_START.pack(Opcode.MESSAGE, message_type.itemsize - _HEAD.size, channel_id, 0)
+        message_rows["start"] = np.frombuffer(message_start, "u1")
+        message_rows["times"] = times_ns[:, None]  # logged and published
+        message_rows["head"] = np.frombuffer(message_head, "u1")
+        message_rows["values"] = values
 
     def seal(self, file_offset: int) -> tuple[memoryview, int, ChunkIndex]:
         """Bytes of the chunk record and its message indexes at a file offset, their CRC-32, and the chunk index.
@@ -119,8 +119,8 @@ class Chunk:
         )
         self._bytes[:_RECORDS_START] = record_head
         index_offsets = {}
-        for channel_id, entries in self._index_entries.items():
-            index_offsets[channel_id], entry_bytes = file_offset + self._end_offset, b"".join(entries)
+        for channel_id, index_entries in self._index_entries.items():
+            index_offsets[channel_id], entry_bytes = file_offset + self._end_offset, b"".join(index_entries)
             index_head = _INDEX.pack(
                 Opcode.MESSAGE_INDEX, _INDEX.size - _HEAD.size + len(entry_bytes), channel_id, len(entry_bytes)
             )
@@ -141,20 +141,20 @@ class Chunk:
         self._end_offset, self._index_entries, self._times_ns = _RECORDS_START, {}, []
         return sealed_bytes, sealed_crc, chunk_index
 
-    def _append(self, data: bytes) -> None:
-        offset = self._reserve(len(data))
-        self._bytes[offset : self._end_offset] = data
+    def _append(self, appended_bytes: bytes) -> None:
+        offset = self._reserve(len(appended_bytes))
+        self._bytes[offset : self._end_offset] = appended_bytes
 
-    def _reserve(self, length: int) -> int:
+    def _reserve(self, byte_count: int) -> int:
         """Extend the buffer by `length` bytes and return the offset at which they start."""
-        offset, self._end_offset = self._end_offset, self._end_offset + length
+        offset, self._end_offset = self._end_offset, self._end_offset + byte_count
         if self._end_offset > len(self._bytes):
             self._bytes = self._bytes[:offset] + bytearray(2 * self._end_offset - offset)
         return offset
 
 
 @cache
-def _record_type(head_length: int, double_count: int) -> np.dtype[np.void]:
+def _message_type(head_length: int, double_count: int) -> np.dtype[np.void]:
     """NumPy record type of a message with `head_length` bytes before `double_count` doubles."""
     start_field = ("start", "u1", (_MESSAGE_START.size,))
     return np.dtype(
@@ -181,11 +181,11 @@ class ContainerWriter:
         self._index_records: list[Any] = []
         self._front_records = front_records
         self._write(MAGIC)
-        self._write(_encode(Header("", "rig")))
+        self._write(_record_bytes(Header("", "rig")))
         for record in front_records:
-            record_offset, record_length = self._offset, self._write(_encode(record))
+            record_offset, record_length = self._offset, self._write(_record_bytes(record))
             self._index_records.append(_index_record(record, record_offset, record_length))
-        repeated_bytes = b"".join(map(_encode, self._repeated_records))
+        repeated_bytes = b"".join(map(_record_bytes, self._repeated_records))
         self._write(repeated_bytes)
         # once more in the first chunk: in front of the chunks no checksum guards them, and what is saved of a file
         # without its end depends on them
@@ -193,15 +193,15 @@ class ContainerWriter:
 
     def write_chunk(self) -> None:
         """Write the current chunk and start a new one."""
-        chunk_bytes, crc, chunk_index = self.chunk.seal(self._offset)
-        self._write(chunk_bytes, crc)
+        chunk_bytes, chunk_crc, chunk_index = self.chunk.seal(self._offset)
+        self._write(chunk_bytes, chunk_crc)
         self._index_records.append(chunk_index)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
         if self.chunk.has_messages:
             self.write_chunk()
-        self._write(_encode(DataEnd(self._crc)))
+        self._write(_record_bytes(DataEnd(self._crc)))
         chunk_indexes = [index for index in self._index_records if isinstance(index, ChunkIndex)]
         statistics = Statistics(
             attachment_count=sum(isinstance(record, Attachment) for record in self._front_records),
@@ -215,34 +215,34 @@ class ContainerWriter:
             schema_count=sum(isinstance(record, Schema) for record in self._repeated_records),
         )
         summary_bytes = b"".join(
-            _encode(record) for record in [*self._repeated_records, statistics, *self._index_records]
+            _record_bytes(record) for record in [*self._repeated_records, statistics, *self._index_records]
         )
         summary_start = self._offset
         self._write(summary_bytes)
         footer_bytes_before_crc = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
-        self._write(_encode(Footer(summary_start, 0, crc32(footer_bytes_before_crc, crc32(summary_bytes)))))
+        self._write(_record_bytes(Footer(summary_start, 0, crc32(footer_bytes_before_crc, crc32(summary_bytes)))))
         self._write(MAGIC)
 
-    def _write(self, data: bytes | memoryview, crc: int | None = None) -> int:
-        """Write bytes and return their number; `crc` is their CRC-32 where it is known already."""
-        self._stream.write(data)
-        self._crc = crc32_combine(self._crc, crc32(data) if crc is None else crc, len(data))
-        self._offset += len(data)
-        return len(data)
+    def _write(self, written_bytes: bytes | memoryview, data_crc: int | None = None) -> int:
+        """Write bytes and return their number; `data_crc` is their CRC-32 where it is known already."""
+        self._stream.write(written_bytes)
+        self._crc = crc32_combine(self._crc, crc32(written_bytes) if data_crc is None else data_crc, len(written_bytes))
+        self._offset += len(written_bytes)
+        return len(written_bytes)
 
 
-def _encode(record: Any) -> bytes:
+def _record_bytes(record: Any) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
 
 
-def _index_record(record: Attachment | Metadata, offset: int, length: int) -> AttachmentIndex | MetadataIndex:
+def _index_record(record: Attachment | Metadata, offset: int, record_length: int) -> AttachmentIndex | MetadataIndex:
     if isinstance(record, Metadata):
-        return MetadataIndex(offset=offset, length=length, name=record.name)
+        return MetadataIndex(offset=offset, length=record_length, name=record.name)
     return AttachmentIndex(
         offset=offset,
-        length=length,
+        length=record_length,
         create_time=record.create_time,
         log_time=record.log_time,
         data_size=len(record.data),

@@ -24,7 +24,7 @@ from rig.recording.channels import Channels, check_channels, from_metadata
 from rig.recording.foreign import PROVENANCE, RIG_NAME
 from rig.recording.messages import Block
 
-TRUTH = ".truth.mcap"
+TRUTH_SUFFIX = ".truth.mcap"
 """Suffix of a truth file, which holds what only a simulator knows."""
 RECORDED = "recorded"
 """Key of the provenance: the date at which the record begins, in ISO 8601."""
@@ -143,8 +143,8 @@ class Recording:
 def recorded_at(provenance: Mapping[str, str]) -> datetime | None:
     """Date at which a record begins, in UTC; None where it is unknown."""
     try:
-        date = datetime.fromisoformat(provenance[RECORDED])
-        return date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
+        start_date = datetime.fromisoformat(provenance[RECORDED])
+        return start_date.astimezone(UTC) if start_date.tzinfo else start_date.replace(tzinfo=UTC)
     except (KeyError, ValueError, OverflowError):
         return None
 
@@ -158,8 +158,8 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
     channels_by_group = {"force": _force_channels(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
-        names, stations = tuple(sensor.name for sensor in sensors), tuple(sensor.station for sensor in sensors)
-        channels_by_group[quantity] = Channels(quantity, UNITS[quantity], names, stations, rig.sample_rate_hz)
+        sensor_names, stations = tuple(sensor.name for sensor in sensors), tuple(sensor.station for sensor in sensors)
+        channels_by_group[quantity] = Channels(quantity, UNITS[quantity], sensor_names, stations, rig.sample_rate_hz)
     return channels_by_group
 
 
@@ -186,7 +186,7 @@ def read(path: Path) -> Recording:
     """
     recording = _load(path)
     check_shapes_known(recording.rig, f"{path}: {RIG_NAME}")
-    channels_by_group = {group: signals.channels for group, signals in recording.signals.items()}
+    channels_by_group = {group_name: signals.channels for group_name, signals in recording.signals.items()}
     check_channels(path, recording.rig, channels_by_group, channel_groups(recording.rig))
     return recording
 
@@ -198,17 +198,17 @@ def read_truth(path: Path) -> Recording:
 
 def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
     """Provenance with further processing steps, one numbered entry each."""
-    step_count = sum(key.startswith("history ") for key in provenance)
-    return {**provenance, **{f"history {step_count + number}": step for number, step in enumerate(steps, start=1)}}
+    earlier_count = sum(key.startswith("history ") for key in provenance)
+    return {**provenance, **{f"history {earlier_count + number}": step for number, step in enumerate(steps, start=1)}}
 
 
 def truth_path(path: Path) -> Path:
-    return path.with_name(path.name.removesuffix(".mcap") + TRUTH)
+    return path.with_name(path.name.removesuffix(".mcap") + TRUTH_SUFFIX)
 
 
 def recordings_in(folder: Path) -> list[Path]:
     """Recordings in a folder: its .mcap files except truth files."""
-    return [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
+    return [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH_SUFFIX)]
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Itera
     """
     group_by_channel_id: dict[int, str] = {}
     channel_by_id: dict[int, ChannelRecord] = {}
-    clock = TimeStampCheck()
+    time_stamps = TimeStampCheck()
     for record in records:
         if isinstance(record, ChannelRecord) and (earlier := channel_by_id.setdefault(record.id, record)) != record:
             raise ValueError(f"channel {record.id} is described in two ways: {earlier.topic} and {record.topic}")
@@ -250,13 +250,13 @@ def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Itera
             contents.channels_by_group[group_name] = from_metadata(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
             group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
-            clock.check(group_name, contents.channels_by_group[group_name].sample_rate_hz, block)
+            time_stamps.check(group_name, contents.channels_by_group[group_name].sample_rate_hz, block)
             yield group_name, block
 
 
 def _add_provenance(record: Metadata, contents: FileContents) -> None:
-    for key, value in record.metadata.items():
-        if contents.provenance.setdefault(key, value) != value:
+    for key, entry in record.metadata.items():
+        if contents.provenance.setdefault(key, entry) != entry:
             raise RigError(f"the provenance gives {key!r} twice; keep the one that is meant")
 
 
@@ -271,25 +271,25 @@ def rig_of(path: Path, contents: FileContents) -> Rig:
 def _load(path: Path) -> Recording:
     contents, assemblies = FileContents(), dict[str, SampleAssembly]()
     with container.open_recording(path) as file:
-        max_values = path.stat().st_size // 8
+        max_value_count = path.stat().st_size // 8
         blocks = group_blocks(container.read_complete(file, holds_blocks), contents)
-        for group, block in container.with_path_in_error(path, blocks):
-            if group not in assemblies:
-                groups = contents.channels_by_group
-                capacity = max_values // sum(len(channels.names) for channels in groups.values())
-                assemblies[group] = SampleAssembly(path, group, groups[group], capacity=capacity)
-            assemblies[group].add(block)
-    rig = rig_of(path, contents)
+        for group_name, block in container.with_path_in_error(path, blocks):
+            if group_name not in assemblies:
+                group_channels = contents.channels_by_group
+                capacity = max_value_count // sum(len(channels.names) for channels in group_channels.values())
+                assemblies[group_name] = SampleAssembly(path, group_name, group_channels[group_name], capacity=capacity)
+            assemblies[group_name].add(block)
+    nominal_rig = rig_of(path, contents)
     signals = {
-        group: Signals(channels, *assemblies.get(group, SampleAssembly(path, group, channels)).finish())
-        for group, channels in contents.channels_by_group.items()
+        group_name: Signals(channels, *assemblies.get(group_name, SampleAssembly(path, group_name, channels)).finish())
+        for group_name, channels in contents.channels_by_group.items()
     }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
-    samples_by_group = {group: s.values.shape[1] for group, s in signals.items()}
-    if len(set(samples_by_group.values())) > 1:
-        raise RigError(f"{path}: its groups differ in length ({samples_by_group}); every group needs the same samples")
-    return Recording(rig, signals, contents.provenance)
+    sample_counts = {group_name: group_signals.values.shape[1] for group_name, group_signals in signals.items()}
+    if len(set(sample_counts.values())) > 1:
+        raise RigError(f"{path}: its groups differ in length ({sample_counts}); every group needs the same samples")
+    return Recording(nominal_rig, signals, contents.provenance)
 
 
 TOLERANCE_SAMPLES, TOLERANCE_NS = 0.5, 1000.0

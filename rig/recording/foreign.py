@@ -10,7 +10,7 @@ from rig.recording.container_writer import Chunk
 
 RIG_NAME, PROVENANCE = "rig.json", "provenance"
 
-OWN_NAMES = {Attachment: RIG_NAME, Metadata: PROVENANCE}
+OWN_NAME_BY_TYPE = {Attachment: RIG_NAME, Metadata: PROVENANCE}
 _NO_VALUES = np.zeros((0, 0))
 
 
@@ -27,7 +27,7 @@ class ForeignRecords:
         """Pass on the records of a file and keep those that are not the recording's own."""
         for record in records:
             if isinstance(record, Attachment | Metadata):
-                if record.name != OWN_NAMES[type(record)] and record not in self.front_records:
+                if record.name != OWN_NAME_BY_TYPE[type(record)] and record not in self.front_records:
                     self.front_records.append(record)
             elif isinstance(record, Schema):
                 self.schemas.setdefault(record.id, record)
@@ -39,15 +39,15 @@ class ForeignRecords:
 
     def renumbered(self, schema_count: int, channel_count: int) -> "ForeignRecords":
         """Content renumbered behind `schema_count` and `channel_count` other ids; unused schemas are left out."""
-        used_schema_ids = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
-        schema_ids = {old_id: schema_count + k for k, old_id in enumerate(used_schema_ids, start=1)}
-        channel_ids = {old_id: channel_count + k for k, old_id in enumerate(self.channels, start=1)}
+        used_schema_ids = sorted({channel.schema_id for channel in self.channels.values()} & set(self.schemas))
+        schema_ids = {old_id: schema_count + number for number, old_id in enumerate(used_schema_ids, start=1)}
+        channel_ids = {old_id: channel_count + number for number, old_id in enumerate(self.channels, start=1)}
         return ForeignRecords(
             self.front_records,
             {schema_ids[old_id]: replace(self.schemas[old_id], id=schema_ids[old_id]) for old_id in used_schema_ids},
             {
-                channel_ids[o]: replace(c, id=channel_ids[o], schema_id=schema_ids.get(c.schema_id, 0))
-                for o, c in self.channels.items()
+                channel_ids[o]: replace(channel, id=channel_ids[o], schema_id=schema_ids.get(channel.schema_id, 0))
+                for o, channel in self.channels.items()
             },
             [replace(message, channel_id=channel_ids[message.channel_id]) for message in self.messages],
         )

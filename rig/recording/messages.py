@@ -44,30 +44,30 @@ def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tu
     A packed double field is its tag, its length in bytes and the doubles; protobuf would take them one by one.
     """
     channel_count, sample_count = shape
-    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channel_count)
-    message.timestamp.FromNanoseconds(time_ns)
-    return bytes(message.SerializeToString()) + _VALUES_TAG + _encode_varint(8 * channel_count * sample_count)
+    head_message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channel_count)
+    head_message.timestamp.FromNanoseconds(time_ns)
+    return bytes(head_message.SerializeToString()) + _VALUES_TAG + _encode_varint(8 * channel_count * sample_count)
 
 
 def decode_block(message_bytes: bytes | memoryview) -> Block:
     """Block in a message; raises ValueError if there is none. Its values are a view of the data where possible."""
-    message, (head_end, values_start) = _Block(), _values_offsets(message_bytes)
+    decoded_message, (head_end, values_start) = _Block(), _values_offsets(message_bytes)
     try:
-        message.ParseFromString(bytes(message_bytes[:head_end]))
+        decoded_message.ParseFromString(bytes(message_bytes[:head_end]))
     except Exception as error:  # protobuf's own error type differs between its implementations
         raise ValueError("a block cannot be decoded") from error
     values = (
         np.frombuffer(message_bytes, "<f8", offset=values_start)
         if values_start
-        else np.array(message.values, dtype=float)
+        else np.array(decoded_message.values, dtype=float)
     )
-    if message.channels == 0 or values.size % message.channels:
-        raise ValueError(f"a block of {values.size} values for {message.channels} channels")
+    if decoded_message.channels == 0 or values.size % decoded_message.channels:
+        raise ValueError(f"a block of {values.size} values for {decoded_message.channels} channels")
     return Block(
-        message.timestamp.ToNanoseconds(),
-        message.first_sample,
-        message.sample_rate_hz,
-        values.reshape(message.channels, -1),
+        decoded_message.timestamp.ToNanoseconds(),
+        decoded_message.first_sample,
+        decoded_message.sample_rate_hz,
+        values.reshape(decoded_message.channels, -1),
     )
 
 
@@ -88,7 +88,7 @@ def _values_offsets(message_bytes: bytes | memoryview) -> tuple[int, int]:
     The values must be the last field and contiguous; otherwise the end of the message, and 0.
     """
     offset = 0
-    while offset < min(len(message_bytes), _LONGEST_HEAD):
+    while offset < min(len(message_bytes), _MAX_HEAD_BYTES):
         field_start, tag, offset = offset, message_bytes[offset], offset + 1
         if tag == _VALUES_TAG[0]:
             field_length, offset = _decode_varint(message_bytes, offset)
@@ -105,31 +105,31 @@ def _values_offsets(message_bytes: bytes | memoryview) -> tuple[int, int]:
 
 def _decode_varint(message_bytes: bytes | memoryview, offset: int) -> tuple[int, int]:
     """Value of a varint, and the offset behind it."""
-    value, shift_bits = 0, 0
+    number, shift_bits = 0, 0
     while offset < len(message_bytes) and shift_bits < 64:
-        value |= (message_bytes[offset] & 0x7F) << shift_bits
+        number |= (message_bytes[offset] & 0x7F) << shift_bits
         offset, shift_bits = offset + 1, shift_bits + 7
         if message_bytes[offset - 1] < 0x80:
             break
-    return value, offset
+    return number, offset
 
 
-def _encode_varint(value: int) -> bytes:
+def _encode_varint(number: int) -> bytes:
     varint_bytes = bytearray()
-    while value > 0x7F:
-        varint_bytes.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*varint_bytes, value])
+    while number > 0x7F:
+        varint_bytes.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*varint_bytes, number])
 
 
-def _block_type() -> tuple[Any, bytes]:
+def _block_class_and_schema() -> tuple[Any, bytes]:
     """Message class of a block and its schema (a FileDescriptorSet), built in code."""
     field_descriptor = descriptor_pb2.FieldDescriptorProto
     block_file = descriptor_pb2.FileDescriptorProto(
         name="rig/block.proto", package="rig", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
     )
-    message = block_file.message_type.add(name="Block")
-    for field_number, (field_name, field_type, label) in enumerate(
+    block_message = block_file.message_type.add(name="Block")
+    for field_number, (field_name, field_type, field_label) in enumerate(
         [
             ("timestamp", field_descriptor.TYPE_MESSAGE, field_descriptor.LABEL_OPTIONAL),
             ("first_sample", field_descriptor.TYPE_UINT64, field_descriptor.LABEL_OPTIONAL),
@@ -139,7 +139,7 @@ def _block_type() -> tuple[Any, bytes]:
         ],
         start=1,
     ):
-        added_field = message.field.add(name=field_name, number=field_number, type=field_type, label=label)
+        added_field = block_message.field.add(name=field_name, number=field_number, type=field_type, label=field_label)
         if field_type == field_descriptor.TYPE_MESSAGE:
             added_field.type_name = ".google.protobuf.Timestamp"
     timestamp_file = descriptor_pb2.FileDescriptorProto()
@@ -151,6 +151,6 @@ def _block_type() -> tuple[Any, bytes]:
     return message_factory.GetMessageClass(descriptors.FindMessageTypeByName("rig.Block")), schema_bytes
 
 
-_Block, BLOCK_SCHEMA = _block_type()
+_Block, BLOCK_SCHEMA = _block_class_and_schema()
 _VALUES_TAG = bytes([5 << 3 | 2])
-_LONGEST_HEAD = 64
+_MAX_HEAD_BYTES = 64

@@ -17,19 +17,19 @@ def plane_recording(recording: Recording, direction: Direction) -> Recording:
     rig = recording.rig
     if not rig.in_space:
         return recording
-    plane = in_plane(rig, direction)
+    plane_rig = in_plane(rig, direction)
     channels_by_group = {
-        name: channels for name, channels in channel_groups(plane).items() if name in recording.signals
+        name: channels for name, channels in channel_groups(plane_rig).items() if name in recording.signals
     }
     signals = {}
     for name, channels in channels_by_group.items():
         channels_in_space = recording.signals[name]
         if name == "force":
-            sensor_rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
+            channel_rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
         else:
-            sensor_rows = [channels_in_space.channels.names.index(sensor) for sensor in channels.names]
-        values = (
-            channels_in_space.values[sensor_rows] if sensor_rows else np.zeros((1, channels_in_space.values.shape[1]))
+            channel_rows = [channels_in_space.channels.names.index(channel_name) for channel_name in channels.names]
+        channel_values = (
+            channels_in_space.values[channel_rows] if channel_rows else np.zeros((1, channels_in_space.values.shape[1]))
         )
-        signals[name] = Signals(channels, channels_in_space.start_s, values)
-    return replace(recording, rig=plane, signals=signals)
+        signals[name] = Signals(channels, channels_in_space.start_s, channel_values)
+    return replace(recording, rig=plane_rig, signals=signals)

@@ -30,9 +30,9 @@ class GroupLoss:
 
     def __str__(self) -> str:
         rate_hz, lost_count = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
-        unstored_note = "" if self.asked is not None else ", besides what was never stored"
+        caveat = "" if self.asked is not None else ", besides what was never stored"
         kept_s, lost_s = self.kept / rate_hz, lost_count / rate_hz
-        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost_count} lost ({lost_s:g} s){unstored_note}"
+        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost_count} lost ({lost_s:g} s){caveat}"
 
 
 def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
@@ -61,16 +61,16 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
             f"{damaged_path}: holds no complete chunk of every group with its checksum; there is nothing to recover"
         )
     requested_s = _requested_duration_s(contents.provenance)
-    losses = tuple(_loss(channels, blocks[group], kept_count, requested_s) for group, channels in groups.items())
-    values = {}
+    losses = tuple(_group_loss(channels, blocks[group], kept_count, requested_s) for group, channels in groups.items())
+    values_by_group = {}
     for group, channels in groups.items():
-        kept_blocks = [block for first, block in blocks[group].items() if first < kept_count]
-        values[group] = assemble(damaged_path, group, channels, kept_blocks)[:, :kept_count]
-    if set(values) != set(truth_groups(rig)):
+        kept_blocks = [block for first_sample, block in blocks[group].items() if first_sample < kept_count]
+        values_by_group[group] = assemble(damaged_path, group, channels, kept_blocks)[:, :kept_count]
+    if set(values_by_group) != set(truth_groups(rig)):
         check_channels(damaged_path, rig, groups, channel_groups(rig))
     step = f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
-    with writing(target_path, rig, groups, with_history(contents.provenance, step), foreign) as recording:
-        recording.append_all(values)
+    with writing(target_path, rig, groups, with_history(contents.provenance, step), foreign) as recording_writer:
+        recording_writer.append_all(values_by_group)
     return losses
 
 
@@ -101,13 +101,13 @@ def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
         return None
 
 
-def _loss(
-    channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None
+def _group_loss(
+    channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_duration_s: float | None
 ) -> GroupLoss:
     return GroupLoss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
         kept=kept_count,
         found=sum(block.values.shape[1] for block in block_by_start.values()),
-        asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
+        asked=None if requested_duration_s is None else round(requested_duration_s * channels.sample_rate_hz),
     )

@@ -14,8 +14,8 @@ from rig.recording.foreign import RIG_NAME
 from rig.recording.messages import Block
 
 
-def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recording]:
-    """Segments of length_s of a recording, each overlapping the one before by overlap_s; the last is up to half longer.
+def segments(path: Path, segment_s: float, overlap_s: float) -> Iterator[Recording]:
+    """Segments of segment_s, each overlapping the one before by overlap_s; the last is up to half longer.
 
     Only one segment is in memory at a time. Raises RigError as `read` does, once it reaches the fault, and if the rig's
     description comes after the samples.
@@ -28,15 +28,15 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
         ):
             rig = rig or _checked_rig(path, contents)
             blocks_by_group[group_name].append(block.with_copied_values())
-            length_samples, overlap_samples = (round(x_s * rig.sample_rate_hz) for x_s in (length_s, overlap_s))
+            segment_samples, overlap_samples = (round(x_s * rig.sample_rate_hz) for x_s in (segment_s, overlap_s))
             if (
                 min(_stop_sample(blocks_by_group[group_name]) for group_name in contents.channels_by_group)
-                >= start_sample + length_samples + length_samples // 2
+                >= start_sample + segment_samples + segment_samples // 2
             ):
-                yield _segment(path, rig, contents, blocks_by_group, start_sample, start_sample + length_samples)
-                start_sample += length_samples - overlap_samples
-                for group_blocks_left in blocks_by_group.values():
-                    group_blocks_left[:] = [b for b in group_blocks_left if _stop_sample([b]) > start_sample]
+                yield _segment(path, rig, contents, blocks_by_group, start_sample, start_sample + segment_samples)
+                start_sample += segment_samples - overlap_samples
+                for remaining_blocks in blocks_by_group.values():
+                    remaining_blocks[:] = [b for b in remaining_blocks if _stop_sample([b]) > start_sample]
     rig = rig or _checked_rig(path, contents)
     stop_by_group = {group_name: _stop_sample(blocks_by_group[group_name]) for group_name in contents.channels_by_group}
     if len(set(stop_by_group.values())) > 1:
@@ -56,7 +56,7 @@ def bytes_per_second(path: Path) -> float:
         ):
             break
     rig = _checked_rig(path, contents)
-    return 8 * rig.sample_rate_hz * sum(len(group.names) for group in contents.channels_by_group.values())
+    return 8 * rig.sample_rate_hz * sum(len(channels.names) for channels in contents.channels_by_group.values())
 
 
 def _checked_rig(path: Path, contents: FileContents) -> Rig:
@@ -85,9 +85,9 @@ def _segment(
     signals = {}
     for group_name, channels in contents.channels_by_group.items():
         stored_blocks = blocks_by_group[group_name]
-        first_stored = stored_blocks[0].first_sample if stored_blocks else start_sample
-        values = assemble(path, group_name, channels, stored_blocks, first_stored)[
-            :, start_sample - first_stored : stop_sample - first_stored
+        first_stored_sample = stored_blocks[0].first_sample if stored_blocks else start_sample
+        values = assemble(path, group_name, channels, stored_blocks, first_stored_sample)[
+            :, start_sample - first_stored_sample : stop_sample - first_stored_sample
         ]
         signals[group_name] = Signals(channels, start_sample / rig.sample_rate_hz, values.copy())
     return Recording(rig, signals, contents.provenance)

@@ -24,7 +24,7 @@ from rig.recording.container_writer import ContainerWriter
 from rig.recording.file import recorded_at
 from rig.recording.foreign import PROVENANCE, RIG_NAME, ForeignRecords, add_message
 
-BLOCK_SAMPLES, SAMPLES_AT_ONCE = 1024, 2048
+SAMPLES_PER_BLOCK, SAMPLES_AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
 """Bytes and duration at which a chunk is written: a kill loses a chunk and a block at most."""
 
@@ -41,7 +41,7 @@ class RecordingWriter:
         foreign: ForeignRecords | None = None,
     ) -> None:
         self._stream = stream
-        self._groups = dict(channels_by_group)
+        self._channels_by_group = dict(channels_by_group)
         self._start_date_ns = start_date_ns(provenance)
         id_counter = count(1)
         self._channel_ids = {
@@ -78,19 +78,19 @@ class RecordingWriter:
         self._written_counts = dict.fromkeys(channels_by_group, 0)
 
     def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        earlier_values = self._pending_values[group]
-        pending_values = np.concatenate([earlier_values, values], axis=1) if earlier_values.size else values
-        full_count = pending_values.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
+        waiting_values = self._pending_values[group]
+        pending_values = np.concatenate([waiting_values, values], axis=1) if waiting_values.size else values
+        full_count = pending_values.shape[1] // SAMPLES_PER_BLOCK * SAMPLES_PER_BLOCK
         for first in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
-            self._write(group, pending_values[:, first : min(first + SAMPLES_AT_ONCE, full_count)], BLOCK_SAMPLES)
+            self._write(group, pending_values[:, first : min(first + SAMPLES_AT_ONCE, full_count)], SAMPLES_PER_BLOCK)
         self._pending_values[group] = pending_values[:, full_count:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
         """Append samples of every group, interleaved in the file, so that it can be read segment by segment."""
-        for first in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
-            for group, group_values in values.items():
-                self.append(group, group_values[:, first : first + SAMPLES_AT_ONCE])
+        for start_index in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
+            for group_name, group_values in values.items():
+                self.append(group_name, group_values[:, start_index : start_index + SAMPLES_AT_ONCE])
 
     def finish(self) -> None:
         """Write the remaining samples and the index, which completes the file."""
@@ -99,18 +99,18 @@ class RecordingWriter:
                 self._write(group_name, remainder, remainder.shape[1])
         self._writer.finish()
 
-    def _write(self, group_name: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
-        """Write blocks of `block_samples` and the previews of their channels."""
-        rate_hz, first_sample = self._groups[group_name].sample_rate_hz, self._written_counts[group_name]
+    def _write(self, group_name: str, values: Float[np.ndarray, "channels samples"], samples_per_block: int) -> None:
+        """Write blocks of `samples_per_block` and the previews of their channels."""
+        rate_hz, first_sample = self._channels_by_group[group_name].sample_rate_hz, self._written_counts[group_name]
         block_id, preview_ids = self._channel_ids[group_name]
         channel_count, sample_count = values.shape
-        for offset in range(0, sample_count, block_samples):
-            first, block = first_sample + offset, values[:, offset : offset + block_samples]
+        for offset in range(0, sample_count, samples_per_block):
+            first, block = first_sample + offset, values[:, offset : offset + samples_per_block]
             time_ns = round(first / rate_hz * 1e9)
-            head = messages.block_head(time_ns, first, rate_hz, (channel_count, block_samples))
-            self._writer.chunk.add(block_id, self._start_date_ns + time_ns, first // BLOCK_SAMPLES, head, block)
+            head = messages.block_head(time_ns, first, rate_hz, (channel_count, samples_per_block))
+            self._writer.chunk.add(block_id, self._start_date_ns + time_ns, first // SAMPLES_PER_BLOCK, head, block)
             self._write_full_chunk()
-        part_starts, part_extremes = previews(values, rate_hz, block_samples)
+        part_starts, part_extremes = previews(values, rate_hz, samples_per_block)
         times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
         for preview_id, channel_extremes in zip(preview_ids, part_extremes, strict=True):
             self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), channel_extremes)
@@ -132,8 +132,8 @@ def _channel_records(
 
 def start_date_ns(provenance: Mapping[str, str]) -> int:
     """Date at which a record begins, ns since 1970; 0 where it is unknown."""
-    date = recorded_at(provenance)
-    return max(0, round(date.timestamp() * 1e9)) if date else 0
+    start_date = recorded_at(provenance)
+    return max(0, round(start_date.timestamp() * 1e9)) if start_date else 0
 
 
 @contextmanager
@@ -185,15 +185,15 @@ def preview_record(channel_id: int, group_name: str, channel_name: str, unit: st
 
 
 def previews(
-    values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, block_samples: int
+    values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, samples_per_block: int
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
-    """First samples of the parts (1/50 s) of blocks of `block_samples`, and the extremes of every part."""
-    part_starts = _part_starts(values.shape[1], block_samples, max(1, round(sample_rate_hz / PREVIEW_HZ)))
+    """First samples of the parts (1/50 s) of blocks of `samples_per_block`, and the extremes of every part."""
+    part_starts = _part_starts(values.shape[1], samples_per_block, max(1, round(sample_rate_hz / PREVIEW_HZ)))
     extremes = [extreme_function.reduceat(values, part_starts, axis=1) for extreme_function in (np.minimum, np.maximum)]
     return part_starts, np.stack(extremes, axis=2)
 
 
 @lru_cache(maxsize=16)
-def _part_starts(sample_count: int, block_samples: int, part_samples: int) -> Int[np.ndarray, " parts"]:
-    blocks = range(0, sample_count, block_samples)
-    return np.concatenate([np.arange(block, block + block_samples, part_samples) for block in blocks])
+def _part_starts(sample_count: int, samples_per_block: int, samples_per_part: int) -> Int[np.ndarray, " parts"]:
+    block_starts = range(0, sample_count, samples_per_block)
+    return np.concatenate([np.arange(block, block + samples_per_block, samples_per_part) for block in block_starts])

@@ -21,7 +21,7 @@ MAX_WHOLE_FORCE_S = 1024.0
 SEGMENT_S = 256.0
 
 
-class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _ExcitationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Band and rms value, taken over the excited part of the record, of any excitation."""
 
     rms_n: float
@@ -42,7 +42,7 @@ class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise RigError(f"excitation: seed is {self.seed}; give zero or above")
 
 
-class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
+class BandLimitedGaussian(_ExcitationSettings, frozen=True, tag="gaussian"):
     """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
 
     Drawn line by line in the frequency domain, so the force does not depend on the time step. One of more than 1024 s
@@ -51,11 +51,11 @@ class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        noise = _unscaled_noise(sample_count, step_s, self)
-        return _scale_to_rms(noise * _rise_window(sample_count, step_s), self.rms_n)
+        unscaled_noise = _unscaled_noise(sample_count, step_s, self)
+        return _scale_to_rms(unscaled_noise * _rise_window(sample_count, step_s), self.rms_n)
 
 
-class BurstRandom(_Band, frozen=True, tag="burst"):
+class BurstRandom(_ExcitationSettings, frozen=True, tag="burst"):
     """The band-limited Gaussian force, on for `on_fraction` of each period and off for the rest."""
 
     period_s: float = 4.0
@@ -65,24 +65,24 @@ class BurstRandom(_Band, frozen=True, tag="burst"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        noise = _unscaled_noise(sample_count, step_s, self)
-        burst_share = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        unscaled_noise = _unscaled_noise(sample_count, step_s, self)
+        burst_elapsed = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
         # smooth edges over a twentieth of the burst
-        edge_share = np.clip(np.minimum(burst_share, 1 - burst_share) * 20, 0, 1)
-        return _scale_to_rms(noise * np.sin(np.pi / 2 * edge_share) ** 2, self.rms_n)
+        edge_elapsed = np.clip(np.minimum(burst_elapsed, 1 - burst_elapsed) * 20, 0, 1)
+        return _scale_to_rms(unscaled_noise * np.sin(np.pi / 2 * edge_elapsed) ** 2, self.rms_n)
 
 
-class Sweep(_Band, frozen=True, tag="sweep"):
+class Sweep(_ExcitationSettings, frozen=True, tag="sweep"):
     """A linear sine sweep from the lower to the upper end of the band over the whole record."""
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
         time_s = np.arange(sample_count) * step_s
-        chirp = scipy.signal.chirp(time_s, self.low_hz, sample_count * step_s, self.high_hz, phi=-90)
-        return _scale_to_rms(chirp, self.rms_n)
+        unit_chirp = scipy.signal.chirp(time_s, self.low_hz, sample_count * step_s, self.high_hz, phi=-90)
+        return _scale_to_rms(unit_chirp, self.rms_n)
 
 
-class Multisine(_Band, frozen=True, tag="multisine"):
+class Multisine(_ExcitationSettings, frozen=True, tag="multisine"):
     """A periodic sum of sines of equal amplitude and random phase on every line of 1/period in the band."""
 
     period_s: float = 8.0
@@ -94,23 +94,23 @@ class Multisine(_Band, frozen=True, tag="multisine"):
         line_numbers = line_numbers[line_numbers > 0]
         phases_rad = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(line_numbers))
         time_s = np.arange(sample_count) * step_s
-        sine_sum = np.zeros(sample_count)
-        for line_number, phase in zip(line_numbers, phases_rad, strict=True):
-            sine_sum += np.cos(2 * np.pi * line_number / self.period_s * time_s + phase)
-        return sine_sum * _rise_window(sample_count, step_s) * self.rms_n * np.sqrt(2 / max(len(line_numbers), 1))
+        cosine_sum = np.zeros(sample_count)
+        for line_number, phase_rad in zip(line_numbers, phases_rad, strict=True):
+            cosine_sum += np.cos(2 * np.pi * line_number / self.period_s * time_s + phase_rad)
+        return cosine_sum * _rise_window(sample_count, step_s) * self.rms_n * np.sqrt(2 / max(len(line_numbers), 1))
 
 
-class FreeDecay(_Band, frozen=True, tag="free_decay"):
+class FreeDecay(_ExcitationSettings, frozen=True, tag="free_decay"):
     """One half-sine impact of length 1/(2 high_hz) and peak rms_n * sqrt(2), then free decay."""
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
         time_s = np.arange(sample_count) * step_s
-        half_sine = np.sin(2 * np.pi * self.high_hz * time_s)
-        return np.where(time_s < 0.5 / self.high_hz, half_sine, 0.0) * self.rms_n * np.sqrt(2)
+        unit_sine = np.sin(2 * np.pi * self.high_hz * time_s)
+        return np.where(time_s < 0.5 / self.high_hz, unit_sine, 0.0) * self.rms_n * np.sqrt(2)
 
 
-class Hammer(_Band, frozen=True, tag="hammer"):
+class Hammer(_ExcitationSettings, frozen=True, tag="hammer"):
     """Hits of an impact hammer: half-sines of length 1/(2 high_hz), low_hz of them a second, which varies by a fifth
     from hit to hit, as their peaks do. With low_hz = 0 there is one hit.
 
@@ -121,17 +121,17 @@ class Hammer(_Band, frozen=True, tag="hammer"):
         """Force at the steps after the quiet second, N."""
         duration_s, rng = sample_count * step_s, np.random.default_rng(self.seed)
         hit_count = max(1, int(duration_s * self.low_hz))
-        interval_s, relative_peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, hit_count)
-        hit_starts_s = (np.arange(hit_count) + rng.uniform(0.0, 0.2, hit_count)) * interval_s
+        mean_interval_s, relative_peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, hit_count)
+        hit_starts_s = (np.arange(hit_count) + rng.uniform(0.0, 0.2, hit_count)) * mean_interval_s
         time_s, unscaled_force = np.arange(sample_count) * step_s, np.zeros(sample_count)
-        for start_s, relative_peak in zip(hit_starts_s, relative_peaks, strict=True):
-            hit_samples = slice(int(start_s / step_s), int((start_s + 0.5 / self.high_hz) / step_s) + 2)
-            phase = 2 * np.pi * self.high_hz * (time_s[hit_samples] - start_s)
+        for hit_start_s, relative_peak in zip(hit_starts_s, relative_peaks, strict=True):
+            hit_samples = slice(int(hit_start_s / step_s), int((hit_start_s + 0.5 / self.high_hz) / step_s) + 2)
+            phase = 2 * np.pi * self.high_hz * (time_s[hit_samples] - hit_start_s)
             unscaled_force[hit_samples] += relative_peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
         return _scale_to_rms(unscaled_force, self.rms_n)
 
 
-class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
+class SteppedSine(_ExcitationSettings, frozen=True, tag="stepped_sine"):
     """A sine whose frequency rises in equal steps from the lower to the upper end of the band, each held equally long.
 
     The phase is continuous from step to step.
@@ -144,11 +144,11 @@ class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
         """Force at the steps after the quiet second, N."""
         dwell_s, time_s = sample_count * step_s / self.steps, np.arange(sample_count) * step_s
         step_of_sample = np.minimum((time_s / dwell_s).astype(int), self.steps - 1)
-        frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
-        turns_at_step = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * dwell_s)])
-        turns_in_step = frequency_hz[step_of_sample] * (time_s - step_of_sample * dwell_s)
-        phase = 2 * np.pi * (turns_at_step[step_of_sample] + turns_in_step)
-        return _scale_to_rms(np.sin(phase) * _rise_window(sample_count, step_s), self.rms_n)
+        frequencies_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
+        turns_at_step_start = np.concatenate([[0.0], np.cumsum(frequencies_hz[:-1] * dwell_s)])
+        turns_in_step = frequencies_hz[step_of_sample] * (time_s - step_of_sample * dwell_s)
+        phase_rad = 2 * np.pi * (turns_at_step_start[step_of_sample] + turns_in_step)
+        return _scale_to_rms(np.sin(phase_rad) * _rise_window(sample_count, step_s), self.rms_n)
 
 
 Excitation = BandLimitedGaussian | BurstRandom | Sweep | SteppedSine | Multisine | Hammer | FreeDecay
@@ -175,7 +175,7 @@ def force_history(excitation: Excitation, duration_s: float, step_s: float) -> F
 
     Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
     """
-    _check_force(excitation, duration_s, step_s)
+    _check_force_settings(excitation, duration_s, step_s)
     quiet_count = round(QUIET_S / step_s)
     sample_count = round(duration_s / step_s)
     return np.concatenate([np.zeros(quiet_count), excitation.excited_force_n(sample_count - quiet_count, step_s)])
@@ -186,33 +186,33 @@ class LongForce:
     """Long Gaussian force, computed slice by slice."""
 
     excitation: BandLimitedGaussian
-    samples: int
+    sample_count: int
     step_s: float
 
     def __len__(self) -> int:
-        return self.samples
+        return self.sample_count
 
     def __getitem__(self, sample_span: slice) -> Float[np.ndarray, " some"]:
-        first, end, _ = sample_span.indices(self.samples)
+        first_sample, end_sample, _ = sample_span.indices(self.sample_count)
         quiet, hop = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
-        force_n = np.zeros(max(0, end - first))
-        for number in range((max(first, quiet) - quiet) // hop, (end - 1 - quiet) // hop + 2):
-            segment_start = quiet + (number - 1) * hop
-            start, stop = max(first, segment_start, quiet), min(end, segment_start + 2 * hop)
-            segment_n = self._segment(number)[start - segment_start : stop - segment_start]
-            force_n[start - first : stop - first] += segment_n
+        force_n = np.zeros(max(0, end_sample - first_sample))
+        for segment_number in range((max(first_sample, quiet) - quiet) // hop, (end_sample - 1 - quiet) // hop + 2):
+            segment_start = quiet + (segment_number - 1) * hop
+            overlap_start, stop = max(first_sample, segment_start, quiet), min(end_sample, segment_start + 2 * hop)
+            overlap_n = self._segment_by_number(segment_number)[overlap_start - segment_start : stop - segment_start]
+            force_n[overlap_start - first_sample : stop - first_sample] += overlap_n
         return force_n
 
     @cached_property
-    def _segment(self) -> Callable[[int], Float[np.ndarray, " samples"]]:
+    def _segment_by_number(self) -> Callable[[int], Float[np.ndarray, " samples"]]:
         """Segment by number; the last two are cached."""
-        return lru_cache(maxsize=2)(partial(_segment, self.excitation, self.step_s))
+        return lru_cache(maxsize=2)(partial(_segment_force_n, self.excitation, self.step_s))
 
 
 def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
     """Force of `force_history`; a Gaussian force of more than 1024 s is computed slice by slice."""
     if isinstance(excitation, BandLimitedGaussian) and duration_s > MAX_WHOLE_FORCE_S:
-        _check_force(excitation, duration_s, step_s)
+        _check_force_settings(excitation, duration_s, step_s)
         return LongForce(excitation, round(duration_s / step_s), step_s)
     return force_history(excitation, duration_s, step_s)
 
@@ -224,30 +224,30 @@ def noise_spectrum(
 
     Raises RigError if no line lies in the band.
     """
-    period_s = sample_count * step_s
-    first_line, last_line = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
+    duration_s = sample_count * step_s
+    first_line, last_line = max(int(np.ceil(low_hz * duration_s)), 1), int(np.floor(high_hz * duration_s))
     if last_line < first_line:
-        raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {period_s:.3g} s; record longer")
+        raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {duration_s:.3g} s; record longer")
     normal_draws = np.random.default_rng(seed).standard_normal((last_line - first_line + 1, 2))
     spectrum = np.zeros(sample_count // 2 + 1, dtype=complex)
     spectrum[first_line : last_line + 1] = normal_draws[:, 0] + 1j * normal_draws[:, 1]
     return spectrum
 
 
-def _check_force(excitation: Excitation, duration_s: float, step_s: float) -> None:
+def _check_force_settings(excitation: Excitation, duration_s: float, step_s: float) -> None:
     if not duration_s > QUIET_S:
         raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
     if not step_s > 0 or excitation.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
 
 
-def _segment(band: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
+def _segment_force_n(force: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
     """Segment of that number under its window; the force rises smoothly from its start, half-way through segment 0."""
     sample_count = 2 * round(SEGMENT_S / 2 / step_s)
-    spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, segment_number))
+    spectrum = noise_spectrum(sample_count, step_s, force.low_hz, force.high_hz, (force.seed, segment_number))
     unscaled_rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / sample_count
     window = np.sin(np.pi * np.arange(sample_count) / sample_count)
-    force_n = np.fft.irfft(spectrum, sample_count) * (band.rms_n / unscaled_rms) * window
+    force_n = np.fft.irfft(spectrum, sample_count) * (force.rms_n / unscaled_rms) * window
     if segment_number < 2:
         rise_start = (1 - segment_number) * sample_count // 2
         force_n[rise_start:] *= _rise_window(sample_count - rise_start, step_s)
@@ -255,8 +255,8 @@ def _segment(band: BandLimitedGaussian, step_s: float, segment_number: int) -> F
     return np.asarray(force_n)
 
 
-def _unscaled_noise(sample_count: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
-    return np.fft.irfft(noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, band.seed), sample_count)
+def _unscaled_noise(sample_count: int, step_s: float, force: _ExcitationSettings) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(noise_spectrum(sample_count, step_s, force.low_hz, force.high_hz, force.seed), sample_count)
 
 
 def _rise_window(sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:

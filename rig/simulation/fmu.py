@@ -10,7 +10,7 @@ from rig.recording import RIG_NAME
 from rig.simulation.plants.stepwise import Stepwise
 
 STEP_S = 2.0**-14
-SCRIPT = Path(__file__).with_name("fmu_slave.py")
+SLAVE_SCRIPT = Path(__file__).with_name("fmu_slave.py")
 
 
 def export_fmu(rig: Rig, out: Path, step_s: float = STEP_S) -> None:
@@ -27,5 +27,5 @@ def export_fmu(rig: Rig, out: Path, step_s: float = STEP_S) -> None:
         folder = Path(folder_name)
         (folder / RIG_NAME).write_bytes(to_json(rig))
         (folder / "step.txt").write_text(repr(step_s))
-        fmu_path = FmuBuilder.build_FMU(SCRIPT, folder / "out", [folder / RIG_NAME, folder / "step.txt"])
+        fmu_path = FmuBuilder.build_FMU(SLAVE_SCRIPT, folder / "out", [folder / RIG_NAME, folder / "step.txt"])
         write_bytes(fmu_path.read_bytes(), out)

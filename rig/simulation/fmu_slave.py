@@ -24,34 +24,34 @@ class RigFmu(Fmi3Slave):  # type: ignore[misc]
         self._stepwise = Stepwise(rig, step_s)
         self.force = 0.0
         self._register("time", Fmi3Causality.independent, "time, s", lambda: self._stepwise.time_s)
-        description = "force on the rig, N; the value given before a step is that at its end"
-        self._register("force", Fmi3Causality.input, description, lambda: self.force, start=0.0)
+        force_description = "force on the rig, N; the value given before a step is that at its end"
+        self._register("force", Fmi3Causality.input, force_description, lambda: self.force, start_value=0.0)
         for index, sensor in enumerate(rig.sensors):
             self._output(f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", index)
         for index, contact in enumerate(rig.contacts):
             self._output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", index)
             self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", index)
 
-    def _output(self, variable_name: str, description: str, attribute: str, index: int) -> None:
+    def _output(self, variable_name: str, description: str, array_attribute: str, array_index: int) -> None:
         def read_value() -> float:
-            return float(getattr(self._stepwise, attribute)[index])
+            return float(getattr(self._stepwise, array_attribute)[array_index])
 
         self._register(variable_name, Fmi3Causality.output, description, read_value)
 
     def _register(
         self,
         variable_name: str,
-        role: Any,
+        causality: Any,
         description: str,
         read_value: Callable[[], float],
-        start: float | None = None,
+        start_value: float | None = None,
     ) -> None:
         continuous = Fmi3Variability.continuous
         self.register_variable(
             Float64(
                 variable_name,
-                start=start,
-                causality=role,
+                start=start_value,
+                causality=causality,
                 variability=continuous,
                 description=description,
                 getter=read_value,

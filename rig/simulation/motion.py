@@ -50,7 +50,7 @@ class SignalRows(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, index: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]: ...
+    def __getitem__(self, row_and_sample_slices: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]: ...
 
 
 @dataclass(frozen=True)
@@ -58,16 +58,16 @@ class ProjectedSignals:
     """Rows w(t) = shapes q(t) + base(t), computed for the requested slice."""
 
     shapes: Float[np.ndarray, "rows modes"]
-    coordinates: Float[np.ndarray, "samples modes"]
+    modal_coordinates: Float[np.ndarray, "samples modes"]
     base_m: Float[np.ndarray, " samples"] | None = None
 
     def __len__(self) -> int:
         return len(self.shapes)
 
-    def __getitem__(self, index: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]:
-        rows, span = index
-        projected = self.shapes[rows] @ self.coordinates[span].T
-        return projected if self.base_m is None else projected + self.base_m[span]
+    def __getitem__(self, row_and_sample_slices: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]:
+        row_slice, sample_slice = row_and_sample_slices
+        projected = self.shapes[row_slice] @ self.modal_coordinates[sample_slice].T
+        return projected if self.base_m is None else projected + self.base_m[sample_slice]
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,9 @@ class Plant(Protocol):
 
 def concatenated(blocks: Iterator[Motion]) -> Motion:
     """Blocks of a run as one."""
-    segments = list(blocks)
+    motion_segments = list(blocks)
     signals_by_name = {
-        signal_name: np.concatenate([getattr(segment, signal_name)[:, :] for segment in segments], axis=1)
+        signal_name: np.concatenate([getattr(segment, signal_name)[:, :] for segment in motion_segments], axis=1)
         for signal_name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
-    return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **signals_by_name)
+    return Motion(start_s=motion_segments[0].start_s, step_s=motion_segments[0].step_s, **signals_by_name)

@@ -65,7 +65,7 @@ class OwnRig:
 
     @cached_property
     def level(self) -> ForceLevel:
-        """ForceLevel of the force, chosen unless it is given; none where the base alone shakes."""
+        """Level of the force, N rms, as set or else chosen; zero where the base alone shakes."""
         if self.machine.is_on_ground(self.machine.forces[0]):
             return ForceLevel(0.0, "as the base alone shakes the rig")
         if self.settings.rms_n is not None:

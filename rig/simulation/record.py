@@ -68,7 +68,7 @@ def record(
     simulated_s = needed_duration_s(actual, sample_count / rig.sample_rate_hz)
     if isinstance(excitation, Excitation):
         excitation = [_with_own_seed(excitation, force_number) for force_number in range(len(rig.forces))]
-    force = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
+    forces = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
     provenance = {
         "made_by": "rig record",
         RECORDED: datetime.now(UTC).isoformat(timespec="seconds"),
@@ -85,16 +85,16 @@ def record(
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
         threadpool_limits(1),  # the matrices are small
         _interrupted_between_blocks() as check_interrupt,
-        writing(path, rig, channel_groups(rig), provenance) as recording,
-        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
+        writing(path, rig, channel_groups(rig), provenance) as recording_writer,
+        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth_writer,
     ):
-        for block in digitise(actual, plant(actual, force, step_s, progress), rng):
-            kept = slice(0, sample_count - written_count)
+        for block in digitise(actual, plant(actual, forces, step_s, progress), rng):
+            kept_samples = slice(0, sample_count - written_count)
             _check_finite(block)
-            for writer, groups in ((recording, block.sensed), (truth, block.truth)):
-                for group, values in {"force": block.forces_n, **groups}.items():
-                    writer.append(group, values[:, kept])
-            written_count += block.forces_n[:, kept].shape[1]
+            for writer, values_by_group in ((recording_writer, block.sensed), (truth_writer, block.truth)):
+                for group, group_values in {"force": block.forces_n, **values_by_group}.items():
+                    writer.append(group, group_values[:, kept_samples])
+            written_count += block.forces_n[:, kept_samples].shape[1]
             check_interrupt()
 
 
@@ -114,8 +114,8 @@ def _with_own_seed(excitation: Excitation, force_number: int) -> Excitation:
 
 
 def _check_finite(block: Samples) -> None:
-    for signal_name, values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
-        if not np.isfinite(values).all():
+    for signal_name, signal_values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
+        if not np.isfinite(signal_values).all():
             raise RigError(f"the simulated {signal_name} is no finite number; check the rig for values without reason")
 
 

@@ -48,8 +48,8 @@ class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def force(self) -> Excitation:
         """Exciting force of these settings."""
-        band = {"low_hz": self.low_hz, "high_hz": self.high_hz}
-        return excitation_of(self.excitation, rms_n=self.rms_n, seed=self.seed, **band)
+        band_limits = {"low_hz": self.low_hz, "high_hz": self.high_hz}
+        return excitation_of(self.excitation, rms_n=self.rms_n, seed=self.seed, **band_limits)
 
 
 class Sdof(_Settings, frozen=True, kw_only=True):
@@ -80,7 +80,7 @@ class Sdof(_Settings, frozen=True, kw_only=True):
 
     def rig(self) -> Rig:
         """Rig of these settings."""
-        mass = Station("mass")
+        mass_station = Station("mass")
         body = Oscillator(
             name="mass", mass_kg=self.mass_kg, frequency_hz=self.frequency_hz, damping_ratio=self.damping_ratio
         )
@@ -88,9 +88,9 @@ class Sdof(_Settings, frozen=True, kw_only=True):
         return Rig(
             name="sdof",
             bodies=(body,),
-            contacts=(Contact(name="stop", at=mass, against=None, law=law),),
-            force_at=mass,
-            sensors=tuple(named_sensor(mass, name, self.noise_density) for name in _quantities(self.sensors)),
+            contacts=(Contact(name="stop", at=mass_station, against=None, law=law),),
+            force_at=mass_station,
+            sensors=tuple(named_sensor(mass_station, name, self.noise_density) for name in _quantities(self.sensors)),
             sample_rate_hz=self.sample_rate_hz,
         )
 
@@ -195,18 +195,18 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
             )
             for name, ends in _END_CONDITIONS
         )
-        damping, friction = self.contact_damping_n_s_per_m, self.friction_coefficient
-        law_of = partial(Annular, damping_n_s_per_m=damping, friction_coefficient=friction)
+        contact_damping, friction_coefficient = self.contact_damping_n_s_per_m, self.friction_coefficient
+        law_of = partial(Annular, damping_n_s_per_m=contact_damping, friction_coefficient=friction_coefficient)
         return Rig(
             name="barrel_cradle_annular",
             bodies=tuple(tubes),
             contacts=_barrel_contacts(self, law_of),
             force_at=tuple(Station("barrel", self.length_m, direction) for direction in DIRECTIONS),
             sensors=tuple(
-                named_sensor(Station(body, position_m, direction), quantity, self.noise_density)
+                named_sensor(Station(body_name, position_m, direction), quantity, self.noise_density)
                 for quantity in _quantities(self.sensors)
                 for direction in DIRECTIONS
-                for body, positions_m in sensor_positions_m.items()
+                for body_name, positions_m in sensor_positions_m.items()
                 for position_m in positions_m
             ),
             sample_rate_hz=self.sample_rate_hz,
@@ -222,11 +222,11 @@ def _barrel_contacts(
     return tuple(
         Contact(
             name=name,
-            at=Station("barrel", on_barrel_m),
-            against=Station("cradle", on_cradle_m),
+            at=Station("barrel", barrel_position_m),
+            against=Station("cradle", cradle_position_m),
             law=law_of(clearance_m=clearance_m, stiffness_n_per_m=stiffness_n_per_m),
         )
-        for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in (
+        for name, barrel_position_m, cradle_position_m, clearance_m, stiffness_n_per_m in (
             ("contact_1", 0.0, settings.overlap_start_m, settings.clearance_1_m, settings.stiffness_1_n_per_m),
             ("contact_2", overlap_m, settings.length_m, settings.clearance_2_m, settings.stiffness_2_n_per_m),
         )
@@ -276,7 +276,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
 
 def _quantities(sensors: str) -> list[QuantityName]:
     """Quantities from a text that joins them by +; "both" stands for displacement and acceleration."""
-    names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
-    if unknown := sorted(set(names) - set(QUANTITIES)):
+    quantity_names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
+    if unknown := sorted(set(quantity_names) - set(QUANTITIES)):
         raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")
-    return names
+    return quantity_names

@@ -23,8 +23,8 @@ from rig.simulation.sensors import digitise, needed_duration_s
 class _SplineForce:
     """Force at a plant's steps from a spline, computed slice by slice."""
 
-    force_n: "scipy.interpolate.CubicSpline"
-    last_s: float
+    spline_n: "scipy.interpolate.CubicSpline"
+    last_sample_s: float
     step_s: float
     step_count: int
 
@@ -33,17 +33,17 @@ class _SplineForce:
 
     def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
         time_s = np.arange(*span.indices(self.step_count)) * self.step_s
-        return np.asarray(self.force_n(np.minimum(time_s, self.last_s)))
+        return np.asarray(self.spline_n(np.minimum(time_s, self.last_sample_s)))
 
 
 def forces_at_steps(
     forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, step_count: int
 ) -> Forces:
     """Forces at a plant's steps, by cubic splines through their samples; constant after the last one."""
-    count = forces_n.shape[1]
-    splines = (scipy.interpolate.CubicSpline(np.arange(count) / sample_rate_hz, samples) for samples in forces_n)
-    last_s = (count - 1) / sample_rate_hz
-    return Forces(tuple(_SplineForce(spline, last_s, step_s, step_count) for spline in splines))
+    sample_count = forces_n.shape[1]
+    splines = (scipy.interpolate.CubicSpline(np.arange(sample_count) / sample_rate_hz, samples) for samples in forces_n)
+    last_sample_s = (sample_count - 1) / sample_rate_hz
+    return Forces(tuple(_SplineForce(spline, last_sample_s, step_s, step_count) for spline in splines))
 
 
 def replayed_recording(
@@ -52,7 +52,7 @@ def replayed_recording(
     force_n: Float[np.ndarray, "*forces samples"],
     plant: Plant,
     step_s: float,
-    seed: int,
+    noise_seed: int,
     progress: Progress = lambda _: None,
 ) -> Recording:
     """Recording of `actual_rig` under forces given at the sampling rate; it states the nominal rig, `believed_rig`.
@@ -65,13 +65,13 @@ def replayed_recording(
     step_forces = forces_at_steps(forces_n, rate_hz, step_s, step_count)
     with threadpool_limits(1):  # the matrices are small
         motion_blocks = _sensors_only(plant(actual_rig, step_forces, step_s, progress))
-        sample_blocks = list(digitise(actual_rig, motion_blocks, np.random.default_rng([seed, 1])))
+        sample_blocks = list(digitise(actual_rig, motion_blocks, np.random.default_rng([noise_seed, 1])))
     channels_by_group = channel_groups(believed_rig)
     signals = {"force": Signals(channels_by_group["force"], 0.0, forces_n)}
     for quantity in quantities_of(believed_rig):
         sensor_values = np.concatenate([block.sensed[quantity] for block in sample_blocks], axis=1)[:, :sample_count]
         signals[quantity] = Signals(channels_by_group[quantity], 0.0, sensor_values)
-    return Recording(believed_rig, signals, {"made_by": "replay", "seed": str(seed)})
+    return Recording(believed_rig, signals, {"made_by": "replay", "seed": str(noise_seed)})
 
 
 def modal(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
@@ -86,7 +86,7 @@ def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces
     """Replay by the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 
-    plant = partial(simulate, element_count=12)
+    plant = partial(simulate, min_element_count=12)
     return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**13), seed)
 
 

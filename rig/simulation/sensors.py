@@ -13,7 +13,7 @@ from rig.model.quantities import QuantityName
 from rig.model.sensing import quantities_of
 from rig.simulation.motion import Motion, SignalRows
 
-HALF_WIDTH_SAMPLES = 16
+FILTER_HALF_WIDTH_SAMPLES = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
 BLOCK_OUTPUTS = 16
 """Output samples per block: half the length of the sensors' filter, so that three products cover it."""
@@ -45,29 +45,29 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
 
     Zero taps at either end cost nothing.
     """
-    nonzero = np.flatnonzero(taps[::-1])
-    first_tap = int(nonzero[0]) if nonzero.size else 0
-    response = taps[::-1][first_tap : int(nonzero[-1]) + 1] if nonzero.size else np.zeros(1)
-    block_inputs = factor * BLOCK_OUTPUTS
-    piece_count = -(-(block_inputs - factor + response.size) // block_inputs)
-    toeplitz = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
-    for output in range(BLOCK_OUTPUTS):
-        toeplitz[output * factor : output * factor + response.size, output] = response
+    nonzero_taps = np.flatnonzero(taps[::-1])
+    first_tap = int(nonzero_taps[0]) if nonzero_taps.size else 0
+    trimmed_response = taps[::-1][first_tap : int(nonzero_taps[-1]) + 1] if nonzero_taps.size else np.zeros(1)
+    block_input_count = factor * BLOCK_OUTPUTS
+    piece_count = -(-(block_input_count - factor + trimmed_response.size) // block_input_count)
+    toeplitz = np.zeros((piece_count * block_input_count, BLOCK_OUTPUTS))
+    for output_index in range(BLOCK_OUTPUTS):
+        toeplitz[output_index * factor : output_index * factor + trimmed_response.size, output_index] = trimmed_response
     return Decimator(first_tap, np.concatenate(np.split(toeplitz, piece_count), axis=1))
 
 
 def decimate(
-    delay_filter: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
+    delay_filter: Decimator, rows: Float[np.ndarray, "rows long"], output_count: int
 ) -> Float[np.ndarray, "rows samples"]:
     """First `output_count` filtered samples of every row; rows hold at least `delay_filter.reach(output_count)`."""
-    row_count, piece_count, pieces = len(signals), delay_filter.piece_count, delay_filter.toeplitz_pieces
-    inputs = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(row_count, -1, len(pieces))
-    products = (inputs @ pieces).reshape(row_count, inputs.shape[1], piece_count, BLOCK_OUTPUTS)
+    row_count, piece_count, pieces = len(rows), delay_filter.piece_count, delay_filter.toeplitz_pieces
+    inputs = rows[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(row_count, -1, len(pieces))
+    block_products = (inputs @ pieces).reshape(row_count, inputs.shape[1], piece_count, BLOCK_OUTPUTS)
     block_count = inputs.shape[1] - piece_count + 1
-    outputs = products[:, :block_count, 0].copy()
-    for piece in range(1, piece_count):
-        outputs += products[:, piece : block_count + piece, piece]
-    return outputs.reshape(row_count, -1)[:, :output_count]
+    output_blocks = block_products[:, :block_count, 0].copy()
+    for piece_index in range(1, piece_count):
+        output_blocks += block_products[:, piece_index : block_count + piece_index, piece_index]
+    return output_blocks.reshape(row_count, -1)[:, :output_count]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Samples:
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:
     """Duration that a plant must run for the filter to deliver `duration_s` of samples, s."""
-    return duration_s + (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig) + 1) / rig.sample_rate_hz
+    return duration_s + (FILTER_HALF_WIDTH_SAMPLES + _longest_delay_samples(rig) + 1) / rig.sample_rate_hz
 
 
 def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
@@ -106,7 +106,7 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
     high_passes = [_HighPass.of(sensor, rig.sample_rate_hz) for sensor in rig.sensors]
     for block in blocks:
         steps_per_sample, block_step_count = _steps_per_sample(rig, block.step_s), block.forces_n.shape[1]
-        reach_steps = (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
+        reach_steps = (FILTER_HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
         if not delay_filters:
             delay_filters = _delay_filters(rig, steps_per_sample, reach_steps)
             waiting_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
@@ -119,26 +119,26 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
             name: np.concatenate([truth_values[name], rows], axis=1) if truth_values else rows
             for name, rows in new_truth.items()
         }
-        queued_count = waiting_steps.shape[1] + block_step_count
-        new_sample_count = max(0, (queued_count - 2 * reach_steps - 1) // steps_per_sample + 1)
-        reached_count = max(delay_filter.reach(new_sample_count) for _, delay_filter in delay_filters)
-        step_queue = np.empty((len(waiting_steps), max(queued_count, reached_count)))
+        queued_step_count = waiting_steps.shape[1] + block_step_count
+        new_sample_count = max(0, (queued_step_count - 2 * reach_steps - 1) // steps_per_sample + 1)
+        input_span_count = max(delay_filter.reach(new_sample_count) for _, delay_filter in delay_filters)
+        step_queue = np.empty((len(waiting_steps), max(queued_step_count, input_span_count)))
         step_queue[:, : waiting_steps.shape[1]] = waiting_steps
-        step_queue[:force_count, waiting_steps.shape[1] : queued_count] = block.forces_n
-        step_queue[force_count:, waiting_steps.shape[1] : queued_count] = block.sensed
-        step_queue[:, queued_count:] = 0.0
-        waiting_steps = step_queue[:, new_sample_count * steps_per_sample : queued_count]
+        step_queue[:force_count, waiting_steps.shape[1] : queued_step_count] = block.forces_n
+        step_queue[force_count:, waiting_steps.shape[1] : queued_step_count] = block.sensed
+        step_queue[:, queued_step_count:] = 0.0
+        waiting_steps = step_queue[:, new_sample_count * steps_per_sample : queued_step_count]
         if new_sample_count:
             filtered_rows = _apply_filters(delay_filters, step_queue, new_sample_count)
-            for samples, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
+            for sensor_row, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
                 if high_pass:
-                    samples[:] = high_pass.high_passed(samples)
+                    sensor_row[:] = high_pass.high_passed(sensor_row)
             sensor_values = {
                 quantity: _sensor_outputs(rig, quantity, filtered_rows[force_count:], noise_streams)
                 for quantity in quantities_of(rig)
             }
-            truth = {name: rows[:, :new_sample_count] for name, rows in truth_values.items()}
-            yield Samples(filtered_rows[:force_count], sensor_values, truth)
+            truth_block = {name: rows[:, :new_sample_count] for name, rows in truth_values.items()}
+            yield Samples(filtered_rows[:force_count], sensor_values, truth_block)
             truth_values = {name: rows[:, new_sample_count:] for name, rows in truth_values.items()}
 
 
@@ -159,19 +159,19 @@ class _HighPass:
         return cls(numerator, denominator, np.zeros(1))
 
     def high_passed(self, samples: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-        values, self.state = scipy.signal.lfilter(self.numerator, self.denominator, samples, zi=self.state)
-        return np.asarray(values)
+        filtered_samples, self.state = scipy.signal.lfilter(self.numerator, self.denominator, samples, zi=self.state)
+        return np.asarray(filtered_samples)
 
 
 def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tuple[list[int], Decimator]]:
     """Filters by delay, each with the rows that have this delay: forces (none), then sensors."""
     delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
-    filters = []
+    rows_and_filters = []
     for delay_s in dict.fromkeys(delays_s):
-        rows = [row for row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
+        channel_rows = [channel_row for channel_row, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
         taps = _sinc_taps(steps_per_sample, reach_steps, delay_s * rig.sample_rate_hz)
-        filters.append((rows, decimator(taps, steps_per_sample)))
-    return filters
+        rows_and_filters.append((channel_rows, decimator(taps, steps_per_sample)))
+    return rows_and_filters
 
 
 def _apply_filters(
@@ -179,21 +179,21 @@ def _apply_filters(
 ) -> Float[np.ndarray, "rows samples"]:
     if len(delay_filters) == 1:
         return decimate(delay_filters[0][1], step_queue, sample_count)
-    filtered = np.empty((len(step_queue), sample_count))
-    for rows, delay_filter in delay_filters:
-        filtered[rows] = decimate(delay_filter, step_queue[rows], sample_count)
-    return filtered
+    filtered_rows = np.empty((len(step_queue), sample_count))
+    for channel_rows, delay_filter in delay_filters:
+        filtered_rows[channel_rows] = decimate(delay_filter, step_queue[channel_rows], sample_count)
+    return filtered_rows
 
 
 def _sensor_outputs(
-    rig: Rig, quantity: QuantityName, rows: Float[np.ndarray, "sensors samples"], streams: list[np.random.Generator]
+    rig: Rig, quantity: QuantityName, sensed: Float[np.ndarray, "sensors samples"], streams: list[np.random.Generator]
 ) -> Float[np.ndarray, "some samples"]:
-    outputs = [
-        _sensor_output(sensor, row, rig.sample_rate_hz, stream)
-        for sensor, row, stream in zip(rig.sensors, rows, streams, strict=True)
+    sensor_outputs = [
+        _sensor_output(sensor, true_values, rig.sample_rate_hz, stream)
+        for sensor, true_values, stream in zip(rig.sensors, sensed, streams, strict=True)
         if sensor.quantity == quantity
     ]
-    return np.stack(outputs)
+    return np.stack(sensor_outputs)
 
 
 def _sensor_output(
@@ -201,26 +201,26 @@ def _sensor_output(
 ) -> Float[np.ndarray, " samples"]:
     noise_rms = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
     noise = noise_rms * noise_stream.standard_normal(true_values.size) if noise_rms else 0.0
-    values = sensor.gain * true_values + noise
+    sensor_values = sensor.gain * true_values + noise
     if sensor.measuring_range is not None:
-        values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
+        sensor_values = np.clip(sensor_values, -sensor.measuring_range, sensor.measuring_range)
         if sensor.bits is not None:
             level_step = 2 * sensor.measuring_range / 2**sensor.bits
-            values = np.round(values / level_step) * level_step
-    return values
+            sensor_values = np.round(sensor_values / level_step) * level_step
+    return sensor_values
 
 
 def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
     """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
-    times = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
+    time_samples = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
     if steps_per_sample == 1 and delay_samples == 0:
-        return (times == 0).astype(float)
-    half_width = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
-    in_window, weights = np.abs(times) < half_width, np.zeros(times.size)
-    window_times = np.linspace(-half_width, half_width, 4096)
-    kaiser = scipy.signal.windows.kaiser(window_times.size, 10.0)
-    weights[in_window] = np.interp(times[in_window], window_times, kaiser)
-    taps = weights * np.sinc(times)
+        return (time_samples == 0).astype(float)
+    half_width = FILTER_HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
+    in_window, window_weights = np.abs(time_samples) < half_width, np.zeros(time_samples.size)
+    window_time_samples = np.linspace(-half_width, half_width, 4096)
+    kaiser = scipy.signal.windows.kaiser(window_time_samples.size, 10.0)
+    window_weights[in_window] = np.interp(time_samples[in_window], window_time_samples, kaiser)
+    taps = window_weights * np.sinc(time_samples)
     return taps / taps.sum()
 
 

@@ -14,7 +14,7 @@ from rig.viewer.palette import GRID, STEEL, Colour
 WIDTH, HEIGHT = 1.6, 1.0
 LABEL_HALF_HEIGHT = 0.06
 """Half the height of a label where the view is a sixth of a window of 1920 pixels."""
-MAX_TICKS = 6
+MAX_TICK_COUNT = 6
 
 
 @dataclass(frozen=True)
@@ -31,47 +31,47 @@ class Axes:
         """Coordinates in the view, whose y points downwards; values beyond an axis are clipped to its ends."""
         return np.stack([WIDTH * self._share(x, self.x), -HEIGHT * self._share(y, self.y)], axis=1)
 
-    def _share(self, values: Float[np.ndarray, " points"], ends: tuple[float, float]) -> Float[np.ndarray, " points"]:
-        clipped_values = np.clip(values, *ends)
-        transform = np.log10 if self.is_logarithmic else np.asarray
-        low_end, high_end = transform(np.array(ends))
-        return np.asarray((transform(clipped_values) - low_end) / (high_end - low_end))
+    def _share(self, values: Float[np.ndarray, " points"], span: tuple[float, float]) -> Float[np.ndarray, " points"]:
+        clipped_values = np.clip(values, *span)
+        axis_scale = np.log10 if self.is_logarithmic else np.asarray
+        low_end, high_end = axis_scale(np.array(span))
+        return np.asarray((axis_scale(clipped_values) - low_end) / (high_end - low_end))
 
-    def send(self, stream: rr.RecordingStream, path: str, colour_by_name: Mapping[str, Colour]) -> None:
+    def send(self, stream: rr.RecordingStream, entity_path: str, colour_by_name: Mapping[str, Colour]) -> None:
         """Send the frame, the grid with its tick labels, the names of the axes, and the legend beside it.
 
         The viewer draws labels below their points: the label of y is below the end of its line.
         """
-        x_ticks, y_ticks = (decades(*ends) if self.is_logarithmic else tick_values(*ends) for ends in (self.x, self.y))
-        xs = self.points(x_ticks, np.full(x_ticks.size, self.y[0]))[:, 0].tolist()
-        ys = self.points(np.full(y_ticks.size, self.x[0]), y_ticks)[:, 1].tolist()
-        grid = [[[x, 0], [x, -HEIGHT]] for x in xs] + [[[-0.25, y], [WIDTH, y]] for y in ys]
+        x_ticks, y_ticks = (decades(*span) if self.is_logarithmic else tick_values(*span) for span in (self.x, self.y))
+        tick_xs = self.points(x_ticks, np.full(x_ticks.size, self.y[0]))[:, 0].tolist()
+        tick_ys = self.points(np.full(y_ticks.size, self.x[0]), y_ticks)[:, 1].tolist()
+        grid = [[[x, 0], [x, -HEIGHT]] for x in tick_xs] + [[[-0.25, y], [WIDTH, y]] for y in tick_ys]
         frame = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
         colours = [GRID] * len(grid) + [STEEL]
-        send_static(stream, f"{path}/grid", rr.LineStrips2D([*grid, frame], colors=colours, radii=pixels(0.5)))
-        positions = [[x, 0.5 * LABEL_HALF_HEIGHT] for x in xs] + [[-0.15, y] for y in ys]
-        positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
-        texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
-        send_labels(stream, f"{path}/figures", positions, texts, STEEL)
-        for row, (name, colour) in enumerate(colour_by_name.items()):
-            position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * row]
-            send_labels(stream, f"{path}/legend/{row}", [position], [name], colour)
+        send_static(stream, f"{entity_path}/grid", rr.LineStrips2D([*grid, frame], colors=colours, radii=pixels(0.5)))
+        label_positions = [[x, 0.5 * LABEL_HALF_HEIGHT] for x in tick_xs] + [[-0.15, y] for y in tick_ys]
+        label_positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
+        label_texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
+        send_labels(stream, f"{entity_path}/figures", label_positions, label_texts, STEEL)
+        for legend_row, (name, colour) in enumerate(colour_by_name.items()):
+            name_position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * legend_row]
+            send_labels(stream, f"{entity_path}/legend/{legend_row}", [name_position], [name], colour)
 
 
 def axes_view(
-    origin: str, view_name: str, **settings: rrb.VisibleTimeRange | list[rr.VisibleTimeRange]
+    origin: str, view_name: str, **view_settings: rrb.VisibleTimeRange | list[rr.VisibleTimeRange]
 ) -> rrb.Spatial2DView:
     """View of a plot sent by `Axes.send`."""
-    bounds = rrb.VisualBounds2D(x_range=[-0.35, WIDTH + 0.75], y_range=[-HEIGHT - 0.2, 5.5 * LABEL_HALF_HEIGHT])
-    return rrb.Spatial2DView(origin=origin, name=view_name, visual_bounds=bounds, **settings)
+    visual_bounds = rrb.VisualBounds2D(x_range=[-0.35, WIDTH + 0.75], y_range=[-HEIGHT - 0.2, 5.5 * LABEL_HALF_HEIGHT])
+    return rrb.Spatial2DView(origin=origin, name=view_name, visual_bounds=visual_bounds, **view_settings)
 
 
 def tick_values(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
-    power, span = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICKS)), highest - lowest
-    step = power * next(multiple for multiple in (1, 2, 5, 10, 20) if multiple * power * (MAX_TICKS - 1) >= span)
-    first = np.ceil(lowest / step - 1e-9) + 0.0  # not -0
-    return step * np.arange(first, np.floor(highest / step + 1e-9) + 1)
+    decade, span = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICK_COUNT)), highest - lowest
+    step = decade * next(multiple for multiple in (1, 2, 5, 10, 20) if multiple * decade * (MAX_TICK_COUNT - 1) >= span)
+    first_multiple = np.ceil(lowest / step - 1e-9) + 0.0  # not -0
+    return step * np.arange(first_multiple, np.floor(highest / step + 1e-9) + 1)
 
 
 def decades(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:

@@ -11,17 +11,17 @@ from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
-from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROWS, PREDICTION, TIMELINE, entity, legend_of
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROW_COUNT, PREDICTION, TIMELINE, entity, legend_of
 from rig.viewer.palette import MEANINGS
 from rig.viewer.spectra import ShownSpectra
 
-WINDOW_S = 0.5
+HALF_WINDOW_S = 0.5
 """Time that plots show before and after the cursor, s."""
 DISPLACEMENT, DISTANCE = "relative displacement", "distance from the centre"
 """Motion of a contact in words: of an annular one, which is an orbit, how far it is from the centre of its ring."""
 PREDICTED_RIGS = "model/prediction"
 """Entities of the predicted rigs."""
-MAX_SIDE_BY_SIDE = 2
+MAX_PLOTS_SIDE_BY_SIDE = 2
 """Plots of force over displacement that have room for their labels side by side; more stand behind tabs."""
 TRAIL_S = 0.1
 """Time that a close-up shows before the cursor, s."""
@@ -40,7 +40,7 @@ class Layout:
     centre_m: float
     extent_m: float
     frame_rate_hz: float
-    reach_mm: dict[str, float]
+    reach_by_contact_mm: dict[str, float]
     """Half width of the views of each contact, mm."""
     spectra: tuple[ShownSpectra, ...]
     has_diagnosis: bool
@@ -57,12 +57,12 @@ def plotted_quantities(rig: Rig) -> list[QuantityName]:
 def blueprint(layout: Layout) -> rrb.Blueprint:
     """Blueprint of the viewer, paused and slowed down so that every frame is visible."""
     close_ups = [
-        _close_up_view(contact, layout.reach_mm[contact.name], _caveat(layout, of_contact=True))
+        _close_up_view(contact, layout.reach_by_contact_mm[contact.name], _approximation(layout, of_contact=True))
         for contact in layout.rig.contacts
     ]
     model_view = _model_view(layout)
     left_column = rrb.Vertical(model_view, rrb.Horizontal(*close_ups), row_shares=[5, 3]) if close_ups else model_view
-    row_shares = [1.0] * len(close_ups) + [max(1.0, len(close_ups) / MAX_SIDE_BY_SIDE)]
+    row_shares = [1.0] * len(close_ups) + [max(1.0, len(close_ups) / MAX_PLOTS_SIDE_BY_SIDE)]
     motion_view = rrb.Horizontal(
         left_column, rrb.Vertical(*_plot_views(layout), row_shares=row_shares), column_shares=[3, 2]
     )
@@ -82,8 +82,8 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def _key_view() -> rrb.Spatial2DView:
-    bounds = rrb.VisualBounds2D(x_range=[0.0, len(MEANINGS)], y_range=[-0.02, 0.12])
-    return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=bounds)
+    visual_bounds = rrb.VisualBounds2D(x_range=[0.0, len(MEANINGS)], y_range=[-0.02, 0.12])
+    return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=visual_bounds)
 
 
 def _model_view(
@@ -98,7 +98,7 @@ def _model_view(
         origin="/model",
         contents=["+ $origin/**", f"- /{hidden_path}/**"],
         name=view_name
-        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_caveat(layout)}",
+        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_approximation(layout)}",
         eye_controls=rrb.EyeControls3D(
             position=(
                 centre_m,
@@ -117,7 +117,7 @@ def _prediction_tab(layout: Layout, station_name: str) -> rrb.Vertical:
     view_name = f"{layout.rig.name}: measured, and predicted by both rigs; magnified {layout.magnification:g} times"
     words_view = rrb.TextDocumentView(origin=f"{PREDICTION}/words", name="How well both rigs predict")
     plot_views = (
-        _plot_view(layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_caveat(layout)}"),
+        _plot_view(layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_approximation(layout)}"),
         _plot_view(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
     )
     model_view = rrb.Vertical(_model_view(layout, view_name, "model/gap", 1.2), words_view, row_shares=[4, 1])
@@ -137,19 +137,19 @@ def _close_up_view(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatia
 
 def _phase_view(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     """View of force over relative displacement until the cursor, with the displacement's histogram behind a tab."""
-    histogram = rrb.BarChartView(
+    histogram_view = rrb.BarChartView(
         origin=entity("histogram", contact.name),
         name=f"{contact.name}: % of the time over mm",
         plot_legend=rrb.PlotLegend(visible=False),
     )
     if layout.contact_force is None:
-        return histogram
-    until_now = rr.VisibleTimeRange(
+        return histogram_view
+    range_until_cursor = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
     view_name = f"{contact.name}: {layout.contact_force} force"
-    force_view = axes_view(entity("phase", contact.name), view_name, time_ranges=[until_now])
-    return rrb.Tabs(force_view, histogram, active_tab=0, name=contact.name)
+    force_view = axes_view(entity("phase", contact.name), view_name, time_ranges=[range_until_cursor])
+    return rrb.Tabs(force_view, histogram_view, active_tab=0, name=contact.name)
 
 
 def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
@@ -166,24 +166,24 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
             layout,
             entity("relative_displacement", contact.name),
             f"{contact.name}: {source_words}{DISTANCE if contact.law.spatial else DISPLACEMENT}, mm"
-            f"{_caveat(layout, of_contact=True)}",
+            f"{_approximation(layout, of_contact=True)}",
             thinning_note,
-            _displacement_range(contact, layout.reach_mm[contact.name]),
+            _displacement_range(contact, layout.reach_by_contact_mm[contact.name]),
         )
         for contact in layout.rig.contacts
     ]
     tabs: list[rrb.View | rrb.Container] = [*_diagnosis_views()] if layout.has_diagnosis else []
     if phase_views := [_phase_view(layout, contact) for contact in layout.rig.contacts]:
-        container = rrb.Tabs if len(phase_views) > MAX_SIDE_BY_SIDE else rrb.Horizontal
+        container = rrb.Tabs if len(phase_views) > MAX_PLOTS_SIDE_BY_SIDE else rrb.Horizontal
         tabs.append(container(*phase_views, name="Force over displacement" if layout.contact_force else "Histograms"))
     if layout.contact_force is not None:
-        title = f"{layout.contact_force.capitalize()} contact force, N"
-        tabs.append(_plot_view(layout, "contact_force", title, thinning_note))
+        force_title = f"{layout.contact_force.capitalize()} contact force, N"
+        tabs.append(_plot_view(layout, "contact_force", force_title, thinning_note))
     if displacement_plots:
         time_column = rrb.encodings.TimelineColumn(TIMELINE)
         body_column = rrb.encodings.TextLogColumn("Body")
-        columns = rrb.TextLogColumns(timeline_columns=[time_column], text_log_columns=[body_column])
-        tabs.append(rrb.TextLogView(origin="/events", name="Closings and openings", columns=columns))
+        event_columns = rrb.TextLogColumns(timeline_columns=[time_column], text_log_columns=[body_column])
+        tabs.append(rrb.TextLogView(origin="/events", name="Closings and openings", columns=event_columns))
     tabs += [_plot_view(layout, "exciting_force", "Exciting force, N"), *sensor_plots]
     return [*displacement_plots, rrb.Tabs(*tabs, active_tab=0)]
 
@@ -199,17 +199,17 @@ def _plot_view(
     layout: Layout, origin: str, plot_name: str, thinning_note: str = "", value_range: tuple[float, float] | None = None
 ) -> rrb.Horizontal:
     """View of a time series with its legend beside it."""
-    start, end = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-WINDOW_S, WINDOW_S))
-    plot = rrb.TimeSeriesView(
+    start, end = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-HALF_WINDOW_S, HALF_WINDOW_S))
+    plot_view = rrb.TimeSeriesView(
         origin=origin,
         name=plot_name + (f" (1 of {layout.stride} samples{thinning_note})" if layout.stride > 1 else ""),
         plot_legend=rrb.PlotLegend(visible=False),
         axis_y=None if value_range is None else rrb.ScalarAxis(range=value_range),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
     )
-    bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROWS])
-    legend = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=bounds)
-    return rrb.Horizontal(plot, legend, column_shares=[5, 1], name=plot_name)
+    visual_bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROW_COUNT])
+    legend_view = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=visual_bounds)
+    return rrb.Horizontal(plot_view, legend_view, column_shares=[5, 1], name=plot_name)
 
 
 def _displacement_range(contact: Contact, reach_mm: float) -> tuple[float, float]:
@@ -222,6 +222,6 @@ def axis_reach(half_range: float) -> float:
     return half_range if half_range < 0.4 * power_of_ten else max(half_range, 1.05 * power_of_ten)
 
 
-def _caveat(layout: Layout, of_contact: bool = False) -> str:
+def _approximation(layout: Layout, of_contact: bool = False) -> str:
     is_integrated = layout.is_approximate and not (of_contact and layout.contact_force == "separated")
     return " (approximate, above 1 Hz)" if is_integrated else ""

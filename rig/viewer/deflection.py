@@ -10,7 +10,7 @@ from rig.errors import RigError
 from rig.model.description import ON_GROUND, Body, Direction, Rig, Station, contact_rows
 from rig.recording import Recording
 
-CORNER_HZ = 1.0
+LOWEST_INTEGRATED_HZ = 1.0
 TAPER_S = 0.5
 ALL_SAMPLES = slice(None)
 
@@ -35,13 +35,13 @@ class Deflection:
 
         Zero in a direction without stations.
         """
-        rows = [k for k, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
-        if not rows:
+        station_rows = [k for k, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
+        if not station_rows:
             return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
-        stations_m = np.array([self.stations[row].position_m for row in rows])
-        mode_count = min(len(rows), body.max_modes)
+        stations_m = np.array([self.stations[station_row].position_m for station_row in station_rows])
+        mode_count = min(len(station_rows), body.max_modes)
         inverse_shapes = np.linalg.pinv(body.shapes(stations_m, mode_count), rcond=1e-3)
-        displacement_m = self.displacement_m[rows][:, samples]
+        displacement_m = self.displacement_m[station_rows][:, samples]
         return np.asarray(body.shapes(positions_m, mode_count) @ inverse_shapes @ displacement_m)
 
     def displacement_at(self, station: Station) -> Float[np.ndarray, " samples"]:
@@ -53,11 +53,11 @@ class Deflection:
 
     def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m (`contact_rows`)."""
-        displacement_rows = [
+        relative_rows = [
             self.displacement_at(contact.at) - (self.displacement_at(contact.against) if contact.against else 0.0)
             for contact in contact_rows(self.rig)
         ]
-        return np.array(displacement_rows).reshape(len(displacement_rows), self.displacement_m.shape[1])
+        return np.array(relative_rows).reshape(len(relative_rows), self.displacement_m.shape[1])
 
 
 def deflection(recording: Recording, truth: Recording | None) -> Deflection:
@@ -91,14 +91,14 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
 
 
 def _integrate(
-    samples: Float[np.ndarray, " samples"], integrations: int, sample_rate_hz: float
+    samples: Float[np.ndarray, " samples"], integration_count: int, sample_rate_hz: float
 ) -> Float[np.ndarray, " samples"]:
-    """Record, tapered at both ends, divided by (i omega)^times; zero below CORNER_HZ."""
-    if not integrations:
+    """Record, tapered at both ends, divided by (i omega)^integration_count; zero below LOWEST_INTEGRATED_HZ."""
+    if not integration_count:
         return samples
     omega = 2 * np.pi * np.fft.rfftfreq(samples.size, 1 / sample_rate_hz)
     tapered_spectrum = np.fft.rfft(samples * tukey(samples.size, min(1.0, 2 * TAPER_S * sample_rate_hz / samples.size)))
-    in_passband = omega >= 2 * np.pi * CORNER_HZ
+    is_in_passband = omega >= 2 * np.pi * LOWEST_INTEGRATED_HZ
     integration_factor = np.zeros(omega.size, dtype=complex)
-    integration_factor[in_passband] = (1j * omega[in_passband]) ** -integrations
+    integration_factor[is_in_passband] = (1j * omega[is_in_passband]) ** -integration_count
     return np.fft.irfft(tapered_spectrum * integration_factor, samples.size)

@@ -27,7 +27,7 @@ class _Cause(msgspec.Struct, frozen=True):
     places: dict[str, str]
 
 
-class _Share(msgspec.Struct, frozen=True):
+class _ShareInterval(msgspec.Struct, frozen=True):
     begin: float
     end: float
     share: float
@@ -36,14 +36,14 @@ class _Share(msgspec.Struct, frozen=True):
 class _Attribution(msgspec.Struct, frozen=True):
     positions_m: dict[str, dict[float, float]]
     contact_state: dict[str, float]
-    time_s: tuple[_Share, ...]
+    time_s: tuple[_ShareInterval, ...]
 
 
 class _Rollout(msgspec.Struct, frozen=True):
     horizon_s: float = 0.0
 
 
-class _Gap(msgspec.Struct, frozen=True):
+class _GapReport(msgspec.Struct, frozen=True):
     verdict: str
     sentence: str
     causes: tuple[_Cause, ...]
@@ -90,9 +90,9 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     attribution = report.attribution
     share_spans = tuple((interval.begin, interval.end, interval.share) for interval in attribution.time_s)
     share_by_station = {
-        Station(body_name, position_m): share
+        Station(body_name, position_m): mismatch_share
         for body_name, share_by_position in attribution.positions_m.items()
-        for position_m, share in share_by_position.items()
+        for position_m, mismatch_share in share_by_position.items()
     }
     marks = (*_effect_marks(report, rig), *_force_marks(report, rig))
     _check_places(gap_path, rig, (*share_by_station, *(mark.station for mark in marks)))
@@ -116,17 +116,17 @@ def read_corrected(path: Path, rig: Rig) -> Rig | None:
         return None
     corrected_rig = read_rig(rig_path)
 
-    def parts_of(compared: Rig) -> tuple[object, ...]:
-        names = [body.name for body in compared.bodies], [contact.name for contact in compared.contacts]
-        return *names, compared.forces, compared.sample_rate_hz
+    def compared_properties(compared_rig: Rig) -> tuple[object, ...]:
+        name_lists = [body.name for body in compared_rig.bodies], [contact.name for contact in compared_rig.contacts]
+        return *name_lists, compared_rig.forces, compared_rig.sample_rate_hz
 
-    if parts_of(corrected_rig) != parts_of(rig):
+    if compared_properties(corrected_rig) != compared_properties(rig):
         raise RigError(f"{rig_path}: is of another rig than the recording; take the folder of its own diagnosis")
     return corrected_rig
 
 
-def _decode_gap(gap_path: Path) -> _Gap:
-    report = decoded_result(contents(gap_path), _Gap, str(gap_path), "gap.json", "make one by `identify gap`")
+def _decode_gap(gap_path: Path) -> _GapReport:
+    report = decoded_result(contents(gap_path), _GapReport, str(gap_path), "gap.json", "make one by `identify gap`")
     shares = [interval.share for interval in report.attribution.time_s]
     shares += [share for shares_of_body in report.attribution.positions_m.values() for share in shares_of_body.values()]
     if not all(0 <= share <= 1.001 for share in shares):
@@ -135,15 +135,15 @@ def _decode_gap(gap_path: Path) -> _Gap:
 
 
 def _check_places(gap_path: Path, rig: Rig, stations: Iterable[Station]) -> None:
-    lengths_m = {body.name: body.length_m for body in rig.bodies}
+    length_by_body_m = {body.name: body.length_m for body in rig.bodies}
     for station in stations:
-        if not 0 <= station.position_m <= lengths_m.get(station.body, -1.0) + 1e-6:
+        if not 0 <= station.position_m <= length_by_body_m.get(station.body, -1.0) + 1e-6:
             raise RigError(
                 f"{gap_path}: has {station.position_m:g} m on {station.body!r}, which the rig lacks; take its own file"
             )
 
 
-def _effect_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
+def _effect_marks(report: _GapReport, rig: Rig) -> Iterator[Mark]:
     """Marks of the localised effects of the likeliest cause, if the verdict names effects."""
     if report.verdict not in EFFECT_VERDICTS or not report.causes:
         return
@@ -159,30 +159,30 @@ def _effect_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
                 yield Mark(station, words)
 
 
-def _force_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
+def _force_marks(report: _GapReport, rig: Rig) -> Iterator[Mark]:
     force = report.unknown
     if force is None or report.verdict in UNLOCATED_VERDICTS:
         return
     largest_rms_n = max(force.by_time, default=0.0)
     strengths = tuple(rms_n / largest_rms_n for rms_n in force.by_time) if largest_rms_n > 0 else (1.0,)
-    if part_name := force.contact or force.sensor:
-        end_words = "clearance that swings" if force.contact else "fault of the sensor"
-        if station := station_named(rig, part_name, 0.5):
-            yield Mark(station, f"{part_name}: {end_words}", strengths)
+    if owner_name := force.contact or force.sensor:
+        mark_words = "clearance that swings" if force.contact else "fault of the sensor"
+        if station := station_named(rig, owner_name, 0.5):
+            yield Mark(station, f"{owner_name}: {mark_words}", strengths)
         return
     words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
-    body_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
-    for body_name, position_m, end_words in body_ends:
+    force_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
+    for body_name, position_m, mark_words in force_ends:
         if body_name is not None and position_m is not None:
-            yield Mark(Station(body_name, position_m), end_words, strengths, in_contact=force.when == "in contact")
+            yield Mark(Station(body_name, position_m), mark_words, strengths, in_contact=force.when == "in contact")
 
 
-def _markdown_text(report: _Gap) -> str:
+def _markdown_text(report: _GapReport) -> str:
     """Markdown text: verdict, its sentence, that of the unmeasured force, and the mismatch by contact state."""
     paragraphs = [f"**{report.verdict.replace('_', ' ').capitalize()}**", report.sentence]
     if report.unknown:
         paragraphs.append(report.unknown.sentence)
-    states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
-    if states and report.verdict not in UNLOCATED_VERDICTS:
-        paragraphs.append(f"Share of the gap by the state of the contacts: {states}.")
+    shares_text = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
+    if shares_text and report.verdict not in UNLOCATED_VERDICTS:
+        paragraphs.append(f"Share of the gap by the state of the contacts: {shares_text}.")
     return "\n\n".join(paragraphs)

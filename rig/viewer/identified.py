@@ -17,7 +17,7 @@ from rig.limits import decoded_result
 from rig.model.contact_laws import ContactLaw, DeadZone
 from rig.model.description import Rig, contact_rows
 
-MIN_DURATION_S = 0.1
+MIN_CURVES_S = 0.1
 """Least duration of the curves, s."""
 MIN_STEP_S, MAX_VALUE = 1e-9, 1e100
 """Least time between rows (s) and largest value (SI) in a plausible file; otherwise splines would overflow."""
@@ -41,7 +41,7 @@ class _Report(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True)
-class Curves:
+class IdentifiedCurves:
     """Identified relative displacements and separated contact forces, sampled for the band of the force."""
 
     time_s: Float[np.ndarray, " rows"]
@@ -64,7 +64,7 @@ class IdentifiedContacts:
     """Identified laws by contact, and the curves if they were exported."""
 
     laws: Mapping[str, ContactLaw] = field(default_factory=dict)
-    curves: Curves | None = None
+    curves: IdentifiedCurves | None = None
 
 
 NOTHING_IDENTIFIED = IdentifiedContacts()
@@ -76,15 +76,15 @@ def read_identified(path: Path, rig: Rig, duration_s: float) -> IdentifiedContac
     Raises RigError if a file is unreadable or invalid, or belongs to another recording.
     """
     report_path = path / "contact.json" if path.is_dir() else path
-    laws = identified_laws(report_path, rig)
-    candidates = (report_path.with_name(name) for name in ("motion.parquet", "motion.csv"))
-    curves_path = next((path for path in candidates if path.exists()), None)
-    return IdentifiedContacts(laws, _curves(curves_path, rig, duration_s) if curves_path else None)
+    law_by_contact = identified_laws(report_path, rig)
+    candidate_paths = (report_path.with_name(name) for name in ("motion.parquet", "motion.csv"))
+    curves_path = next((path for path in candidate_paths if path.exists()), None)
+    return IdentifiedContacts(law_by_contact, _read_curves(curves_path, rig, duration_s) if curves_path else None)
 
 
-def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
+def _read_curves(path: Path, rig: Rig, duration_s: float) -> IdentifiedCurves:
     try:
-        columns = _parquet(path) if path.suffix == ".parquet" else _csv(path)
+        columns = _parquet_columns(path) if path.suffix == ".parquet" else _csv_columns(path)
         time_s = columns["time_s"]
         relative_displacement_m, force_n = (
             np.array([columns[f"{contact.name} {quantity}"] for contact in contact_rows(rig)]).reshape(-1, time_s.size)
@@ -94,28 +94,28 @@ def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
         raise RigError(f"{path}: has no column {error}; identify this recording with --export") from error
     except (ValueError, StopIteration, csv.Error) as error:
         raise RigError(f"{path}: is no table of `identify contact --export` ({error}); make it anew") from error
-    is_growing = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_DURATION_S
-    if not (is_growing and (np.abs([*relative_displacement_m, *force_n, time_s]) < MAX_VALUE).all()):
+    time_grows = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_CURVES_S
+    if not (time_grows and (np.abs([*relative_displacement_m, *force_n, time_s]) < MAX_VALUE).all()):
         raise RigError(f"{path}: has too few rows, a time that does not grow, or no number somewhere; make it anew")
     if not (time_s[0] >= 0 and time_s[-1] <= duration_s):
         raise RigError(f"{path}: goes to {time_s[-1]:g} s, the recording to {duration_s:g} s; identify this recording")
-    return Curves(time_s, relative_displacement_m, force_n)
+    return IdentifiedCurves(time_s, relative_displacement_m, force_n)
 
 
-def _csv(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
+def _csv_columns(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
     csv_lines = contents(path).decode().splitlines()
     column_names = next(csv.reader(csv_lines[:1]))
-    values = np.loadtxt(csv_lines[1:], delimiter=",", ndmin=2)
-    return dict(zip(column_names, values.T, strict=True))
+    csv_values = np.loadtxt(csv_lines[1:], delimiter=",", ndmin=2)
+    return dict(zip(column_names, csv_values.T, strict=True))
 
 
-def _parquet(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
+def _parquet_columns(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
     import io
 
     from pyarrow import parquet
 
-    table = parquet.read_table(io.BytesIO(contents(path)))
-    return {name: table[name].to_numpy() for name in table.column_names}
+    parquet_table = parquet.read_table(io.BytesIO(contents(path)))
+    return {column_name: parquet_table[column_name].to_numpy() for column_name in parquet_table.column_names}
 
 
 def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
@@ -140,13 +140,13 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
 
 def _dead_zone_of(contact: _Contact) -> DeadZone:
     clearances = contact.lower_clearance_m, contact.upper_clearance_m
-    lower_m, upper_m = (
+    lower_clearance_m, upper_clearance_m = (
         contact.clearance_m.value if clearances == (None, None) else math.inf if clearance is None else clearance.value
         for clearance in clearances
     )
     return DeadZone(
-        lower_clearance_m=lower_m,
-        upper_clearance_m=upper_m,
+        lower_clearance_m=lower_clearance_m,
+        upper_clearance_m=upper_clearance_m,
         stiffness_n_per_m=contact.stiffness_n_per_m.value,
         damping_n_s_per_m=max(0.0, contact.damping_n_s_per_m.value),  # an estimate may lie below zero
     )

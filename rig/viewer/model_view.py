@@ -32,13 +32,13 @@ def send_model(
         _send_body(stream, scene, body, colour)
     for contact_motion in contact_motions:
         _send_contact(stream, scene, contact_motion)
-    longest_n = np.abs(recording.forces_n).max() or 1.0
+    largest_force_n = np.abs(recording.forces_n).max() or 1.0
     for force_name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
         if scene.rig.is_on_ground(station):
             continue
         entity_path, arrow_vectors = entity("model", force_name), np.zeros((scene.time_s.size, 3))
-        lengths_m = 0.2 * scene.extent_m * force_n[scene.frame_samples] / longest_n
-        arrow_vectors += lengths_m[:, None] * np.array(UPWARDS if station.direction == "y" else OUTWARDS)
+        arrow_lengths_m = 0.2 * scene.extent_m * force_n[scene.frame_samples] / largest_force_n
+        arrow_vectors += arrow_lengths_m[:, None] * np.array(UPWARDS if station.direction == "y" else OUTWARDS)
         send_static(stream, entity_path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
         send(stream, entity_path, scene.time_s, rr.Arrows3D, vectors=arrow_vectors, origins=scene.force_origin(station))
 
@@ -52,10 +52,10 @@ def _send_body(stream: rr.RecordingStream, scene: Stage, body: Body, colour: Col
         block_style = rr.Boxes3D.from_fields(half_sizes=[scene.half_sizes(body)], colors=[colour], fill_mode="solid")
         send_static(stream, entity_path, block_style)
         send(stream, entity_path, scene.time_s, rr.Boxes3D, centers=scene.centre(body))
-    rest = rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75))
-    send_static(stream, f"{entity_path}/rest", rest)
-    if (support := scene.support(body)) is not None:
-        send_static(stream, f"{entity_path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
+    rest_line = rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75))
+    send_static(stream, f"{entity_path}/rest", rest_line)
+    if (wall_points := scene.wall_corners(body)) is not None:
+        send_static(stream, f"{entity_path}/support", rr.LineStrips3D([wall_points], colors=[STEEL], radii=pixels(2.0)))
     name_style = rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name], show_labels=True)
     send_static(stream, f"{entity_path}/name", name_style)
     send(stream, f"{entity_path}/name", scene.time_s, rr.Points3D, positions=scene.label(body))
@@ -67,14 +67,14 @@ def _send_contact(stream: rr.RecordingStream, scene: Stage, contact_motion: Cont
     entity_path, tip_points = entity("model", contact.name), scene.tip(contact)
     fork_style = rr.LineStrips3D.from_fields(colors=[SOURCES[contact_motion.wall_source]], radii=[pixels(1.75)])
     send_static(stream, entity_path, fork_style)
-    strips = scene.ring(contact) if contact_motion.orbit is not None else scene.fork(contact, contact.law)
-    send(stream, entity_path, scene.time_s, rr.LineStrips3D, strips=strips)
+    stop_lines = scene.ring(contact) if contact_motion.orbit is not None else scene.fork(contact, contact.law)
+    send(stream, entity_path, scene.time_s, rr.LineStrips3D, strips=stop_lines)
     if scene.stands_beside(contact):
         tongue_strips = np.stack([scene.point(contact.at), tip_points], axis=1)
         send_static(stream, f"{entity_path}/tongue", rr.LineStrips3D.from_fields(colors=[MACHINE], radii=[pixels(3.0)]))
         send(stream, f"{entity_path}/tongue", scene.time_s, rr.LineStrips3D, strips=tongue_strips)
     send_static(stream, f"{entity_path}/point", rr.Points3D.from_fields(radii=[pixels(6.0)]))
     point_colours = np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
-    drawn_frames = np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frame_samples] - 1e-9)
-    point_colours[drawn_frames] = contact_motion.frame_colours
+    frame_indices = np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frame_samples] - 1e-9)
+    point_colours[frame_indices] = contact_motion.frame_colours
     send(stream, f"{entity_path}/point", scene.time_s, rr.Points3D, positions=tip_points, colors=point_colours)

@@ -11,7 +11,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.viewer.drawing import pixels, send_labels, send_static
 from rig.viewer.palette import SOURCES
 
-CIRCLE_RAD = np.linspace(0, 2 * np.pi, 97)
+CIRCLE_ANGLES_RAD = np.linspace(0, 2 * np.pi, 97)
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ def send_rings(
 ) -> None:
     """Send a circle with its label for the ring of every law, by its source."""
     for law_index, (law_source, law) in enumerate(radial_laws):
-        radius_mm, colour, path = 1e3 * law.upper_clearance_m, SOURCES[law_source], f"{entity_path}/{law_source}"
-        circle_points_mm = radius_mm * np.stack([np.cos(CIRCLE_RAD), np.sin(CIRCLE_RAD)], axis=1)
-        send_static(stream, path, rr.LineStrips2D([circle_points_mm], colors=[colour], radii=pixels(1.5)))
+        radius_mm, colour, law_path = 1e3 * law.upper_clearance_m, SOURCES[law_source], f"{entity_path}/{law_source}"
+        circle_points_mm = radius_mm * np.stack([np.cos(CIRCLE_ANGLES_RAD), np.sin(CIRCLE_ANGLES_RAD)], axis=1)
+        send_static(stream, law_path, rr.LineStrips2D([circle_points_mm], colors=[colour], radii=pixels(1.5)))
         label_position = [1.85 * reach_mm, (0.3 * law_index - 0.8) * reach_mm]
-        send_labels(stream, f"{path}/radius", [label_position], [f"{law_source} {radius_mm:.4g} mm"], colour)
+        send_labels(stream, f"{law_path}/radius", [label_position], [f"{law_source} {radius_mm:.4g} mm"], colour)

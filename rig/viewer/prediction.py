@@ -29,16 +29,16 @@ SMOOTHED_SAMPLES, POLYNOMIAL_ORDER = 9, 3
 class PredictedMotion:
     """Displacements of both rigs at the stations, m, in windows one after another from first_sample on.
 
-    shown_row is the row of the station whose displacement is plotted; a prediction that diverges is not finite.
+    shown_station_row is the row of the station whose displacement is plotted; a prediction that diverges is not finite.
     """
 
     stations: tuple[Station, ...]
-    window_samples: int
+    samples_per_window: int
     first_sample: int
     measured_m: Float[np.ndarray, "stations samples"]
     believed_m: Float[np.ndarray, "stations samples"]
     corrected_m: Float[np.ndarray, "stations samples"]
-    shown_row: int
+    shown_station_row: int
 
     @property
     def samples(self) -> slice:
@@ -51,19 +51,19 @@ class PredictedMotion:
 
     def window_errors_m(self, predicted_m: Float[np.ndarray, "stations samples"]) -> Float[np.ndarray, " windows"]:
         """Root-mean-square error of all stations in each window, m; infinite for one that diverges."""
-        squared_errors = self.errors_m(predicted_m).reshape(-1, self.window_samples) ** 2
+        squared_errors = self.errors_m(predicted_m).reshape(-1, self.samples_per_window) ** 2
         return np.nan_to_num(np.sqrt(squared_errors.mean(axis=1)), nan=np.inf)
 
 
 def predicted_motion(
     recording: Recording,
-    motion: Deflection,
+    shown_motion: Deflection,
     corrected_rig: Rig,
     predict: Predict,
     window_s: float = WINDOW_S,
     station_name: str | None = None,
 ) -> PredictedMotion | None:
-    """Predict the rig of the recording and the corrected one from the `motion` that is shown.
+    """Predict the rig of the recording and the corrected one from the `shown_motion`.
 
     station_name is that of a sensor, contact or body; otherwise the station where the believed rig errs most is shown.
     None if the record is shorter than a window.
@@ -71,28 +71,28 @@ def predicted_motion(
     Raises RigError if the name has no recorded station or a rig cannot be predicted.
     """
     rate_hz = recording.rig.sample_rate_hz
-    chosen_row = None if station_name is None else _station_row(recording.rig, motion, station_name)
-    window_samples = max(2, round(window_s * rate_hz))
-    first_sample = round(TAPER_S * rate_hz) if motion.is_approximate else 0
-    end_sample = min(motion.displacement_m.shape[1] - first_sample, round(MAX_PREDICTED_S * rate_hz))
-    window_starts = np.arange(first_sample, end_sample - window_samples + 1, window_samples)
+    requested_row = None if station_name is None else _station_row(recording.rig, shown_motion, station_name)
+    samples_per_window = max(2, round(window_s * rate_hz))
+    first_sample = round(TAPER_S * rate_hz) if shown_motion.is_approximate else 0
+    end_sample = min(shown_motion.displacement_m.shape[1] - first_sample, round(MAX_PREDICTED_S * rate_hz))
+    window_starts = np.arange(first_sample, end_sample - samples_per_window + 1, samples_per_window)
     if not window_starts.size:
         return None
-    displacement_m = motion.displacement_m
+    displacement_m = shown_motion.displacement_m
     velocity_m_per_s = savgol_filter(
         displacement_m, SMOOTHED_SAMPLES, POLYNOMIAL_ORDER, deriv=1, delta=1 / rate_hz, axis=1
     )
     states = np.stack([displacement_m[:, window_starts], velocity_m_per_s[:, window_starts]]).transpose(2, 0, 1)
-    forces_n = recording.forces_n[:, : int(window_starts[-1]) + window_samples]
+    forces_n = recording.forces_n[:, : int(window_starts[-1]) + samples_per_window]
     believed_m, corrected_m = (
-        _join_windows(predict(rig, forces_n, window_starts, window_samples, motion.stations, states)[:, 0])
+        _joined_windows(predict(rig, forces_n, window_starts, samples_per_window, shown_motion.stations, states)[:, 0])
         for rig in (recording.rig, corrected_rig)
     )
-    measured_m = displacement_m[:, first_sample : first_sample + window_starts.size * window_samples]
+    measured_m = displacement_m[:, first_sample : first_sample + window_starts.size * samples_per_window]
     station_errors_m = np.nan_to_num(believed_m - measured_m).std(axis=1)
-    shown_row = int(np.argmax(station_errors_m)) if chosen_row is None else chosen_row
+    shown_row = int(np.argmax(station_errors_m)) if requested_row is None else requested_row
     return PredictedMotion(
-        motion.stations, window_samples, first_sample, measured_m, believed_m, corrected_m, shown_row
+        shown_motion.stations, samples_per_window, first_sample, measured_m, believed_m, corrected_m, shown_row
     )
 
 
@@ -104,5 +104,5 @@ def _station_row(rig: Rig, motion: Deflection, place_name: str) -> int:
     return motion.stations.index(station)
 
 
-def _join_windows(windows: Float[np.ndarray, "windows stations times"]) -> Float[np.ndarray, "stations samples"]:
+def _joined_windows(windows: Float[np.ndarray, "windows stations times"]) -> Float[np.ndarray, "stations samples"]:
     return np.asarray(windows.transpose(1, 0, 2).reshape(windows.shape[1], -1))

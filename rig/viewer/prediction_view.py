@@ -22,7 +22,7 @@ from rig.viewer.palette import BELIEVED, FOUND, MACHINE, Colour
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.stage import Stage
 
-GHOST_STYLES = {BELIEVED: (2.25, 0.0015), FOUND: (1.0, 0.003)}
+GHOST_WIDTH_AND_DEPTH = {BELIEVED: (2.25, 0.0015), FOUND: (1.0, 0.003)}
 """Half widths of the outlines in pixels and their distances before the measured bodies as shares of the extent: where
 they coincide, each shows within the one behind it."""
 
@@ -33,7 +33,7 @@ def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, sce
     Every `stride`-th sample is plotted; the lines are broken where a window begins.
     """
     rate_hz = scene.sample_rate_hz
-    summary_words = summary_text(prediction, prediction.window_samples / rate_hz)
+    summary_words = summary_text(prediction, prediction.samples_per_window / rate_hz)
     send_static(stream, f"{PREDICTION}/words", rr.TextDocument(summary_words, media_type="text/markdown"))
     displacement_by_source = {
         "measured": (prediction.measured_m, MACHINE),
@@ -41,26 +41,26 @@ def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, sce
         "corrected": (prediction.corrected_m, FOUND),
     }
     plotted_samples = np.arange(0, prediction.measured_m.shape[1], stride)
-    time_s = (prediction.first_sample + plotted_samples) / rate_hz
-    window_begins = np.flatnonzero(np.diff(plotted_samples // prediction.window_samples)) + 1
-    for layer, (source_name, (displacement_m, colour)) in enumerate(displacement_by_source.items()):
-        break_positions = window_begins if source_name != "measured" else window_begins[:0]
-        for origin, values_m in (
-            ("displacement", displacement_m[prediction.shown_row]),
+    plotted_time_s = (prediction.first_sample + plotted_samples) / rate_hz
+    window_starts = np.flatnonzero(np.diff(plotted_samples // prediction.samples_per_window)) + 1
+    for layer_index, (source_name, (displacement_m, colour)) in enumerate(displacement_by_source.items()):
+        break_positions = window_starts if source_name != "measured" else window_starts[:0]
+        for plot_name, plotted_m in (
+            ("displacement", displacement_m[prediction.shown_station_row]),
             ("error", prediction.errors_m(displacement_m)),
         ):
-            if origin == "error" and source_name == "measured":
+            if plot_name == "error" and source_name == "measured":
                 continue
-            values_mm = np.insert(1e3 * values_m[plotted_samples], break_positions, np.nan)
-            times_s = np.insert(time_s, break_positions, time_s[break_positions] - 1e-7)
+            broken_values_mm = np.insert(1e3 * plotted_m[plotted_samples], break_positions, np.nan)
+            broken_time_s = np.insert(plotted_time_s, break_positions, plotted_time_s[break_positions] - 1e-7)
             send_lines(
                 stream,
-                f"{PREDICTION}/{origin}/{layer}_{source_name}",
-                times_s,
-                values_mm[None],
+                f"{PREDICTION}/{plot_name}/{layer_index}_{source_name}",
+                broken_time_s,
+                broken_values_mm[None],
                 [source_name],
                 (colour,),
-                LAYER_WIDTHS_PX[min(layer, 1)],
+                LAYER_WIDTHS_PX[min(layer_index, 1)],
             )
     legend = [(source_name, colour) for source_name, (_, colour) in displacement_by_source.items()]
     send_legend(stream, f"{PREDICTION}/displacement", legend)
@@ -76,24 +76,24 @@ def summary_text(prediction: PredictedMotion, window_s: float) -> str:
         1e3 * float(np.median(prediction.window_errors_m(displacement_m)))
         for displacement_m in (prediction.believed_m, prediction.corrected_m)
     )
-    change_text = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
+    change_words = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
     return (
         f"Every {window_s:.2g} s both rigs start anew from the measured motion and continue under the measured force. "
         f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} "
-        f"mm**{change_text}."
+        f"mm**{change_words}."
     )
 
 
 def _send_ghosts(
     stream: rr.RecordingStream,
-    path: str,
+    ghosts_path: str,
     prediction: PredictedMotion,
     displacement_m: Float[np.ndarray, "stations samples"],
     colour: Colour,
     scene: Stage,
 ) -> None:
     """Send the outlines of all bodies as one rig moves; there are none outside the predicted time."""
-    radius_px, depth_share = GHOST_STYLES[colour]
+    radius_px, depth_share = GHOST_WIDTH_AND_DEPTH[colour]
     record_displacement_m = scene.deflection.displacement_m.copy()
     record_displacement_m[:, prediction.samples] = displacement_m
     is_predicted = (scene.frame_samples >= prediction.samples.start) & (scene.frame_samples < prediction.samples.stop)
@@ -104,11 +104,11 @@ def _send_ghosts(
         frame_samples=predicted_frames,
     )
     for body in scene.rig.bodies:
-        entity_path = f"{path}/{entity(body.name)}"
+        entity_path = f"{ghosts_path}/{entity(body.name)}"
         send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(radius_px)]))
         ghost_strips = ghost_stage.strips(body) - [0.0, depth_share * scene.extent_m, 0.0]
         send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_strips)
     if predicted_frames.size and predicted_frames.size < scene.frame_samples.size:
         stream.set_time(TIMELINE, duration=float(prediction.samples.stop / scene.sample_rate_hz))
         for body in scene.rig.bodies:
-            stream.log(f"{path}/{entity(body.name)}", rr.Clear(recursive=False))
+            stream.log(f"{ghosts_path}/{entity(body.name)}", rr.Clear(recursive=False))

@@ -34,15 +34,15 @@ def draw(rig: Rig, path: Path) -> None:
     RigError if the file cannot be written.
     """
     drawing = Drawing()
-    for direction, plane in plane_rigs(rig).items():
-        laws = {contact.name: contact.law for contact in rig.contacts}
-        contacts = tuple(replace(contact, law=laws[contact.name]) for contact in plane.contacts)
-        numbers = [number for number, force in enumerate(rig.forces, start=1) if force.direction == direction]
-        lowest_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
-        layout = _layout(replace(plane, contacts=contacts), lowest_px + VIEW_GAP_PX)
+    for direction, plane_rig in plane_rigs(rig).items():
+        law_by_contact = {contact.name: contact.law for contact in rig.contacts}
+        contacts = tuple(replace(contact, law=law_by_contact[contact.name]) for contact in plane_rig.contacts)
+        force_numbers = [number for number, force in enumerate(rig.forces, start=1) if force.direction == direction]
+        lowest_y_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
+        layout = _schematic_layout(replace(plane_rig, contacts=contacts), lowest_y_px + VIEW_GAP_PX)
         drawing.text(0.0, layout.title_px, f"{rig.name}{VIEW_WORDS[direction] if rig.in_space else ''}", size=16)
-        names = [f"F{number}" if len(rig.forces) > 1 else "force F" for number in numbers]
-        _draw_view(drawing, layout, names)
+        force_labels = [f"F{number}" if len(rig.forces) > 1 else "force F" for number in force_numbers]
+        _draw_view(drawing, layout, force_labels)
     drawing.write(path)
 
 
@@ -84,28 +84,28 @@ class _SchematicLayout:
             return left_px + self.px_per_m * station.position_m
         return left_px + SLOT_PX * (next(slot for slot, slot_item in enumerate(items) if slot_item is drawn_item) + 0.5)
 
-    def half_px(self, body: str) -> float:
+    def half_height_px(self, body: str) -> float:
         return MASS_HALF_PX if body in self.slot_items else BODY_HALF_PX
 
     def top_px(self, body: str) -> float:
-        return self.level_px[body] - self.half_px(body)
+        return self.level_px[body] - self.half_height_px(body)
 
     def bottom_px(self, body: str) -> float:
-        return self.level_px[body] + self.half_px(body)
+        return self.level_px[body] + self.half_height_px(body)
 
 
-def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
+def _schematic_layout(rig: Rig, title_px: float) -> _SchematicLayout:
     left_ends_m = left_ends(rig)
     extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
     px_per_m = DRAWING_PX / extent_m if extent_m > 0 else 1.0
     top_px = TITLE_PX - title_px - LEVEL_STEP_PX * (len(rig.bodies) - 1)
     level_px = {body.name: -LEVEL_STEP_PX * level_index - top_px for level_index, body in enumerate(rig.bodies)}
-    slot_items = {body.name: tuple(_items_on(rig, body)) for body in rig.bodies if body.is_mass}
-    left_px = {name: px_per_m * (left_m - min(left_ends_m.values())) for name, left_m in left_ends_m.items()}
+    slot_items = {body.name: tuple(_items_on_mass(rig, body)) for body in rig.bodies if body.is_mass}
+    left_px = {name: px_per_m * (left_end_m - min(left_ends_m.values())) for name, left_end_m in left_ends_m.items()}
     return _SchematicLayout(rig, left_px, px_per_m, level_px, slot_items, title_px)
 
 
-def _items_on(rig: Rig, body: Body) -> Iterator[object]:
+def _items_on_mass(rig: Rig, body: Body) -> Iterator[object]:
     """Items on a mass from left to right, beginning with its own spring."""
     yield body
     for contact in rig.contacts:
@@ -134,35 +134,35 @@ def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
         drawing.wall(left_px, level_px, 30.0)
     if items is not None:
         drawing.text(left_px + 8, level_px + 4, f"{body.name}: {body.mass_kg:g} kg")
-        x_px = layout.x_px(Station(body.name), body)
-        drawing.spring(x_px - 12, bottom_px, bottom_px + ATTACHED_PX)
-        drawing.damper(x_px + 14, bottom_px, bottom_px + ATTACHED_PX)
-        drawing.ground(x_px, bottom_px + ATTACHED_PX, 60.0)
+        spring_x_px = layout.x_px(Station(body.name), body)
+        drawing.spring(spring_x_px - 12, bottom_px, bottom_px + ATTACHED_PX)
+        drawing.damper(spring_x_px + 14, bottom_px, bottom_px + ATTACHED_PX)
+        drawing.ground(spring_x_px, bottom_px + ATTACHED_PX, 60.0)
         (natural_hz,), (damping_ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
         drawing.text(left_px, bottom_px + ATTACHED_PX + 24, f"{natural_hz:g} Hz, damping ratio {damping_ratio:g}")
         return
     beam = next((beam for beam in layout.rig.beams if beam == body), None)
-    size_text = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
+    size_words = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
     if beam and beam.outer_diameter_m:
-        size_text = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
-    drawing.text(left_px, top_px - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size_text}", size=13)
+        size_words = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
+    drawing.text(left_px, top_px - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size_words}", size=13)
     _draw_ruler(drawing, layout, body)
 
 
 def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
     rig, left_px, y_px = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
-    stations = [*rig.forces, *(station for contact in rig.contacts for station in contact_stations(contact))]
-    stations += [component.station for component in _attachments(rig)]
-    positions_m = {0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)}
+    ruler_stations = [*rig.forces, *(station for contact in rig.contacts for station in contact_stations(contact))]
+    ruler_stations += [component.station for component in _attachments(rig)]
+    positions_m = {0.0, body.length_m, *(station.position_m for station in ruler_stations if station.body == body.name)}
     drawing.line((left_px, y_px), (left_px + layout.px_per_m * body.length_m, y_px), colour=GREY, width=1.0)
-    labelled_px = -1e9
+    last_label_px = -1e9
     for x_m in sorted(positions_m):
         x_px = left_px + layout.px_per_m * x_m
         drawing.line((x_px, y_px - 5), (x_px, y_px + 5), colour=GREY, width=1.0)
-        is_lowered = x_px - labelled_px < 48  # beside the one before there is no room
+        is_lowered = x_px - last_label_px < 48  # beside the one before there is no room
         drawing.text(x_px, y_px + (30 if is_lowered else 18), f"{x_m:g} m", GREY, "middle", size=11)
-        labelled_px = -1e9 if is_lowered else x_px
+        last_label_px = -1e9 if is_lowered else x_px
 
 
 def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
@@ -172,9 +172,9 @@ def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) ->
     if not contact.law.has_stops:
         _draw_strut(drawing, layout, contact)
         return
-    sides = contact.law.sides or (-1, 1)
+    drawn_sides = contact.law.sides or (-1, 1)
     for stop_y_px, side in ((upper_stop_px, 1), (lower_stop_px, -1)):
-        if side not in sides:
+        if side not in drawn_sides:
             continue
         if contact.against is None:
             drawing.ground(x_px, stop_y_px, upwards=side > 0)
@@ -216,11 +216,11 @@ def _draw_clearances(drawing: Drawing, layout: _SchematicLayout, contact: Contac
     for wall_m, side in walls_m(law) if law.has_stops else ():
         sign, text_y_px = ("+", upper_stop_px) if side > 0 else ("\u2212", lower_stop_px)
         drawing.text(x_px + 20, text_y_px + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
-    bodies = [station.body for station in contact_stations(contact)]
-    lowest_body = body_name if law.has_stops else min(bodies, key=lambda body: layout.level_px[body])
+    body_names = [station.body for station in contact_stations(contact)]
+    lowest_body = body_name if law.has_stops else min(body_names, key=lambda body: layout.level_px[body])
     text_x_px, text_y_px = x_px + (8 if law.has_stops else 14), layout.bottom_px(lowest_body) + GAP_PX + 22
-    for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
-        drawing.text(text_x_px, text_y_px, words, BELIEVED_INK, size=11)
+    for label_line in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
+        drawing.text(text_x_px, text_y_px, label_line, BELIEVED_INK, size=11)
         text_y_px += 14
 
 
@@ -236,8 +236,8 @@ def _contact_notes(contact: Contact) -> Iterator[str]:
 
 def _draw_forces(drawing: Drawing, layout: _SchematicLayout, force_names: Sequence[str]) -> None:
     names_by_station = dict[Station, list[str]]()
-    for station, name in zip(layout.rig.forces, force_names, strict=False):
-        names_by_station.setdefault(station, []).append(name)
+    for station, force_name in zip(layout.rig.forces, force_names, strict=False):
+        names_by_station.setdefault(station, []).append(force_name)
     for station in (s for s in names_by_station if not layout.rig.is_on_ground(s)):
         x_px, top_px = layout.x_px(station, station), layout.top_px(station.body)
         drawing.arrow((x_px, top_px - 1), (x_px, top_px - 80), FORCE_INK, 3.0)
@@ -253,18 +253,18 @@ def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
         if layout.rig.is_on_ground(station):
             continue
         x_px, top_px = layout.x_px(station, layout.rig.sensors), layout.top_px(station.body)
-        corners = (x_px - 5, top_px - 9), (x_px + 5, top_px - 9), (x_px, top_px - 1)
-        drawing.line(*corners, colour=SENSOR_INK, fill=SENSOR_INK)
-        words = ", ".join(dict.fromkeys(letters))
+        mark_corners = (x_px - 5, top_px - 9), (x_px + 5, top_px - 9), (x_px, top_px - 1)
+        drawing.line(*mark_corners, colour=SENSOR_INK, fill=SENSOR_INK)
+        sensor_words = ", ".join(dict.fromkeys(letters))
         if station.body not in layout.slot_items:
-            words += f"  {place_name(layout.rig.body(station.body), station.position_m)}"
-        drawing.text(x_px + 4, top_px - GAP_PX - 10, words, SENSOR_INK, rotation_deg=-60, size=11)
+            sensor_words += f"  {place_name(layout.rig.body(station.body), station.position_m)}"
+        drawing.text(x_px + 4, top_px - GAP_PX - 10, sensor_words, SENSOR_INK, rotation_deg=-60, size=11)
     if letters_by_station:
         quantities = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
-        key = ", ".join(f"{LETTERS.get(quantity, quantity)} {quantity}" for quantity in quantities)
+        key_words = ", ".join(f"{LETTERS.get(quantity, quantity)} {quantity}" for quantity in quantities)
         if base_sensors := layout.rig.base_sensors:
-            key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in base_sensors)
-        drawing.text(0.0, layout.title_px + 20, f"sensors: {key}", SENSOR_INK)
+            key_words += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in base_sensors)
+        drawing.text(0.0, layout.title_px + 20, f"sensors: {key_words}", SENSOR_INK)
 
 
 def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
@@ -275,13 +275,13 @@ def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
         drawing.text(x_px - 12, top_px - 6, f"{mass.mass_kg:g} kg", anchor="end", size=11)
     for spring in rig.springs:
         cubic, rotational = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
-        values = [(spring.stiffness_n_per_m, "N/m"), cubic, rotational]
-        _draw_grounded(drawing, layout, spring, drawing.spring, values)
+        values_and_units = [(spring.stiffness_n_per_m, "N/m"), cubic, rotational]
+        _draw_grounded(drawing, layout, spring, drawing.spring, values_and_units)
     for support in rig.supports:
         _draw_grounded(drawing, layout, support, drawing.pin, [(support.stiffness_n_per_m or 0.0, "N/m")])
     for damper in rig.dampers:
-        values = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
-        _draw_grounded(drawing, layout, damper, drawing.damper, values)
+        values_and_units = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
+        _draw_grounded(drawing, layout, damper, drawing.damper, values_and_units)
     for clamp in rig.clamps:
         x_px, y_px = layout.left_px[clamp.body], layout.level_px[clamp.body]
         drawing.dot(x_px, y_px, BELIEVED_INK, 6.0)
@@ -298,11 +298,11 @@ def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
 
 
 def _draw_grounded(
-    drawing: Drawing, layout: _SchematicLayout, item: Any, draw_shape: DrawShape, values: list[tuple[float, str]]
+    drawing: Drawing, layout: _SchematicLayout, component: Any, draw_shape: DrawShape, values: list[tuple[float, str]]
 ) -> None:
     """Draw a spring, support or damper under a body, with its non-zero values."""
-    x_px, bottom_px = layout.x_px(item.station, item), layout.bottom_px(item.station.body)
+    x_px, bottom_px = layout.x_px(component.station, component), layout.bottom_px(component.station.body)
     draw_shape(x_px, bottom_px, bottom_px + ATTACHED_PX)
     drawing.ground(x_px, bottom_px + ATTACHED_PX)
-    for line_number, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
-        drawing.text(x_px + 12, bottom_px + ATTACHED_PX - 8 - 14 * line_number, words, size=11)
+    for line_number, value_words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
+        drawing.text(x_px + 12, bottom_px + ATTACHED_PX - 8 - 14 * line_number, value_words, size=11)

@@ -15,20 +15,20 @@ from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
 
 USUAL_FRAME_COUNT = 6000
-FRAME_RATES_HZ = (60.0, 600.0)
-MAX_FRAMES = 60_000
+FRAME_RATE_RANGE_HZ = (60.0, 600.0)
+MAX_FRAME_COUNT = 60_000
 """Largest number of frames; records of more than a thousand seconds have fewer than 60 per second."""
-NODE_COUNT = 61
-LARGEST_DEFLECTION = 0.25
+BODY_NODE_COUNT = 61
+LARGEST_DEFLECTION_SHARE = 0.25
 """Largest deflection by default, as a share of the extent."""
 MASS_PITCH_M = 0.6
 """Distance between the middles of masses that stand side by side, m."""
-RING_CORNERS = 49
-JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
+RING_CORNER_COUNT = 49
+JAW_CORNERS_BY_SIDE = {1: [0, 1], -1: [3, 2]}
 """Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
-Nodes = Float[np.ndarray, "frames nodes"]
+NodeValues = Float[np.ndarray, "frames nodes"]
 
 
 @dataclass(frozen=True)
@@ -64,21 +64,21 @@ class Stage:
 
     @property
     def frame_rate_hz(self) -> float:
-        step = self.frame_samples[1] - self.frame_samples[0] if self.frame_samples.size > 1 else 1
-        return self.sample_rate_hz / float(step)
+        frame_step_samples = self.frame_samples[1] - self.frame_samples[0] if self.frame_samples.size > 1 else 1
+        return self.sample_rate_hz / float(frame_step_samples)
 
     @cached_property
     def time_s(self) -> Float[np.ndarray, " frames"]:
         return self.frame_samples / self.sample_rate_hz
 
     def depth_m(self, body_name: str) -> float:
-        row = [body.name for body in self.rig.bodies].index(body_name)
-        return 0.0 if self.masses_alone else -0.1 * self.extent_m * row
+        body_index = [body.name for body in self.rig.bodies].index(body_name)
+        return 0.0 if self.masses_alone else -0.1 * self.extent_m * body_index
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        moved_m = (self.deflection.displacement_at(replace(station, direction=d)) for d in DIRECTIONS)
-        up_m, towards_eye_m = (self.magnification * x_m[self.frame_samples, None] for x_m in moved_m)
+        displacements_m = (self.deflection.displacement_at(replace(station, direction=axis)) for axis in DIRECTIONS)
+        up_m, towards_eye_m = (self.magnification * shift_m[self.frame_samples, None] for shift_m in displacements_m)
         return self._points_on_body(np.full(up_m.shape, station.position_m), station.body, up_m, towards_eye_m)[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
@@ -89,15 +89,15 @@ class Stage:
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
         """Outline of a body: the neutral line of a beam, the square of a mass."""
-        frames = self.frame_samples
+        frame_samples = self.frame_samples
         if body.length_m:
-            x_m, z_m = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
-            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frames, d).T for d in DIRECTIONS)
+            x_m, z_m = np.linspace(0, body.length_m, BODY_NODE_COUNT), np.zeros(BODY_NODE_COUNT)
+            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frame_samples, axis).T for axis in DIRECTIONS)
         else:
             x_m, z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            moved_m = (self.deflection.displacement_at(Station(body.name, 0.0, d)) for d in DIRECTIONS)
-            up_m, towards_eye_m = (moved[frames, None] for moved in moved_m)
-        x_m = np.broadcast_to(x_m, (frames.size, x_m.size))
+            displacements_m = (self.deflection.displacement_at(Station(body.name, 0.0, axis)) for axis in DIRECTIONS)
+            up_m, towards_eye_m = (displacement_m[frame_samples, None] for displacement_m in displacements_m)
+        x_m = np.broadcast_to(x_m, (frame_samples.size, x_m.size))
         up_m, towards_eye_m = z_m + self.magnification * up_m, self.magnification * towards_eye_m + 0 * x_m
         return self._points_on_body(x_m, body.name, up_m, towards_eye_m)
 
@@ -126,7 +126,7 @@ class Stage:
         """Moving point at which the arrow of a force begins: on the station, or on top of a mass."""
         return self.point(station) + np.array([0, 0, self._half_size_m(self.rig.body(station.body))])
 
-    def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
+    def wall_corners(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
         """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None
@@ -143,20 +143,20 @@ class Stage:
 
         Several contacts of two masses share the gap between them.
         """
-        points = self.point(contact.at)
+        tip_points = self.point(contact.at)
         if self.is_annular(contact):
-            return points
+            return tip_points
         if contact.against is None:
             _, half_depth_m, half_height_m = self.half_sizes(self.rig.body(contact.at.body))
-            points[:, 1] -= half_depth_m
-            points[:, 2] += half_height_m * np.sign(points[:, 2])
+            tip_points[:, 1] -= half_depth_m
+            tip_points[:, 2] += half_height_m * np.sign(tip_points[:, 2])
         if contact.against is not None and self.masses_alone:
             bodies = {contact.at.body, contact.against.body}
-            sharing = [c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == bodies]
-            gap_share = (sharing.index(contact.name) + 1) / (len(sharing) + 1)
-            facing_side_x_m, gap_width_m = self._between(contact.at.body, contact.against.body)
-            points[:, 0] = facing_side_x_m + gap_share * gap_width_m
-        return points
+            sharing_names = [c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == bodies]
+            gap_share = (sharing_names.index(contact.name) + 1) / (len(sharing_names) + 1)
+            facing_side_x_m, gap_width_m = self._facing_side_and_gap_m(contact.at.body, contact.against.body)
+            tip_points[:, 0] = facing_side_x_m + gap_share * gap_width_m
+        return tip_points
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
         """Fork with the stops of a contact, fixed to the opposite body or to the ground."""
@@ -164,22 +164,22 @@ class Stage:
         jaw_points = np.repeat(tip_points[:, None], 4, axis=1)
         if contact.against is None:
             # open towards the other masses
-            direction = -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0
-            jaw_points[..., 0] += direction * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            open_direction = -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0
+            jaw_points[..., 0] += open_direction * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
             carrier_z_m = np.zeros(self.frame_samples.size)
         else:
             carrier_z_m = self.point(contact.against)[:, 2]
             if self.masses_alone:
-                facing_side_x_m, gap_width_m = self._between(contact.at.body, contact.against.body)
+                facing_side_x_m, gap_width_m = self._facing_side_and_gap_m(contact.at.body, contact.against.body)
                 jaw_points[:, 1:3, 0], half_size_m = facing_side_x_m + gap_width_m, 0.0
                 jaw_points[:, [0, 3], 0] -= 0.1 * gap_width_m
             else:
                 jaw_points[:, 1:3, 1] = self.depth_m(contact.against.body)
         jaw_points[..., 2] = carrier_z_m[:, None]
         for wall_m, side in walls_m(law):
-            jaw_points[:, JAW_CORNERS[side], 2] += self.magnification * wall_m + side * half_size_m
+            jaw_points[:, JAW_CORNERS_BY_SIDE[side], 2] += self.magnification * wall_m + side * half_size_m
         for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
-            tip_corner, carrier_corner = JAW_CORNERS[side]
+            tip_corner, carrier_corner = JAW_CORNERS_BY_SIDE[side]
             jaw_points[:, tip_corner] = jaw_points[:, carrier_corner]
         return jaw_points
 
@@ -189,7 +189,7 @@ class Stage:
 
     def ring(self, contact: Contact) -> Float[np.ndarray, "frames corners 3"]:
         """Ring of an annular contact about the point that moves in it, and the line to its carrier."""
-        angle_rad = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNERS)
+        angle_rad = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNER_COUNT)
         radius_m = self.magnification * contact.law.clearance_m + self._half_size_m(self.rig.body(contact.at.body))
         centre_points = np.zeros((self.frame_samples.size, 3))
         centre_points[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
@@ -205,18 +205,18 @@ class Stage:
         ring_points = centre_points[:, None] + circle_points
         return ring_points if contact.against is None else np.concatenate([ring_points, carrier_points], axis=1)
 
-    def _between(self, body_name: str, other_body_name: str) -> tuple[float, float]:
+    def _facing_side_and_gap_m(self, body_name: str, other_body_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
         body_x_m = self.left_ends_m[body_name]
-        way_to_other_m = self.left_ends_m[other_body_name] - self.left_ends_m[body_name]
-        half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), way_to_other_m)
-        return body_x_m + half_size_m, way_to_other_m - 2 * half_size_m
+        distance_to_other_m = self.left_ends_m[other_body_name] - self.left_ends_m[body_name]
+        half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), distance_to_other_m)
+        return body_x_m + half_size_m, distance_to_other_m - 2 * half_size_m
 
     def _half_size_m(self, body: Body) -> float:
         return 0.0 if body.length_m else 0.12 * self.extent_m
 
     def _points_on_body(
-        self, x_m: Nodes, body_name: str, z_m: Nodes, towards_eye_m: Nodes | float = 0.0
+        self, x_m: NodeValues, body_name: str, z_m: NodeValues, towards_eye_m: NodeValues | float = 0.0
     ) -> Float[np.ndarray, "frames nodes 3"]:
         depth_m = np.full(z_m.shape, self.depth_m(body_name)) - towards_eye_m
         return np.stack([self.left_ends_m[body_name] + x_m, depth_m, z_m], axis=2)
@@ -234,12 +234,12 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     else:
         left_ends_m = left_ends(rig)
         extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
-    largest_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
+    max_motion_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
-        magnification = _round_down(LARGEST_DEFLECTION * extent_m / largest_m) if largest_m > 0 else 1.0
+        magnification = _round_down(LARGEST_DEFLECTION_SHARE * extent_m / max_motion_m) if max_motion_m > 0 else 1.0
     sample_count = deflection.displacement_m.shape[1]
-    usual_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAMES))
-    frame_rate_hz = min(np.clip(usual_hz, *FRAME_RATES_HZ), most_hz)
+    usual_frame_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAME_COUNT))
+    frame_rate_hz = min(np.clip(usual_frame_hz, *FRAME_RATE_RANGE_HZ), most_hz)
     frame_samples = np.arange(0, sample_count, max(1, round(sample_rate_hz / frame_rate_hz)))
     return Stage(deflection, left_ends_m, extent_m, magnification, sample_rate_hz, frame_samples)
 
@@ -250,5 +250,5 @@ def _masses_alone(rig: Rig) -> bool:
 
 def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(multiple for multiple in (1, 2, 5) if multiple * power <= value * (1 + 1e-9)))
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(decade * max(multiple for multiple in (1, 2, 5) if multiple * decade <= value * (1 + 1e-9)))

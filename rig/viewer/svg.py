@@ -37,18 +37,18 @@ class Drawing:
         rotation_deg: int = 0,
         size: int = 12,
     ) -> None:
-        length = 0.6 * size * len(words)  # of a letter, about
-        left = x + {"start": 0.0, "middle": -length / 2, "end": -length}[anchor]
-        self.corners += [(x, y - length), (x + length, y)] if rotation_deg else [(left, y - size), (left + length, y)]
-        rotation = f' transform="rotate({rotation_deg} {x:.1f} {y:.1f})"' if rotation_deg else ""
-        attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{rotation}'
-        halo = 'paint-order="stroke" stroke="white" stroke-width="3"'
-        self.elements.append(f'<text {attributes} fill="{colour}" {halo}>{escape(words)}</text>')
+        width = 0.6 * size * len(words)  # of a letter, about
+        left_x = x + {"start": 0.0, "middle": -width / 2, "end": -width}[anchor]
+        self.corners += [(x, y - width), (x + width, y)] if rotation_deg else [(left_x, y - size), (left_x + width, y)]
+        transform_attribute = f' transform="rotate({rotation_deg} {x:.1f} {y:.1f})"' if rotation_deg else ""
+        place_attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{transform_attribute}'
+        halo_attributes = 'paint-order="stroke" stroke="white" stroke-width="3"'
+        self.elements.append(f'<text {place_attributes} fill="{colour}" {halo_attributes}>{escape(words)}</text>')
 
     def box(
-        self, left: float, top: float, right: float, bottom: float, fill: str = STEEL, dashed: bool = False
+        self, left_x: float, top_y: float, right_x: float, bottom_y: float, fill: str = STEEL, dashed: bool = False
     ) -> None:
-        self.line((left, top), (right, top), (right, bottom), (left, bottom), fill=fill, dashed=dashed)
+        self.line((left_x, top_y), (right_x, top_y), (right_x, bottom_y), (left_x, bottom_y), fill=fill, dashed=dashed)
 
     def dot(self, x: float, y: float, colour: str, radius: float = 3.0) -> None:
         self.corners.append((x, y))
@@ -58,9 +58,9 @@ class Drawing:
         """Draw a vertical or horizontal arrow."""
         (x0, y0), (x, y) = tail, tip
         head_length = 4 + 2 * line_width
-        direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
-        head_base = (x - head_length * direction[0], y - head_length * direction[1])
-        head_half_width = (head_length / 2 * direction[1], head_length / 2 * direction[0])
+        axis_direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
+        head_base = (x - head_length * axis_direction[0], y - head_length * axis_direction[1])
+        head_half_width = (head_length / 2 * axis_direction[1], head_length / 2 * axis_direction[0])
         self.line(tail, head_base, colour=colour, width=line_width)
         head_wings = (
             (head_base[0] - head_half_width[0], head_base[1] - head_half_width[1]),
@@ -83,30 +83,30 @@ class Drawing:
             hatch_y = y - half_height + 9 * (k + 1)
             self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=GREY)
 
-    def spring(self, x: float, top: float, bottom: float) -> None:
-        coil_step = (bottom - top) / 8
-        coil_points: Sequence[Point] = [(x + (7 if k % 2 else -7), top + coil_step * (k + 0.5)) for k in range(1, 7)]
-        self.line((x, top), (x, top + coil_step), *coil_points, (x, bottom - coil_step), (x, bottom))
+    def spring(self, x: float, top_y: float, bottom_y: float) -> None:
+        coil_step = (bottom_y - top_y) / 8
+        coil_points: Sequence[Point] = [(x + (7 if k % 2 else -7), top_y + coil_step * (k + 0.5)) for k in range(1, 7)]
+        self.line((x, top_y), (x, top_y + coil_step), *coil_points, (x, bottom_y - coil_step), (x, bottom_y))
 
-    def pin(self, x: float, top: float, bottom: float) -> None:
+    def pin(self, x: float, top_y: float, bottom_y: float) -> None:
         """Draw a support, the triangle of a pin."""
-        self.line((x, top), (x - 12, bottom), (x + 12, bottom), (x, top))
+        self.line((x, top_y), (x - 12, bottom_y), (x + 12, bottom_y), (x, top_y))
 
-    def damper(self, x: float, top: float, bottom: float) -> None:
-        piston_y = (top + bottom) / 2
-        self.line((x, top), (x, piston_y))
+    def damper(self, x: float, top_y: float, bottom_y: float) -> None:
+        piston_y = (top_y + bottom_y) / 2
+        self.line((x, top_y), (x, piston_y))
         self.line((x - 7, piston_y), (x + 7, piston_y), width=2.5)
         self.line((x - 9, piston_y - 8), (x - 9, piston_y + 8), (x + 9, piston_y + 8), (x + 9, piston_y - 8))
-        self.line((x, piston_y + 8), (x, bottom))
+        self.line((x, piston_y + 8), (x, bottom_y))
 
     def write(self, path: Path, margin: float = 20.0) -> None:
         """Write the SVG file, sized to its content; raise RigError if it cannot be written."""
         corner_xs, corner_ys = zip(*self.corners, strict=True)
-        left, top = min(corner_xs) - margin, min(corner_ys) - margin
-        width, height = max(corner_xs) + margin - left, max(corner_ys) + margin - top
+        left_x, top_y = min(corner_xs) - margin, min(corner_ys) - margin
+        width, height = max(corner_xs) + margin - left_x, max(corner_ys) + margin - top_y
         svg_head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left:.1f} {top:.1f} {width:.1f} {height:.1f}" '
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left_x:.1f} {top_y:.1f} {width:.1f} {height:.1f}" '
             f'width="{width:.0f}" height="{height:.0f}" font-family="sans-serif">'
         )
-        background = f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
+        background = f'<rect x="{left_x:.1f}" y="{top_y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
         write_bytes("\n".join([svg_head, background, *self.elements, "</svg>", ""]).encode(), path)

@@ -35,7 +35,7 @@ from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import stage
 
-MAX_SCALARS = 1_000_000
+MAX_PLOTTED_VALUES = 1_000_000
 """Number of plotted values above which the time series are decimated away from contacts."""
 
 
@@ -66,26 +66,26 @@ def write_rrd(
         raise RigError(f"magnification is {magnification}; give a finite value above zero")
     if truth is not None and not _belongs_to(truth, recording):
         raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
-    motion = deflection(recording, truth)
-    scene = stage(motion, recording.rig.sample_rate_hz, magnification)
-    stride = max(1, -(-_series_scalars(recording, truth) // MAX_SCALARS))
-    contact_motions = _contact_motions(recording, truth, motion, identified_contacts, scene.frame_samples, stride)
+    shown_motion = deflection(recording, truth)
+    scene = stage(shown_motion, recording.rig.sample_rate_hz, magnification)
+    stride = max(1, -(-_series_value_count(recording, truth) // MAX_PLOTTED_VALUES))
+    contact_motions = _contact_motions(recording, truth, shown_motion, identified_contacts, scene.frame_samples, stride)
     forces_n = {contact.contact.name: contact.force_n for contact in contact_motions if contact.force_n is not None}
     force_source: Literal["separated", "true"] = "separated" if truth is None else "true"
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
         contact_force=force_source if forces_n else None,
         magnification=scene.magnification,
-        is_approximate=motion.is_approximate,
+        is_approximate=shown_motion.is_approximate,
         stride=stride,
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
-        reach_mm={contact.contact.name: contact.reach_mm for contact in contact_motions},
+        reach_by_contact_mm={contact.contact.name: contact.reach_mm for contact in contact_motions},
         spectra=tuple(spectra_of(recording, forces_n)),
         has_diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
-        predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_row])
+        predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_station_row])
         if prediction
         else None,
     )
@@ -128,53 +128,53 @@ def _drained_stream(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
 def _contact_motions(
     recording: Recording,
     truth: Recording | None,
-    motion: Deflection,
+    shown_motion: Deflection,
     identified_contacts: IdentifiedContacts,
     frame_samples: Int[np.ndarray, " frames"],
     stride: int,
 ) -> list[ContactMotion]:
     """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
     time_s, curves = recording.signals["force"].time_s, identified_contacts.curves
-    relative_m, force_n, known = motion.relative_displacement_m(), None, slice(0, time_s.size)
+    relative_eta_m, force_n, window = shown_motion.relative_displacement_m(), None, slice(0, time_s.size)
     if truth is not None:
-        relative_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
+        relative_eta_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
     elif curves is not None:
-        known = curves.covered_samples(time_s)
-        relative_m, force_n = curves.interpolate(time_s[known])
-    known_frames = frame_samples[(frame_samples >= known.start) & (frame_samples < known.stop)] - known.start
-    motions, first_row = [], 0
-    for index, believed in enumerate(recording.rig.contacts):
-        is_annular = believed.law.spatial
-        rows = slice(first_row, first_row + 1 + is_annular)
-        first_row = rows.stop
-        laws: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
-        if believed.name in identified_contacts.laws:
-            laws["identified"] = identified_contacts.laws[believed.name]
-        laws["believed"] = believed.law
-        wall_source = next(iter(laws))
-        eta_m, contact_n = relative_m[rows], None if force_n is None else force_n[rows]
-        orbit = Orbit(eta_m - _centre_of(laws[wall_source], believed.law)) if is_annular else None
+        window = curves.covered_samples(time_s)
+        relative_eta_m, force_n = curves.interpolate(time_s[window])
+    known_frame_samples = frame_samples[(frame_samples >= window.start) & (frame_samples < window.stop)] - window.start
+    contact_motions, first_row = [], 0
+    for index, nominal_contact in enumerate(recording.rig.contacts):
+        is_annular = nominal_contact.law.spatial
+        row_span = slice(first_row, first_row + 1 + is_annular)
+        first_row = row_span.stop
+        law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
+        if nominal_contact.name in identified_contacts.laws:
+            law_by_source["identified"] = identified_contacts.laws[nominal_contact.name]
+        law_by_source["believed"] = nominal_contact.law
+        wall_source = next(iter(law_by_source))
+        eta_m, force_rows_n = relative_eta_m[row_span], None if force_n is None else force_n[row_span]
+        orbit = Orbit(eta_m - _centre_of(law_by_source[wall_source], nominal_contact.law)) if is_annular else None
         if is_annular:
-            laws = {source: _radial_law(law) for source, law in laws.items()}
-        wall_law = laws.pop(wall_source)
-        overlaid: dict[LawSource, ContactLaw] = {
-            source: law for source, law in laws.items() if source == "identified" or law != wall_law
+            law_by_source = {source: _radial_law(law) for source, law in law_by_source.items()}
+        wall_law = law_by_source.pop(wall_source)
+        overlaid_laws: dict[LawSource, ContactLaw] = {
+            source: law for source, law in law_by_source.items() if source == "identified" or law != wall_law
         }
         contact_motion = ContactMotion(
-            contact=replace(believed, law=wall_law),
+            contact=replace(nominal_contact, law=wall_law),
             wall_source=wall_source,
-            overlaid_laws=overlaid,
-            time_s=time_s[known],
-            until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
+            overlaid_laws=overlaid_laws,
+            time_s=time_s[window],
+            until_s=float(time_s[window.stop]) if window.stop < time_s.size else None,
             eta_m=eta_m[0] if orbit is None else orbit.radius_m,
-            force_n=None if contact_n is None else np.hypot(*contact_n) if is_annular else contact_n[0],
-            frame_samples=known_frames,
+            force_n=None if force_rows_n is None else np.hypot(*force_rows_n) if is_annular else force_rows_n[0],
+            frame_samples=known_frame_samples,
             stride=stride,
             is_identified=truth is None and curves is not None,
             orbit=orbit,
         )
-        motions.append(contact_motion)
-    return motions
+        contact_motions.append(contact_motion)
+    return contact_motions
 
 
 def _centre_of(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
@@ -206,15 +206,15 @@ def station_words(rig: Rig, station: Station) -> str:
 
 
 def _belongs_to(truth: Recording, recording: Recording) -> bool:
-    true_names, names = ([contact.name for contact in record.rig.contacts] for record in (truth, recording))
+    true_contact_names, names = ([contact.name for contact in record.rig.contacts] for record in (truth, recording))
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
-    return has_truth and truth.samples == recording.samples and true_names == names
+    return has_truth and truth.samples == recording.samples and true_contact_names == names
 
 
-def _series_scalars(recording: Recording, truth: Recording | None) -> int:
+def _series_value_count(recording: Recording, truth: Recording | None) -> int:
     """Number of values in the time series at full rate."""
     rig = recording.rig
-    channel_count = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted_quantities(rig))
+    channel_count = len(rig.forces) + sum(len(sensors_of(rig, quantity)) for quantity in plotted_quantities(rig))
     return recording.samples * (channel_count + len(rig.contacts) * (1 if truth is None else 2))
 
 
@@ -232,14 +232,14 @@ def _send_series(
     legend: list[tuple[str, Colour]] = []
     for motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if motion.force_n is not None:
-            name, plotted = motion.contact.name, motion.plotted_samples
-            force_n = motion.force_n[None, plotted]
-            send_lines(stream, entity("contact_force", name), motion.time_s[plotted], force_n, [name], (colour,))
+            name, shown_samples = motion.contact.name, motion.plotted_samples
+            force_n = motion.force_n[None, shown_samples]
+            send_lines(stream, entity("contact_force", name), motion.time_s[shown_samples], force_n, [name], (colour,))
             legend.append((name, colour))
     send_legend(stream, "contact_force", legend)
     for quantity in plotted_quantities(recording.rig):
         signals = recording.signals[quantity]
         for body in recording.rig.bodies:
-            stations = {k: s for k, s in enumerate(signals.channels.stations) if s and s.body == body.name}
-            names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for s in stations.values()]
-            send_plot(entity(quantity, body.name), signals.values[[*stations], ::stride], names, SENSOR)
+            station_by_row = {row: s for row, s in enumerate(signals.channels.stations) if s and s.body == body.name}
+            names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for s in station_by_row.values()]
+            send_plot(entity(quantity, body.name), signals.values[[*station_by_row], ::stride], names, SENSOR)

@@ -26,37 +26,37 @@ from rig.errors import RigError
 LOOPBACK = "127.0.0.1"
 RECORDING_PATH = "/recording.rrd"
 PAGE_PATHS = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
-FETCH_S = 60.0
+MAX_FETCH_S = 60.0
 """Time limit for rerun to start and deliver its page, s."""
 
 
 @dataclass(frozen=True)
-class Asset:
+class PageFile:
     """A file of rerun's page."""
 
     content_type: str
     content: bytes
 
 
-def serve(path: Path, show_address: Callable[[str], None]) -> None:
+def serve(recording_path: Path, show_address: Callable[[str], None]) -> None:
     """Serve the file to browsers on this computer until interrupted; `show_address` receives the address to open.
 
     Raises RigError if rerun does not deliver its page.
     """
-    assets = fetch_page()
-    with ThreadingHTTPServer((LOOPBACK, 0), _handler(path, assets)) as server:
-        origin = f"http://{LOOPBACK}:{server.server_port}"
-        show_address(f"{origin}/?url={quote(origin + RECORDING_PATH, safe='')}")
+    file_by_path = fetch_page()
+    with ThreadingHTTPServer((LOOPBACK, 0), _handler_type(recording_path, file_by_path)) as server:
+        server_address = f"http://{LOOPBACK}:{server.server_port}"
+        show_address(f"{server_address}/?url={quote(server_address + RECORDING_PATH, safe='')}")
         server.serve_forever()
 
 
-def fetch_page() -> dict[str, Asset]:
+def fetch_page() -> dict[str, PageFile]:
     """Fetch rerun's page, by path, from its own server, which is then stopped; raise RigError if that fails."""
-    deadline_s = time.monotonic() + FETCH_S
+    deadline_s = time.monotonic() + MAX_FETCH_S
     with _rerun_server() as (port, process):
         while True:
             try:
-                return {path: _fetch(f"http://{LOOPBACK}:{port}{path}") for path in PAGE_PATHS}
+                return {page_path: _fetch(f"http://{LOOPBACK}:{port}{page_path}") for page_path in PAGE_PATHS}
             except (URLError, OSError) as error:
                 if process.poll() is None and time.monotonic() < deadline_s:
                     time.sleep(0.1)
@@ -66,9 +66,9 @@ def fetch_page() -> dict[str, Asset]:
                 ) from error
 
 
-def _fetch(address: str) -> Asset:
-    with urlopen(address, timeout=FETCH_S) as response:
-        return Asset(response.headers["Content-Type"] or "application/octet-stream", response.read())
+def _fetch(address: str) -> PageFile:
+    with urlopen(address, timeout=MAX_FETCH_S) as response:
+        return PageFile(response.headers["Content-Type"] or "application/octet-stream", response.read())
 
 
 @contextmanager
@@ -96,18 +96,18 @@ def _free_ports() -> tuple[int, int]:
         return page_socket.getsockname()[1], data_socket.getsockname()[1]
 
 
-def _handler(recording_path: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPRequestHandler]:
+def _handler_type(recording_path: Path, file_by_path: Mapping[str, PageFile]) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             port = self.connection.getsockname()[1]
-            path, _, _ = self.path.partition("?")
+            request_path, _, _ = self.path.partition("?")
             if self.headers.get("Host") not in {f"{LOOPBACK}:{port}", f"localhost:{port}"}:
                 self.send_error(403, "Ask for 127.0.0.1 or localhost")
-            elif path in assets:
-                self._send_headers(assets[path].content_type, len(assets[path].content))
+            elif request_path in file_by_path:
+                self._send_headers(file_by_path[request_path].content_type, len(file_by_path[request_path].content))
                 with suppress(ConnectionError):  # the browser may leave at any time
-                    self.wfile.write(assets[path].content)
-            elif path == RECORDING_PATH and recording_path.is_file():
+                    self.wfile.write(file_by_path[request_path].content)
+            elif request_path == RECORDING_PATH and recording_path.is_file():
                 with recording_path.open("rb") as stream, suppress(ConnectionError):
                     self._send_headers("application/octet-stream", recording_path.stat().st_size)
                     shutil.copyfileobj(stream, self.wfile)

@@ -88,7 +88,7 @@ def peer_data(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Pee
             omega=model.omega,
             zeta=model.zeta,
             bodies=tuple(mode_bodies),
-            force_row=model.input_forces[0],
+            force_row=model.modal_force_by_input[0],
             contact_rows=model.eta_rows,
             sensor_rows=np.array([model.station_rows[place] for place in stations]),
         ),

@@ -102,13 +102,13 @@ def _python_contact(_: Any, mbs: Any, against: int, at: int, law: DeadZone) -> i
     )
 
 
-WHERE = {"_settings": ancf, "add_contact": finite_elements, "AXIAL_FACTOR": finite_elements}
+WHERE = {"_solver_settings": ancf, "add_contact": finite_elements, "AXIAL_STIFFNESS_FACTOR": finite_elements}
 """The module that reads each name."""
-PLAIN = {"_settings": _plain_settings, "add_contact": _python_contact, "AXIAL_FACTOR": 1.0}
+PLAIN = {"_solver_settings": _plain_settings, "add_contact": _python_contact, "AXIAL_STIFFNESS_FACTOR": 1.0}
 MEASURES = {
-    "modified Newton": {"_settings": partial(_plain_settings, modified=True)},
-    "sparse linear solver": {"_settings": partial(_plain_settings, sparse=True)},
-    "both": {"_settings": partial(_plain_settings, modified=True, sparse=True)},
+    "modified Newton": {"_solver_settings": partial(_plain_settings, modified=True)},
+    "sparse linear solver": {"_solver_settings": partial(_plain_settings, sparse=True)},
+    "both": {"_solver_settings": partial(_plain_settings, modified=True, sparse=True)},
     "contact compiled": {"add_contact": finite_elements.add_contact},
-    "softer axially": {"AXIAL_FACTOR": finite_elements.AXIAL_FACTOR},
+    "softer axially": {"AXIAL_STIFFNESS_FACTOR": finite_elements.AXIAL_STIFFNESS_FACTOR},
 }

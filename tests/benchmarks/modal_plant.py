@@ -127,7 +127,7 @@ def _fastest(method: str, limit: float) -> float | None:
 def _solved(method: str, tolerance: float, limit: float) -> tuple[float, Float[np.ndarray, "contacts samples"]]:
     """The same modes and contacts as a right-hand side in numpy, the force as a spline."""
     model = modal.model_of(RIG, False, MODES)
-    drive, across = model.input_forces[0], model.eta_rows
+    drive, across = model.modal_force_by_input[0], model.eta_rows
     squares, damping = model.omega**2, 2 * model.zeta * model.omega
     laws, count = [c.law for c in RIG.contacts], model.omega.size
     upper, lower, stiffness = (

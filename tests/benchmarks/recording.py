@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from zlib_ng.zlib_ng import crc32
 
 from rig.recording import channel_groups, read, writing
-from rig.recording.writer import BLOCK_SAMPLES
+from rig.recording.writer import SAMPLES_PER_BLOCK
 from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
@@ -61,13 +61,13 @@ def figures() -> Iterator[Figure]:
         def read_bare() -> None:
             """What is left of reading without messages: blocks are checksummed, looked at and put in place."""
             rows = sum(map(len, values.values()))
-            block, whole = np.empty((rows, BLOCK_SAMPLES)), np.empty((rows, SAMPLES))
+            block, whole = np.empty((rows, SAMPLES_PER_BLOCK)), np.empty((rows, SAMPLES))
             with plain.open("rb", buffering=0) as file:
-                for first in range(0, SAMPLES - BLOCK_SAMPLES, BLOCK_SAMPLES):
+                for first in range(0, SAMPLES - SAMPLES_PER_BLOCK, SAMPLES_PER_BLOCK):
                     file.readinto(block)
                     crc32(block)
                     np.isfinite(block.sum())
-                    whole[:, first : first + BLOCK_SAMPLES] = block
+                    whole[:, first : first + SAMPLES_PER_BLOCK] = block
 
         write_s, write_plain_s = least_cpu_s(write), least_cpu_s(write_plain)
         read_s, read_plain_s = least_cpu_s(lambda: read(recording)), least_cpu_s(lambda: np.fromfile(plain))

@@ -22,7 +22,7 @@ from rig.lab.importing import import_file
 from rig.model.description import to_json
 from rig.model.tolerances import tolerances_named
 from rig.recording import RIG_NAME, read
-from rig.recording.container import MAX_BYTES
+from rig.recording.container import MAX_RECORD_BYTES
 from rig.recording.messages import decode_block
 from rig.recording.recovery import recover
 from rig.recording.segments import segments
@@ -92,7 +92,7 @@ def _provenance_twice(rng: np.random.Generator, sound: bytes) -> bytes:
 
 @cache
 def _bomb(compression: str) -> bytes:
-    data = struct.pack("<BQ", 0x80, MAX_BYTES - 9) + bytes(MAX_BYTES - 9)
+    data = struct.pack("<BQ", 0x80, MAX_RECORD_BYTES - 9) + bytes(MAX_RECORD_BYTES - 9)
     packed = zstandard.compress(data) if compression == "zstd" else lz4.frame.compress(data)
     builder = RecordBuilder()
     Chunk(compression, packed, 0, 0, zlib.crc32(data), len(data)).write(builder)

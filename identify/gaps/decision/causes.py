@@ -43,7 +43,7 @@ def phrase(
     words_by_field["at"] = ""
     if "relative_position" in candidate.parameters.names:
         relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
-        length_m = rig.body(candidate.place.get("body") or rig.first_driven).length_m
+        length_m = rig.body(candidate.place.get("body") or rig.first_driven_body).length_m
         words_by_field["at"] = f" at {relative_position * length_m:.2f} m"
     return candidate.kind.words.format_map(words_by_field)
 
@@ -188,4 +188,4 @@ def confirming_tests(causes: tuple[Cause, ...], ranked_hypotheses: list[Validate
         if cause.probability > RIVAL_PROBABILITY or (cause_index == 0 and cause.interval_95[0] > 0)
     ]
     effect_names = dict.fromkeys(effect for cause in likely_causes for effect in cause.effects)
-    return tuple(f"{name}: {kinds_by_name[name].separated_by}" for name in effect_names)
+    return tuple(f"{name}: {kinds_by_name[name].separating_test}" for name in effect_names)

@@ -56,7 +56,7 @@ class EffectValues:
 
     def columns_of(self, name: str) -> list[int]:
         """Column indices of an effect's parameters among the values."""
-        return parameters_of(self.candidates).places_of(name)
+        return parameters_of(self.candidates).indices_of(name)
 
     def strength_columns(self, name: str) -> list[int]:
         """Column indices of an effect's strengths among the values."""

@@ -26,7 +26,7 @@ from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.shaken_base import with_inertial_force
 from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
-from rig.model.modes import mode_count, modes_of, stated_participation
+from rig.model.modes import mode_count, modes_of, participation_or_empty
 from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
@@ -153,7 +153,7 @@ def _draw_body(
     positions_m = np.unique([*body.places(SHAPE_POSITION_COUNT), *needed_positions_m])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, count) / np.sqrt(mass_factor)
-    participations = np.sqrt(mass_factor) * stated_participation(rig, body, modes, count)
+    participations = np.sqrt(mass_factor) * participation_or_empty(rig, body, modes, count)
     damping_ratios = np.minimum(modes.damping_ratios(count) * damping_factors, 0.9)
     drawn_body = structure_of(
         body.name, body.length_m, natural_hz[sorting], damping_ratios[sorting], positions_m, shapes[:, sorting]

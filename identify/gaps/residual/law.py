@@ -84,7 +84,7 @@ def initial_unknowns(
 
 def _penetration_m(law: GroupLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Penetration at which the law's force at rest equals a force; zero for laws without stiffness."""
-    slopes_n_per_m = [slope for slope, _ in (single_law.steepest for single_law in law.laws) if slope]
+    slopes_n_per_m = [slope for slope, _ in (single_law.largest_slopes for single_law in law.laws) if slope]
     penetration_m = np.zeros_like(force_n)
     if slopes_n_per_m:
         deepest_m = DEPTH_REACH * np.max(np.abs(force_n)) / np.array(slopes_n_per_m)

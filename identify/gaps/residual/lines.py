@@ -42,7 +42,7 @@ def outstanding_frequencies(residual: ResidualRows, repeats_per_sample: float = 
 
 
 def without_lines(residual: ResidualRows, frequencies: tuple[float, ...]) -> ResidualRows:
-    """Rows of a residual less their least-squares harmonics at the given frequencies, where the rows are not all zero."""
+    """Rows of a residual less their least-squares harmonics at the given frequencies, where they are not all zero."""
     is_nonzero = np.any(residual, axis=0)
     for frequency in frequencies:
         phase_rad = 2 * np.pi * frequency * np.arange(residual.shape[1])

@@ -29,7 +29,7 @@ class ColumnSummary:
     distinct_count: int
     """Different values, counted to three."""
     rate_hz: float | None = None
-    recorded: str = ""
+    date_text: str = ""
     stamps: Float[np.ndarray, " samples"] | None = None
     last_digit: float = 0.0
     is_date: bool = False
@@ -59,14 +59,14 @@ def column_summary(
 ) -> ColumnSummary:
     """Column with its range and, if they never decrease, its values."""
     values = column.values
-    finite = values[np.isfinite(values)]
-    if not fault and not finite.size and values.size:
+    numbers = values[np.isfinite(values)]
+    if not fault and not numbers.size and values.size:
         fault = "it has no numbers"
-    elif not fault and finite.size < values.size:
+    elif not fault and numbers.size < values.size:
         fault = f"it has no finite number at sample {int(np.argmin(np.isfinite(values)))}"
     is_increasing = not fault and values.size > 1 and values[-1] > values[0] and bool((np.diff(values) >= 0).all())
-    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
-    distinct_count = 1 + (highest > lowest) + bool(((finite > lowest) & (finite < highest)).any())
+    lowest, highest = (float(numbers.min()), float(numbers.max())) if numbers.size else (np.nan, np.nan)
+    distinct_count = 1 + (highest > lowest) + bool(((numbers > lowest) & (numbers < highest)).any())
     return ColumnSummary(
         number=column_number,
         name=column.name,
@@ -76,7 +76,7 @@ def column_summary(
         highest=highest,
         distinct_count=distinct_count,
         rate_hz=column.sample_rate_hz,
-        recorded=column.recorded,
+        date_text=column.date_text,
         stamps=values if is_increasing else None,
         last_digit=last_digit,
         is_date=is_date,

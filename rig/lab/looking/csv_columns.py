@@ -40,34 +40,34 @@ def summary_of_csv(path: Path) -> FileSummary:
     first_rows, counts = is_finite.argmax(axis=1), is_finite.sum(axis=1)
     end_rows = np.where(counts > 0, line_count - is_finite[:, ::-1].argmax(axis=1), 0)
     _check_one_block(path, line_numbers, values[:, : end_rows.max()])
-    is_whole = (
+    is_channel = (
         (counts / np.maximum(end_rows - first_rows, 1) >= LEAST_FILLED_SHARE)
         & (end_rows >= LEAST_LENGTH_SHARE * end_rows.max())
         & (first_rows <= MOST_SKIPPED_SHARE * line_count)
     )
-    if not is_whole.any():
+    if not is_channel.any():
         raise RigError(
             f"{path}: none of its {len(values)} columns has numbers throughout; export the channels at one rate"
         )
-    start, end = int(first_rows[is_whole].max()), int(end_rows[is_whole].min())
+    first_row, end = int(first_rows[is_channel].max()), int(end_rows[is_channel].min())
     facts = [_reading_sentence(dialect), _placing_sentence(dialect)]
-    if start:
-        form = _form_skipping(dialect, line_numbers[start] - line_numbers[0])
-        facts.append(f"lines {line_numbers[0]} to {line_numbers[start] - 1} lack numbers, and are skipped")
+    if first_row:
+        form = _form_skipping(dialect, line_numbers[first_row] - line_numbers[0])
+        facts.append(f"lines {line_numbers[0]} to {line_numbers[first_row] - 1} lack numbers, and are skipped")
     if end < line_count:
         form = replace(form, cut_incomplete_end=True)
         facts.append(
             f"the last {line_count - end} lines, from line {line_numbers[end]} on, are incomplete and left out"
         )
     columns = []
-    for k, samples in enumerate(values[:, start:end]):
-        name, unit = _name_and_unit(dialect, k)
+    for k, column_samples in enumerate(values[:, first_row:end]):
+        heading, unit = _name_and_unit(dialect, k)
         fault = ""
-        if not is_whole[k]:
+        if not is_channel[k]:
             fault = f"it has numbers in {counts[k]} of {line_count} lines" if counts[k] else "it has no numbers"
-        elif not is_finite[k, start:end].all():
-            fault = f"it has no number in line {line_numbers[start + int(np.argmin(is_finite[k, start:end]))]}"
-        columns.append(column_summary(k + 1, Column(name, samples, unit), last_digits[k], is_date[k], fault))
+        elif not is_finite[k, first_row:end].all():
+            fault = f"it has no number in line {line_numbers[first_row + int(np.argmin(is_finite[k, first_row:end]))]}"
+        columns.append(column_summary(k + 1, Column(heading, column_samples, unit), last_digits[k], is_date[k], fault))
     rate_hz = rate_in(dialect.header, form.decimal)
     return FileSummary(path, tuple(_without_unused_end(columns)), tuple(facts), form, rate_hz)
 
@@ -78,38 +78,38 @@ def _column_values(
     """Line numbers, values (NaN where there is no number; dates as seconds), last digits, and which are dates."""
     count, form = dialect.column_count, dialect.form
     line_numbers: list[int] = []
-    columns = [array("d") for _ in range(count)]
+    column_arrays = [array("d") for _ in range(count)]
     kinds = ""
     first_dates: dict[int, datetime] = {}
     last_lines: deque[str] = deque(maxlen=LINES_FOR_DIGITS)
     file_bytes = path.stat().st_size
     numbered_lines = sample_lines(path, form, dialect.first_line - 1)
-    while batch := list(islice(numbered_lines, LINES_PER_BLOCK)):
-        lines = [line for _, line in batch]
+    while numbered_batch := list(islice(numbered_lines, LINES_PER_BLOCK)):
+        lines = [line for _, line in numbered_batch]
         kinds = kinds or cell_kinds_of(cells_of(lines[0], form.delimiter), form.decimal).ljust(count, "e")[:count]
-        line_numbers += [line_number for line_number, _ in batch]
+        line_numbers += [line_number for line_number, _ in numbered_batch]
         needed_bytes = PROGRAM_BYTES + WORKING_BYTES_PER_CELL * count * len(line_numbers)
         check_decoded_size(needed_bytes, file_bytes, f"{path}: its {count} columns")
         last_lines.extend(lines[-LINES_FOR_DIGITS:])
-        table = _number_table(lines, form, count) if set(kinds) == {"n"} else None
-        if table is not None:
-            for column, row in zip(columns, table.T, strict=True):
-                column.frombytes(row.tobytes())
+        number_table = _number_table(lines, form, count) if set(kinds) == {"n"} else None
+        if number_table is not None:
+            for column, column_numbers in zip(column_arrays, number_table.T, strict=True):
+                column.frombytes(column_numbers.tobytes())
             continue
         for line in lines:
-            for k, cell in enumerate(_padded_cells(line, form, count)):
-                if kinds[k] == "d":
-                    columns[k].append(_seconds_since_first(cell, k, first_dates))
+            for column_index, cell in enumerate(_padded_cells(line, form, count)):
+                if kinds[column_index] == "d":
+                    column_arrays[column_index].append(_seconds_since_first(cell, column_index, first_dates))
                 else:
-                    value = number_in(cell, form.decimal)
-                    columns[k].append(np.nan if value is None else value)
+                    number = number_in(cell, form.decimal)
+                    column_arrays[column_index].append(np.nan if number is None else number)
     is_date = [kind == "d" for kind in kinds]
     cells_by_column = zip(*(_padded_cells(line, form, count) for line in last_lines), strict=True)
     last_digits = [
-        min(_last_digit(cell, form.decimal, is_column_of_dates) for cell in cells)
-        for cells, is_column_of_dates in zip(cells_by_column, is_date, strict=True)
+        min(_last_digit(cell, form.decimal, is_column_of_dates) for cell in column_cells)
+        for column_cells, is_column_of_dates in zip(cells_by_column, is_date, strict=True)
     ]
-    return line_numbers, np.array([np.frombuffer(column) for column in columns]), last_digits, is_date
+    return line_numbers, np.array([np.frombuffer(column) for column in column_arrays]), last_digits, is_date
 
 
 def _padded_cells(line: str, form: TextForm, column_count: int) -> list[str]:
@@ -133,19 +133,19 @@ def _number_table(lines: list[str], form: TextForm, column_count: int) -> Float[
 
 def _seconds_since_first(cell: str, column_index: int, first_date_by_column: dict[int, datetime]) -> float:
     """Seconds since the first date or time of day of its column; NaN if the cell holds none."""
-    text = cell.strip().replace(",", ".").replace("/", "-")
-    day, _, time = text.rpartition(" ")
-    if day.count(".") == 2:
-        day = "-".join(reversed(day.split(".")))
-    elif day.count("-") == 2 and not day[:4].isdigit():
-        day = "-".join(reversed(day.split("-")))
+    date_text = cell.strip().replace(",", ".").replace("/", "-")
+    day_text, _, time_text = date_text.rpartition(" ")
+    if day_text.count(".") == 2:
+        day_text = "-".join(reversed(day_text.split(".")))
+    elif day_text.count("-") == 2 and not day_text[:4].isdigit():
+        day_text = "-".join(reversed(day_text.split("-")))
     try:
-        if ":" not in text:
+        if ":" not in date_text:
             return float("nan")
-        if not day and "T" not in text:
-            day = "1970-01-01"
-            time = time if time.index(":") == 2 else f"0{time}"
-        date = datetime.fromisoformat(f"{day}T{time}" if day else text)
+        if not day_text and "T" not in date_text:
+            day_text = "1970-01-01"
+            time_text = time_text if time_text.index(":") == 2 else f"0{time_text}"
+        date = datetime.fromisoformat(f"{day_text}T{time_text}" if day_text else date_text)
     except ValueError:
         return float("nan")
     date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
@@ -207,6 +207,6 @@ def _reading_sentence(dialect: CsvDialect) -> str:
 
 def _placing_sentence(dialect: CsvDialect) -> str:
     units_line = next((k for k, row in enumerate(dialect.header, 1) if dialect.units and row == dialect.units), None)
-    names = f"names in line {dialect.form.lines_before_names + 1}" if dialect.names else "no names"
-    units = f"units in line {units_line}" if units_line else "no line of units"
-    return f"{names}, {units}, samples from line {dialect.first_line}"
+    names_words = f"names in line {dialect.form.lines_before_names + 1}" if dialect.names else "no names"
+    units_words = f"units in line {units_line}" if units_line else "no line of units"
+    return f"{names_words}, {units_words}, samples from line {dialect.first_line}"

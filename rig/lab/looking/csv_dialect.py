@@ -13,12 +13,12 @@ from rig.lab.csv_text import TextForm, cells_of, is_number, lines_of, names_in
 from rig.lab.recorded import MAX_HEADER_LINES
 from rig.lab.units import is_unit
 
-DIALECTS = [(delimiter, decimal) for delimiter in "\t;,| " for decimal in ".," if delimiter != decimal]
+DELIMITERS_AND_DECIMALS = [(delimiter, decimal) for delimiter in "\t;,| " for decimal in ".," if delimiter != decimal]
 """Delimiters and decimal separators, of which the first of equally good ones is taken."""
-BYTES_AT_ONCE = 1 << 20
+BYTES_PER_READ = 1 << 20
 HEADER_LINE_COUNT = 12
 """Lines above the samples among which the names and units are."""
-MAX_CELLS = 100_000
+MAX_CELL_COUNT = 100_000
 STAMP_PATTERN = re.compile(
     r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})?[ T]*(\d\d?:\d\d(:\d\d([.,]\d{1,9})?)?)?(Z|[+-]\d\d:?\d\d)?"
 )
@@ -49,35 +49,35 @@ def dialect_of(path: Path) -> CsvDialect:
     """Dialect of a CSV file; raises RigError if no lines of numbers are found in it."""
     encoding = _text_encoding(path)
     lines = [line.rstrip("\r\n") for line in islice(lines_of(path, encoding), MAX_HEADER_LINES)]
-    readings = [(*_samples_in(lines, *dialect), *dialect) for dialect in DIALECTS]
-    score, first, last, delimiter, decimal = max(readings, key=lambda reading: reading[0])
-    if score <= 0:
+    scored_runs = [(*_longest_run(lines, *separators), *separators) for separators in DELIMITERS_AND_DECIMALS]
+    best_score, first_line, last_line, delimiter, decimal = max(scored_runs, key=lambda scored_run: scored_run[0])
+    if best_score <= 0:
         _check_no_quoted_commas(path, lines)
         raise RigError(
             f"{path}: no lines of numbers are found in its first {len(lines)}, as text in {encoding}, with tab, "
             "semicolon, comma or spaces between and point or comma as decimal; export the samples as text, a line for "
             "each time"
         )
-    sample_cells = [cells_of(line, delimiter) for line in lines[first : last + 1] if line.strip()]
+    sample_cells = [cells_of(line, delimiter) for line in lines[first_line : last_line + 1] if line.strip()]
     if delimiter == ",":
-        _check_no_quoted_commas(path, lines[first : last + 1])
-    first = _first_sample_line(lines, first, delimiter, decimal)
-    header = [tuple(names_in(line, delimiter)) for line in lines[: first + 1]]
-    names_line, units_line = _names_and_units_lines(header[:first], sample_cells, decimal)
+        _check_no_quoted_commas(path, lines[first_line : last_line + 1])
+    first_line = _first_sample_line(lines, first_line, delimiter, decimal)
+    header_cells = [tuple(names_in(line, delimiter)) for line in lines[: first_line + 1]]
+    names_line, units_line = _names_and_units_lines(header_cells[:first_line], sample_cells, decimal)
     has_names = names_line is not None
-    lines_before_names = first if names_line is None else names_line
-    is_numeric = all(is_number(cell, decimal) for cell in header[first] if cell)
+    lines_before_names = first_line if names_line is None else names_line
+    is_numeric = all(is_number(cell, decimal) for cell in header_cells[first_line] if cell)
     form = TextForm(
         encoding=encoding,
         delimiter=delimiter,
         decimal=decimal,
         lines_before_names=lines_before_names,
-        lines_after_names=first - lines_before_names - 1 if has_names else 0,
+        lines_after_names=first_line - lines_before_names - 1 if has_names else 0,
         names=None if has_names or is_numeric else False,
     )
-    names = header[names_line] if names_line is not None else ()
-    units = header[units_line] if units_line is not None else ()
-    return CsvDialect(form, names, units, tuple(header), max(map(len, sample_cells)), first + 1)
+    column_names = header_cells[names_line] if names_line is not None else ()
+    unit_cells = header_cells[units_line] if units_line is not None else ()
+    return CsvDialect(form, column_names, unit_cells, tuple(header_cells), max(map(len, sample_cells)), first_line + 1)
 
 
 def is_stamp(cell: str) -> bool:
@@ -113,13 +113,13 @@ def _text_encoding(path: Path) -> str:
 def _western_encoding(path: Path) -> str:
     """Latin-1, or Windows' own (cp1252) where signs are used that only that has."""
     with path.open("rb") as stream:
-        used_bytes = set().union(*(set(piece) for piece in iter(partial(stream.read, BYTES_AT_ONCE), b"")))
-    if 0 in used_bytes:
+        byte_values = set().union(*(set(piece) for piece in iter(partial(stream.read, BYTES_PER_READ), b"")))
+    if 0 in byte_values:
         raise RigError(f"{path}: is not text; check what it is, and export the samples as text")
-    if not used_bytes & set(range(0x80, 0xA0)):
+    if not byte_values & set(range(0x80, 0xA0)):
         return "latin-1"
     try:
-        bytes(used_bytes).decode("cp1252")
+        bytes(byte_values).decode("cp1252")
     except UnicodeDecodeError:
         return "latin-1"
     return "cp1252"
@@ -128,31 +128,31 @@ def _western_encoding(path: Path) -> str:
 def _decoded_pieces(path: Path, encoding: str) -> Iterator[str]:
     decoder = codecs.getincrementaldecoder(encoding)()
     with path.open("rb") as stream:
-        for piece in chain(iter(partial(stream.read, BYTES_AT_ONCE), b""), [b""]):
+        for piece in chain(iter(partial(stream.read, BYTES_PER_READ), b""), [b""]):
             yield decoder.decode(piece, final=not piece)
 
 
-def _samples_in(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, int, int]:
+def _longest_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, int, int]:
     """Numbers less texts of the longest run of lines of samples, and its first and last line.
 
     Lines of a run have their texts, if any, in the same columns, and more numbers and dates than texts.
     """
-    best, run = (0, 0, 0), (0, 0, 0)
+    best_run, current_run = (0, 0, 0), (0, 0, 0)
     text_columns: set[int] | None = None
-    for index, line in enumerate(lines):
+    for line_index, line in enumerate(lines):
         if not line.strip():
             continue
-        kinds = cell_kinds_of(cells_of(line, delimiter)[:MAX_CELLS], decimal)
-        number_count = kinds.count("n")
-        line_text_columns = {column for column, kind in enumerate(kinds) if kind == "t"}
-        if not number_count or number_count + kinds.count("d") <= len(line_text_columns):
+        cell_kinds = cell_kinds_of(cells_of(line, delimiter)[:MAX_CELL_COUNT], decimal)
+        number_count = cell_kinds.count("n")
+        line_text_columns = {column_index for column_index, kind in enumerate(cell_kinds) if kind == "t"}
+        if not number_count or number_count + cell_kinds.count("d") <= len(line_text_columns):
             text_columns = None
             continue
         if line_text_columns != text_columns:
-            run, text_columns = (0, index, index), line_text_columns
-        run = (run[0] + number_count - len(line_text_columns), run[1], index)
-        best = max(best, run, key=lambda candidate: candidate[0])
-    return best
+            current_run, text_columns = (0, line_index, line_index), line_text_columns
+        current_run = (current_run[0] + number_count - len(line_text_columns), current_run[1], line_index)
+        best_run = max(best_run, current_run, key=lambda candidate: candidate[0])
+    return best_run
 
 
 def _check_no_quoted_commas(path: Path, lines: Sequence[str]) -> None:
@@ -168,8 +168,8 @@ def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, de
     def number_columns(line: str) -> set[int]:
         return {k for k, kind in enumerate(cell_kinds_of(cells_of(line, delimiter), decimal)) if kind == "n"}
 
-    needed = number_columns(lines[first_line])
-    while first_line and needed <= number_columns(lines[first_line - 1]):
+    needed_columns = number_columns(lines[first_line])
+    while first_line and needed_columns <= number_columns(lines[first_line - 1]):
         first_line -= 1
     return first_line
 
@@ -182,22 +182,22 @@ def _names_and_units_lines(
     A line of names has a text for at least all but one of the columns; of several the one with the most different
     texts, and of those the lowest.
     """
-    used_columns = {k for row in sample_cells for k, cell in enumerate(row) if cell.strip()}
+    used_columns = {column_index for row in sample_cells for column_index, cell in enumerate(row) if cell.strip()}
     needed_count = max(1, len(used_columns) - 1)
     names_line, units_line, best_score = None, None, 0.0
-    for index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
-        cells = header_cells[index]
-        filled = [cell for cell in cells if cell]
-        text_count, half_count = cell_kinds_of(cells, decimal).count("t"), len(filled) / 2
+    for line_index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
+        cells = header_cells[line_index]
+        filled_cells = [cell for cell in cells if cell]
+        text_count, half_count = cell_kinds_of(cells, decimal).count("t"), len(filled_cells) / 2
         is_wide = len(cells) > max(used_columns)
-        if not filled or not is_wide or text_count < min(needed_count, max(1, half_count)):
+        if not filled_cells or not is_wide or text_count < min(needed_count, max(1, half_count)):
             continue
-        words = [cell for cell in filled if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
-        has_units = len(filled) - len(words) >= half_count and len(cells) > 1
-        if has_units and not any(map(TIME_NAME_PATTERN.search, words)):
-            units_line = index if units_line is None else units_line
-        elif len(filled) >= needed_count:
-            score = len(set(filled)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled)) else 0.0)
-            if score > best_score:
-                names_line, best_score = index, score
+        name_cells = [cell for cell in filled_cells if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
+        has_units = len(filled_cells) - len(name_cells) >= half_count and len(cells) > 1
+        if has_units and not any(map(TIME_NAME_PATTERN.search, name_cells)):
+            units_line = line_index if units_line is None else units_line
+        elif len(filled_cells) >= needed_count:
+            name_score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)
+            if name_score > best_score:
+                names_line, best_score = line_index, name_score
     return names_line, units_line

@@ -35,35 +35,35 @@ class Proposal:
     placeholder_count: int
 
 
-def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal:
+def look_at(source_path: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal:
     """Map proposed for a file, with a placeholder for each value that neither the file nor the rig states.
 
     rig_name is the path of rig.json that the map names. Raises RigError with one sentence if no map can import
     the file.
     """
-    file = with_blocks(source, TextForm(), lambda blocks: _file_content(source, blocks))
-    channels, left_out_reasons = candidates_in(file.columns)
+    file_summary = with_blocks(source_path, TextForm(), lambda blocks: _file_content(source_path, blocks))
+    channels, left_out_reasons = candidates_in(file_summary.columns)
     if not channels:
         reasons = "; ".join(f"{_column_label(column)}: {reason}" for column, reason in left_out_reasons[:6])
         reasons = reasons or "it has no columns of numbers"
-        raise RigError(f"{source}: no column of it is a measured channel ({reasons}); check what was exported")
-    clock = clock_in(file, channels, rig.sample_rate_hz if rig else None)
+        raise RigError(f"{source_path}: no column of it is a measured channel ({reasons}); check what was exported")
+    clock = clock_in(file_summary, channels, rig.sample_rate_hz if rig else None)
     if clock.column is not None:
         channels = tuple(channel for channel in channels if channel.number != clock.column.number)
         left_out_reasons = tuple((c, reason) for c, reason in left_out_reasons if c.number != clock.column.number)
     roles = roles_of(channels)
-    date, date_origin = recorded_date(source, file.form, [column.recorded for column in channels])
+    date_text, date_origin = recorded_date(source_path, file_summary.form, [column.date_text for column in channels])
     facts = (
-        *file.facts,
+        *file_summary.facts,
         f"{channels[0].sample_count if channels else 0} samples of {len(channels)} channels; {clock.note}",
-        f"recorded {date} by {date_origin}",
+        f"recorded {date_text} by {date_origin}",
         *_rate_advice(clock, rig, rig_name),
     )
-    key_by_number = _key_by_number(file)
+    key_by_number = _key_by_number(file_summary)
     map_lines = [
         f"rig = {json.dumps(rig_name)}" + ("" if rig else "  # the machine and its contacts; rig init writes it"),
         *_clock_lines(clock, key_by_number, rig),
-        *_form_lines(file.form),
+        *_form_lines(file_summary.form),
         *_force_lines(roles, key_by_number, rig),
         "",
         "[sensors]",
@@ -71,34 +71,34 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         *(f"# left out: {_column_label(column)} ({reason})" for column, reason in left_out_reasons),
     ]
     entries = (line.partition("  # ")[0] for line in map_lines if not line.startswith("#"))
-    missing = sum(entry.count(f'= "{PLACEHOLDER}"') for entry in entries)
-    heading = [f"{source.name}: {facts[0]}", *facts[1:]]
-    if missing:
-        heading.append(
-            f'{missing} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed'
+    unfilled_count = sum(map_entry.count(f'= "{PLACEHOLDER}"') for map_entry in entries)
+    heading_facts = [f"{source_path.name}: {facts[0]}", *facts[1:]]
+    if unfilled_count:
+        heading_facts.append(
+            f'{unfilled_count} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed'
         )
-    text = "\n".join([*(f"# {one_line(fact)}" for fact in heading), *map(one_line, map_lines), ""])
-    return Proposal(text, tuple(map(one_line, facts)), missing)
+    map_text = "\n".join([*(f"# {one_line(fact)}" for fact in heading_facts), *map(one_line, map_lines), ""])
+    return Proposal(map_text, tuple(map(one_line, facts)), unfilled_count)
 
 
-def _file_content(source: Path, blocks: Blocks) -> FileSummary:
-    suffix = source.suffix.lower()
+def _file_content(source_path: Path, blocks: Blocks) -> FileSummary:
+    suffix = source_path.suffix.lower()
     if suffix in TEXT_SUFFIXES:
-        return summary_of_csv(source)
+        return summary_of_csv(source_path)
     if suffix == ".mat":
-        return summary_of_blocks(source, matlab_blocks(source, least_values=1))
-    return summary_of_blocks(source, blocks)
+        return summary_of_blocks(source_path, matlab_blocks(source_path, min_value_count=1))
+    return summary_of_blocks(source_path, blocks)
 
 
-def _key_by_number(file: FileSummary) -> dict[int, str | int]:
+def _key_by_number(file_summary: FileSummary) -> dict[int, str | int]:
     """Name of each column for the map, or its number if the name does not tell it from the others."""
-    counts = Counter(column.name for column in file.columns)
+    name_counts = Counter(column.name for column in file_summary.columns)
 
     def is_telling(name: str) -> bool:
         is_short = 0 < len(name) <= MAX_NAME_LENGTH
-        return counts[name] == 1 and is_plain(name) and name == name.strip() and is_short and name != PLACEHOLDER
+        return name_counts[name] == 1 and is_plain(name) and name == name.strip() and is_short and name != PLACEHOLDER
 
-    return {column.number: column.name if is_telling(column.name) else column.number for column in file.columns}
+    return {column.number: column.name if is_telling(column.name) else column.number for column in file_summary.columns}
 
 
 def _column_label(column: ColumnSummary) -> str:
@@ -146,8 +146,8 @@ def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int
         )
         return
     is_placed = rig is not None and len(rig.forces) == len(force_roles)
-    place = {} if is_placed else _place_fields(rig)
-    entries = [_entry_text(key_by_number[role.column.number], _unit_fields(role) | place) for role in force_roles]
+    place_entry = {} if is_placed else _place_fields(rig)
+    entries = [_entry_text(key_by_number[role.column.number], _unit_fields(role) | place_entry) for role in force_roles]
     note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
     if is_placed and rig is not None:
         note += ", and acts at " + ", ".join(f"{station.position_m:g} m of {station.body}" for station in rig.forces)
@@ -155,28 +155,28 @@ def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int
 
 
 def _sensor_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
-    stations = {sensor.name: sensor.station for sensor in rig.sensors} if rig else {}
+    station_by_sensor = {sensor.name: sensor.station for sensor in rig.sensors} if rig else {}
     sensor_roles = [role for role in roles if role.quantity != "force"]
-    if rig is not None and any(role.name not in stations for role in sensor_roles):
-        places = [body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies]
-        names_hint = f"; sensors of rig.json need no place if they are named as there: {', '.join(stations)}"
-        yield f"# bodies: {', '.join(places)}{names_hint if stations else ''}"
+    if rig is not None and any(role.name not in station_by_sensor for role in sensor_roles):
+        body_places = [body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies]
+        names_hint = f"; sensors of rig.json need no place if they are named as there: {', '.join(station_by_sensor)}"
+        yield f"# bodies: {', '.join(body_places)}{names_hint if station_by_sensor else ''}"
     for role in sensor_roles:
-        fields, note = _unit_fields(role), _range_text(role)
-        if station := stations.get(role.name):
-            note += f", at {station.position_m:g} m of {station.body}"
+        entry_fields, sensor_note = _unit_fields(role), _range_text(role)
+        if station := station_by_sensor.get(role.name):
+            sensor_note += f", at {station.position_m:g} m of {station.body}"
         else:
-            fields |= {"quantity": role.quantity or PLACEHOLDER} | _place_fields(rig)
-        entry = _entry_text(key_by_number[role.column.number], fields)
-        yield f"{json.dumps(role.name, ensure_ascii=False)} = {entry}  # {note}"
+            entry_fields |= {"quantity": role.quantity or PLACEHOLDER} | _place_fields(rig)
+        entry = _entry_text(key_by_number[role.column.number], entry_fields)
+        yield f"{json.dumps(role.name, ensure_ascii=False)} = {entry}  # {sensor_note}"
 
 
 def _unit_fields(role: ColumnRole) -> dict[str, object]:
     """Unit of an entry, with a scale where the file's unit is of no quantity."""
-    unit = role.column.unit
-    if quantity_of(unit):
-        return {"unit": canonical_unit(unit or "")}
-    return dict.fromkeys(("unit", "scale") if unit else ("unit",), PLACEHOLDER)
+    file_unit = role.column.unit
+    if quantity_of(file_unit):
+        return {"unit": canonical_unit(file_unit or "")}
+    return dict.fromkeys(("unit", "scale") if file_unit else ("unit",), PLACEHOLDER)
 
 
 def _place_fields(rig: Rig | None) -> dict[str, object]:
@@ -189,7 +189,7 @@ def _place_fields(rig: Rig | None) -> dict[str, object]:
 
 def _entry_text(column_key: str | int, entry_fields: dict[str, object]) -> str:
     all_fields = {"column": column_key, **entry_fields}
-    return "{ " + ", ".join(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in all_fields.items()) + " }"
+    return "{ " + ", ".join(f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in all_fields.items()) + " }"
 
 
 def _range_text(role: ColumnRole) -> str:

@@ -35,17 +35,17 @@ def candidates_in(
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
     reasons = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
-    usable = [column for column in columns if column.number not in reasons]
-    if usable:
-        lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable)
-        (usual_count, usual_hz), _ = lengths_and_rates.most_common(1)[0]
-        for column in usable:
-            if column.sample_count != usual_count:
-                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_count}"
-            elif column.rate_hz != usual_hz:
-                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_hz or 0:g}"
+    usable_columns = [column for column in columns if column.number not in reasons]
+    if usable_columns:
+        lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
+        (usual_sample_count, usual_rate_hz), _ = lengths_and_rates.most_common(1)[0]
+        for column in usable_columns:
+            if column.sample_count != usual_sample_count:
+                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_sample_count}"
+            elif column.rate_hz != usual_rate_hz:
+                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"
     return (
-        tuple(column for column in usable if column.number not in reasons),
+        tuple(column for column in usable_columns if column.number not in reasons),
         tuple((column, reasons[column.number]) for column in columns if column.number in reasons),
     )
 
@@ -58,22 +58,22 @@ def roles_of(columns: Sequence[ColumnSummary]) -> tuple[ColumnRole, ...]:
 
 def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
     header = name_and_unit(column.name, guess=True)[0].strip()
-    base = header if header.isprintable() and 0 < len(header) <= 200 else f"channel_{column.number}"
-    variants = chain([base], (f"{base}_{number}" for number in count(2)))
-    name = next(variant for variant in variants if variant not in used_names)
+    base_name = header if header.isprintable() and 0 < len(header) <= 200 else f"channel_{column.number}"
+    name_variants = chain([base_name], (f"{base_name}_{number}" for number in count(2)))
+    name = next(variant for variant in name_variants if variant not in used_names)
     used_names.add(name)
     if quantity := quantity_of(column.unit):
         return ColumnRole(column, name, quantity, is_by_name=False)
     if column.unit in SCALED_UNITS:
         return ColumnRole(column, name, None, is_by_name=False)
-    suggested = (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, header, re.IGNORECASE))
-    return ColumnRole(column, name, next(suggested, None), is_by_name=True)
+    suggested_quantities = (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, header, re.IGNORECASE))
+    return ColumnRole(column, name, next(suggested_quantities, None), is_by_name=True)
 
 
 def _unfit_reason(column: ColumnSummary) -> str:
     """Reason why a column is no measured channel; empty if it may be one."""
     is_foreign_unit = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
-    reasons = (
+    conditions_and_reasons = (
         (column.is_date, "dates"),
         (bool(column.fault), column.fault),
         (column.distinct_count == 1, f"it is {column.lowest:g} throughout"),
@@ -82,4 +82,4 @@ def _unfit_reason(column: ColumnSummary) -> str:
         (column.stamps is not None and is_time(column), "it is a time"),
         (is_foreign_unit, f"it is in {column.unit}, which no sensor of a rig measures"),
     )
-    return next((reason for applies, reason in reasons if applies), "")
+    return next((reason for applies, reason in conditions_and_reasons if applies), "")

@@ -27,7 +27,7 @@ class MeasuredResponse:
 
     force_n: Float[np.ndarray, " samples"]
     responses: Float[np.ndarray, "sensors samples"]
-    order: int
+    derivative_order: int
     sample_rate_hz: float
 
 
@@ -64,20 +64,20 @@ def fit_record(
     RigError if no mode is found.
     """
     period_samples = period_of(measured.force_n)
-    hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
-    is_used = (hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
-    is_used &= lines_in_band(hz, band_hz)
+    line_hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
+    is_used = (line_hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
+    is_used &= lines_in_band(line_hz, band_hz)
     if not is_used.any():
         raise RigError("the force excites no line in band_hz; give a band that it excites")
-    hz, frfs, force_amplitudes = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
-    accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
-    frf_modes = fit_modes(hz, accelerance, driving_index)
-    weights = force_amplitudes / (2 * np.pi * hz) ** (2 - measured.order)
-    modes = refined_by_frfs(hz, accelerance, weights, frf_modes, driving_index)
-    used_hz = float(hz[0]), float(hz[-1])
-    modes = refined_by_output(*_output_spectra(measured, modes, used_hz), used_hz, modes, driving_index)
-    order = np.argsort(positions_m)
-    sorted_m, shapes = np.array(positions_m, dtype=float)[order], modes.shapes(driving_index)[order]
+    line_hz, frfs, force_amplitudes = line_hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
+    accelerance = frfs * (2j * np.pi * line_hz) ** (2 - measured.derivative_order)
+    frf_modes = fit_modes(line_hz, accelerance, driving_index)
+    error_weights = force_amplitudes / (2 * np.pi * line_hz) ** (2 - measured.derivative_order)
+    modes = refined_by_frfs(line_hz, accelerance, error_weights, frf_modes, driving_index)
+    used_band_hz = float(line_hz[0]), float(line_hz[-1])
+    modes = refined_by_output(*_output_spectra(measured, modes, used_band_hz), used_band_hz, modes, driving_index)
+    position_order = np.argsort(positions_m)
+    sorted_m, shapes = np.array(positions_m, dtype=float)[position_order], modes.shapes(driving_index)[position_order]
     misfits = _free_run_misfits(measured, modes)
     noise_shares = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
@@ -87,15 +87,15 @@ def fit_record(
         unmodelled_share=float(np.sqrt(np.mean(np.maximum(misfits**2 - noise_shares**2, 0.0)))),
         noise_density=noise_density,
         period_s=None if period_samples is None else period_samples / measured.sample_rate_hz,
-        band_hz=used_hz,
+        band_hz=used_band_hz,
     )
 
 
 def free_run(measured: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
     """Responses of the modes to the measured force from rest, zero-padded behind the record."""
-    force, hz, by_acceleration = _force_spectrum(measured, modal_fit)
-    spectra = by_acceleration * mode_accelerances(hz, modal_fit.frequencies_hz, modal_fit.damping_ratios)
-    modal_responses = scipy.fft.irfft(force * spectra, 2 * (hz.size - 1))[:, : measured.force_n.size]
+    force_spectrum, line_hz, response_by_acceleration = _force_spectrum(measured, modal_fit)
+    spectra = response_by_acceleration * mode_accelerances(line_hz, modal_fit.frequencies_hz, modal_fit.damping_ratios)
+    modal_responses = scipy.fft.irfft(force_spectrum * spectra, 2 * (line_hz.size - 1))[:, : measured.force_n.size]
     return np.asarray(modal_fit.residues @ modal_responses)
 
 
@@ -109,27 +109,27 @@ def _force_spectrum(
     sample_count, rate_hz = measured.force_n.size, measured.sample_rate_hz
     padding_s = min(_decay_time_s(modal_fit), sample_count / rate_hz)
     padded_length = 2 * scipy.fft.next_fast_len(sample_count // 2 + round(padding_s * rate_hz / 2) + 1)
-    hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
-    by_acceleration = np.zeros(hz.size, dtype=complex)
-    by_acceleration[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
-    return scipy.fft.rfft(measured.force_n, padded_length), hz, by_acceleration
+    line_hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
+    response_by_acceleration = np.zeros(line_hz.size, dtype=complex)
+    response_by_acceleration[1:] = (2j * np.pi * line_hz[1:]) ** (measured.derivative_order - 2)
+    return scipy.fft.rfft(measured.force_n, padded_length), line_hz, response_by_acceleration
 
 
 def _output_spectra(
     measured: MeasuredResponse, modal_fit: ModalFit, band_hz: tuple[float, float]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], ResponseMap, Float[np.ndarray, " all"]]:
     """Spectra of the responses in the band, a map from accelerances to those of a free run, and its lines (Hz)."""
-    first, sample_count = _first_decayed_sample(measured, modal_fit), measured.force_n.size
-    force, hz, by_acceleration = _force_spectrum(measured, modal_fit)
-    in_band = lines_in_band(np.fft.rfftfreq(sample_count - first, 1 / measured.sample_rate_hz), band_hz)
-    is_simulated = hz <= 2 * band_hz[1]
-    response_by_accelerance = force[is_simulated] * by_acceleration[is_simulated]
+    first_sample, sample_count = _first_decayed_sample(measured, modal_fit), measured.force_n.size
+    force_spectrum, line_hz, response_by_acceleration = _force_spectrum(measured, modal_fit)
+    is_in_band = lines_in_band(np.fft.rfftfreq(sample_count - first_sample, 1 / measured.sample_rate_hz), band_hz)
+    is_simulated = line_hz <= 2 * band_hz[1]
+    response_by_accelerance = force_spectrum[is_simulated] * response_by_acceleration[is_simulated]
 
     def response_map(accelerance: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
-        responses = scipy.fft.irfft(response_by_accelerance * accelerance, 2 * (hz.size - 1))
-        return np.asarray(scipy.fft.rfft(responses[:, first:sample_count])[:, in_band])
+        responses = scipy.fft.irfft(response_by_accelerance * accelerance, 2 * (line_hz.size - 1))
+        return np.asarray(scipy.fft.rfft(responses[:, first_sample:sample_count])[:, is_in_band])
 
-    return scipy.fft.rfft(measured.responses[:, first:])[:, in_band], response_map, hz[is_simulated]
+    return scipy.fft.rfft(measured.responses[:, first_sample:])[:, is_in_band], response_map, line_hz[is_simulated]
 
 
 def _measured_frfs(
@@ -139,14 +139,14 @@ def _measured_frfs(
     force_n, responses, rate_hz = measured.force_n, measured.responses, measured.sample_rate_hz
     if period_samples is None:
         average_count = AVERAGE_COUNT
-        settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
+        welch_settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
     else:
         average_count = force_n.size // period_samples - 1
         force_n, responses = force_n[-average_count * period_samples :], responses[:, -average_count * period_samples :]
-        settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
-    hz, force_density = scipy.signal.welch(force_n, rate_hz, **settings)
-    _, cross_density = scipy.signal.csd(force_n, responses, rate_hz, **settings)
-    _, response_density = scipy.signal.welch(responses, rate_hz, **settings)
+        welch_settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
+    line_hz, force_density = scipy.signal.welch(force_n, rate_hz, **welch_settings)
+    _, cross_density = scipy.signal.csd(force_n, responses, rate_hz, **welch_settings)
+    _, response_density = scipy.signal.welch(responses, rate_hz, **welch_settings)
     is_unexcited = force_density <= MIN_FORCE_SHARE * force_density.max()
     is_unexcited[0] = False
     # the mean of so many powers, each distributed exponentially
@@ -155,14 +155,14 @@ def _measured_frfs(
     if is_unexcited.any():
         noise_density = np.sqrt(np.median(response_density[:, is_unexcited], axis=1) / median_to_mean)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return hz, force_density, cross_density / force_density, noise_density
+        return line_hz, force_density, cross_density / force_density, noise_density
 
 
 def _free_run_misfits(measured: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, " sensors"]:
     """Rms error of the free run over the rms response, without means, after the start has decayed."""
-    first = _first_decayed_sample(measured, modal_fit)
-    error = measured.responses - free_run(measured, modal_fit)
-    return np.asarray(error[:, first:].std(axis=1) / measured.responses[:, first:].std(axis=1))
+    first_sample = _first_decayed_sample(measured, modal_fit)
+    free_run_error = measured.responses - free_run(measured, modal_fit)
+    return np.asarray(free_run_error[:, first_sample:].std(axis=1) / measured.responses[:, first_sample:].std(axis=1))
 
 
 def _first_decayed_sample(measured: MeasuredResponse, modal_fit: ModalFit) -> int:

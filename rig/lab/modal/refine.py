@@ -29,14 +29,14 @@ ModeRows = Float[np.ndarray, "modes columns"]
 
 
 def mode_accelerances(
-    hz: Lines, natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
+    line_hz: Lines, natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Accelerances of modes with unit residue, -w^2 / (w_k^2 - w^2 + 2 i z_k w_k w)."""
-    return np.asarray(_accelerance_and_slopes(2 * np.pi * hz, 2 * np.pi * natural_hz[:, None], ratios[:, None])[0])
+    return np.asarray(_accelerance_and_slopes(2 * np.pi * line_hz, 2 * np.pi * natural_hz[:, None], ratios[:, None])[0])
 
 
 def refined_by_frfs(
-    hz: Lines,
+    line_hz: Lines,
     accelerance: Complex[np.ndarray, "sensors lines"],
     weights: Lines,
     initial_fit: ModalFit,
@@ -50,34 +50,34 @@ def refined_by_frfs(
     and one above it, which represent all those there, are added where they lower the Bayesian information criterion.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    output_error = _OutputError(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * hz, driving_index)
+    output_error = _OutputError(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * line_hz, driving_index)
     data_count = 2 * accelerance.size
     best_modes, least_criterion = initial_modes, np.inf
     for adds_below, adds_above in product((False, True), repeat=2):
-        outside_hz = [hz[0] * BELOW_START_RATIO] * adds_below + [hz[-1] * ABOVE_START_RATIO] * adds_above
-        start = np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)])
-        candidate = _least_error_modes(output_error, start, (hz[0], hz[-1]))
-        square_sum = np.sum(output_error.residual(candidate.ravel()) ** 2)
-        criterion = data_count * np.log(square_sum) + candidate.size * np.log(data_count)
+        outside_hz = [line_hz[0] * BELOW_START_RATIO] * adds_below + [line_hz[-1] * ABOVE_START_RATIO] * adds_above
+        starting_modes = np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)])
+        candidate_modes = _least_error_modes(output_error, starting_modes, (line_hz[0], line_hz[-1]))
+        error_square_sum = np.sum(output_error.residual(candidate_modes.ravel()) ** 2)
+        criterion = data_count * np.log(error_square_sum) + candidate_modes.size * np.log(data_count)
         if criterion < least_criterion:
-            best_modes, least_criterion = candidate, criterion
+            best_modes, least_criterion = candidate_modes, criterion
     return _fit_of_rows(best_modes, initial_fit, driving_index)
 
 
 def refined_by_output(
     response_spectra: Complex[np.ndarray, "sensors lines"],
     response_map: ResponseMap,
-    hz: Float[np.ndarray, " all"],
+    line_hz: Float[np.ndarray, " all"],
     band_hz: tuple[float, float],
     initial_fit: ModalFit,
     driving_index: int,
 ) -> ModalFit:
-    """Modes near `initial_fit` with the least free-run error Y_o - response_map(sum_k phi_ok phi_dk A_k(hz)).
+    """Modes near `initial_fit` with the least free-run error Y_o - response_map(sum_k phi_ok phi_dk A_k(line_hz)).
 
     Y are the `response_spectra`; `response_map` maps an accelerance to that of its response to the measured force.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    output_error = _OutputError(response_spectra, response_map, 2 * np.pi * hz, driving_index)
+    output_error = _OutputError(response_spectra, response_map, 2 * np.pi * line_hz, driving_index)
     return _fit_of_rows(_least_error_modes(output_error, initial_modes, band_hz), initial_fit, driving_index)
 
 
@@ -101,31 +101,31 @@ class _OutputError:
 
     def jacobian(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "data unknowns"]:
         modes = self._modes(unknowns)
-        unit, by_frequency, by_damping = map(self.response_map, self._accelerance_and_slopes(modes))
+        unit_spectra, by_frequency, by_damping = map(self.response_map, self._accelerance_and_slopes(modes))
         sensor_count, line_count = self.scaled_spectra.shape
-        slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
+        model_slopes = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
         residues, driving_shape = self._residues(modes), modes[:, 2 + self.driving_index]
-        slopes[..., 0] = residues[:, None, :] * by_frequency.T
-        slopes[..., 1] = residues[:, None, :] * by_damping.T
-        for sensor, rms in enumerate(self.sensor_rms):
-            slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit).T / rms
-            slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit).T / rms
-        rows = -slopes.reshape(sensor_count * line_count, -1)
-        return np.concatenate([rows.real, rows.imag])
+        model_slopes[..., 0] = residues[:, None, :] * by_frequency.T
+        model_slopes[..., 1] = residues[:, None, :] * by_damping.T
+        for sensor, row_rms in enumerate(self.sensor_rms):
+            model_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / row_rms
+            model_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / row_rms
+        jacobian_rows = -model_slopes.reshape(sensor_count * line_count, -1)
+        return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
 
     def outside_modes(self, modes: ModeRows, outside_hz: list[float]) -> Float[np.ndarray, "outside columns"]:
         """Initial modes outside the band, with least-squares residues of the remaining error."""
         if not outside_hz:
             return np.zeros((0, modes.shape[1]))
-        residual = self.sensor_rms * self._error(modes)
-        log_values = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
-        unit_spectra = self.response_map(self._accelerance_and_slopes(log_values)[0])
-        residues = basis_coefficients(unit_spectra.T, residual)
-        least_residues = MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)
-        driving_shape = np.sqrt(np.maximum(residues[:, self.driving_index], least_residues))
-        shapes = residues / driving_shape[:, None]
-        shapes[:, self.driving_index] = driving_shape
-        return np.column_stack([log_values, shapes])
+        remaining_error = self.sensor_rms * self._error(modes)
+        log_hz_damping = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
+        unit_spectra = self.response_map(self._accelerance_and_slopes(log_hz_damping)[0])
+        residues = basis_coefficients(unit_spectra.T, remaining_error)
+        min_driving_residues = MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)
+        driving_shape = np.sqrt(np.maximum(residues[:, self.driving_index], min_driving_residues))
+        outside_shapes = residues / driving_shape[:, None]
+        outside_shapes[:, self.driving_index] = driving_shape
+        return np.column_stack([log_hz_damping, outside_shapes])
 
     def _error(self, modes: ModeRows) -> Complex[np.ndarray, "sensors lines"]:
         """Spectra that the modes leave unexplained, relative to the rms of each sensor."""
@@ -153,23 +153,23 @@ def _accelerance_and_slopes(
     return [accelerance, -accelerance * (2 * omega_k**2 + loss) / denominator, -accelerance * loss / denominator]
 
 
-def _least_error_modes(output_error: _OutputError, modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
+def _least_error_modes(output_error: _OutputError, start_modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
     """Modes of least error: those in the band stay near their start, those outside stay outside."""
-    lower, upper = np.full(modes.shape, -np.inf), np.full(modes.shape, np.inf)
-    (low, high), (down, up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), modes[:, 0]
-    is_outside = [log_hz < low, log_hz > high]
-    lower[:, 0] = np.select(is_outside, [low + down, high], log_hz - MAX_LOG_SHIFT)
-    upper[:, 0] = np.select(is_outside, [low, high + up], log_hz + MAX_LOG_SHIFT)
-    lower[:, 1], upper[:, 1] = np.log(DAMPING_RATIO_RANGE)
+    lower_bounds, upper_bounds = np.full(start_modes.shape, -np.inf), np.full(start_modes.shape, np.inf)
+    (log_low_hz, log_high_hz), (log_down, log_up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), start_modes[:, 0]
+    is_outside = [log_hz < log_low_hz, log_hz > log_high_hz]
+    lower_bounds[:, 0] = np.select(is_outside, [log_low_hz + log_down, log_high_hz], log_hz - MAX_LOG_SHIFT)
+    upper_bounds[:, 0] = np.select(is_outside, [log_low_hz, log_high_hz + log_up], log_hz + MAX_LOG_SHIFT)
+    lower_bounds[:, 1], upper_bounds[:, 1] = np.log(DAMPING_RATIO_RANGE)
     solution = scipy.optimize.least_squares(
         output_error.residual,
-        np.clip(modes, lower + 1e-9, upper - 1e-9).ravel(),
+        np.clip(start_modes, lower_bounds + 1e-9, upper_bounds - 1e-9).ravel(),
         output_error.jacobian,
-        bounds=(lower.ravel(), upper.ravel()),
+        bounds=(lower_bounds.ravel(), upper_bounds.ravel()),
         x_scale="jac",
         max_nfev=MAX_EVALUATIONS,
     )
-    return np.asarray(solution.x.reshape(modes.shape))
+    return np.asarray(solution.x.reshape(start_modes.shape))
 
 
 def _mode_rows(fit: ModalFit, driving_index: int) -> ModeRows:
@@ -177,8 +177,8 @@ def _mode_rows(fit: ModalFit, driving_index: int) -> ModeRows:
     return np.column_stack([np.log(fit.frequencies_hz), np.log(fit.damping_ratios), fit.shapes(driving_index).T])
 
 
-def _fit_of_rows(modes: ModeRows, initial_fit: ModalFit, driving_index: int) -> ModalFit:
-    sorted_modes = modes[np.argsort(modes[:, 0])]
+def _fit_of_rows(mode_rows: ModeRows, initial_fit: ModalFit, driving_index: int) -> ModalFit:
+    sorted_modes = mode_rows[np.argsort(mode_rows[:, 0])]
     return replace(
         initial_fit,
         frequencies_hz=np.exp(sorted_modes[:, 0]),

@@ -74,11 +74,11 @@ def read_uff(path: Path) -> UffFile:
         check_whole(path)
         reader = pyuff.UFF(str(path))
         datasets: dict[int, list[dict[str, Any]]] = {}
-        for index, kind in enumerate(map(int, reader.get_set_types())):
-            if kind in (15, 55, 58, 164, 2411):
+        for dataset_index, dataset_type in enumerate(map(int, reader.get_set_types())):
+            if dataset_type in (15, 55, 58, 164, 2411):
                 with np.errstate(all="ignore"):  # what is not finite is refused where it is used
-                    datasets.setdefault(kind, []).append(reader.read_sets(index))
-        node_places = {
+                    datasets.setdefault(dataset_type, []).append(reader.read_sets(dataset_index))
+        node_coordinates = {
             int(node): np.array([x, y, z])
             for dataset in (*datasets.get(15, []), *datasets.get(2411, []))
             for node, x, y, z in zip(dataset["node_nums"], dataset["x"], dataset["y"], dataset["z"], strict=True)
@@ -89,11 +89,11 @@ def read_uff(path: Path) -> UffFile:
         raise RigError(f"{path}: cannot be read as UFF ({error}); export it again") from error
     except Exception as error:  # what the format's library raises on a bad file is not to be listed
         raise RigError(f"{path}: cannot be read as UFF, whole or in part; export it again") from error
-    units = datasets.get(164, [{}])[-1]
-    length_units, force_units = (float(units.get(name) or 1.0) for name in ("length", "force"))
+    unit_dataset = datasets.get(164, [{}])[-1]
+    length_units, force_units = (float(unit_dataset.get(name) or 1.0) for name in ("length", "force"))
     if not (0 < length_units < np.inf and 0 < force_units < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
-    nodes_m = {node: position / length_units for node, position in node_places.items()}
+    nodes_m = {node: coordinates / length_units for node, coordinates in node_coordinates.items()}
     return UffFile(path, datasets, nodes_m, length_units, force_units)
 
 
@@ -102,8 +102,8 @@ def node_line(
 ) -> tuple[tuple[int, ...], Float[np.ndarray, " places"], float, str]:
     """Nodes along the body, their positions from its left end (m), its length (m), and a note on them."""
     chosen = choice.nodes or tuple(sorted(set(nodes)))
-    if missing := sorted(set(chosen) - set(nodes)):
-        raise file.error(f"has no data at node {missing[0]}; leave it out of nodes")
+    if missing_nodes := sorted(set(chosen) - set(nodes)):
+        raise file.error(f"has no data at node {missing_nodes[0]}; leave it out of nodes")
     if choice.positions_m:
         if len(choice.positions_m) != len(chosen):
             raise file.error(f"has {len(chosen)} nodes, and {len(choice.positions_m)} positions_m are given; give each")
@@ -112,16 +112,16 @@ def node_line(
         if unplaced := [node for node in chosen if node not in file.nodes_m]:
             raise file.error(f"has no coordinates of node {unplaced[0]} (dataset 15); export them, or give positions_m")
         coordinates = np.array([file.nodes_m[node] for node in chosen])
-        axis = AXES.index(choice.axis) if choice.axis else int(np.argmax(np.ptp(coordinates, axis=0)))
-        positions_m, placed = coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}"
-    order = np.argsort(positions_m, kind="stable")
-    line, positions_m = tuple(chosen[k] for k in order), positions_m[order]
+        axis_index = AXES.index(choice.axis) if choice.axis else int(np.argmax(np.ptp(coordinates, axis=0)))
+        positions_m, placed = coordinates[:, axis_index] - coordinates[:, axis_index].min(), f"along {AXES[axis_index]}"
+    position_order = np.argsort(positions_m, kind="stable")
+    line_nodes, positions_m = tuple(chosen[k] for k in position_order), positions_m[position_order]
     length_m = choice.length_m or float(positions_m[-1])
-    if coincident := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
-        first, second = line[coincident[0]], line[coincident[0] + 1]
-        raise file.error(f"nodes {first} and {second} are at one place {placed}; name those of one line by nodes")
-    extent = f"from node {line[0]} at {positions_m[0]:.6g} m to node {line[-1]} at {positions_m[-1]:.6g} m"
-    return line, positions_m, length_m, f"{len(line)} nodes {placed}, {extent}"
+    if coincident_indices := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
+        first_node, second = line_nodes[coincident_indices[0]], line_nodes[coincident_indices[0] + 1]
+        raise file.error(f"nodes {first_node} and {second} are at one place {placed}; name those of one line by nodes")
+    extent = f"from node {line_nodes[0]} at {positions_m[0]:.6g} m to node {line_nodes[-1]} at {positions_m[-1]:.6g} m"
+    return line_nodes, positions_m, length_m, f"{len(line_nodes)} nodes {placed}, {extent}"
 
 
 RIGID_HZ = 0.01
@@ -139,34 +139,34 @@ def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tup
     common_nodes = set.intersection(*(set(mode.vector_by_node) for mode in modes))
     if not (common_nodes or choice.nodes):
         raise file.error("no node is in all its mode shapes, as of several bodies; name those of one by nodes")
-    nodes, positions_m, length_m, line_text = node_line(file, choice, common_nodes)
-    vectors = np.array([[mode.vector_by_node[node] for node in nodes] for mode in modes])  # modes nodes 3
-    amplitudes = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))
+    nodes, positions_m, length_m, line_note = node_line(file, choice, common_nodes)
+    mode_vectors = np.array([[mode.vector_by_node[node] for node in nodes] for mode in modes])  # modes nodes 3
+    amplitudes = np.sqrt(np.sum(np.abs(mode_vectors) ** 2, axis=1))
     if not amplitudes.any():
         raise file.error("its mode shapes are zero at the nodes; export them again")
     frequencies_hz = np.array([mode.frequency_hz for mode in modes])
     ratios = np.array([mode.damping_ratio for mode in modes])
     is_elastic = frequencies_hz >= RIGID_HZ
-    axis = int(np.argmax((amplitudes[is_elastic] ** 2).sum(axis=0)))
+    axis_index = int(np.argmax((amplitudes[is_elastic] ** 2).sum(axis=0)))
     if choice.direction:
-        axis = AXES.index(choice.direction)
-    direction_shares = amplitudes[:, axis] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
-    is_kept = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
-    frequencies_hz, ratios, is_elastic = frequencies_hz[is_kept], ratios[is_kept], is_elastic[is_kept]
-    notes = [f"{frequencies_hz.size} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}"]
+        axis_index = AXES.index(choice.direction)
+    direction_shares = amplitudes[:, axis_index] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
+    moves_in_axis = (direction_shares > MIN_SHARE_IN_DIRECTION) | ~is_elastic
+    frequencies_hz, ratios, is_elastic = frequencies_hz[moves_in_axis], ratios[moves_in_axis], is_elastic[moves_in_axis]
+    notes = [f"{frequencies_hz.size} modes in direction {AXES[axis_index]}, {line_note}, from {file.path.name}"]
     if dropped_count := len(modes) - frequencies_hz.size:
-        notes.append(f"{dropped_count} modes without motion in direction {AXES[axis]} are left out")
+        notes.append(f"{dropped_count} modes without motion in direction {AXES[axis_index]} are left out")
     if not ratios[is_elastic].all():
         notes.append("a mode has no damping in the file; set damping_ratios in rig.json")
-    shapes, out_of_phase = _real_shapes(vectors[is_kept, :, axis].T)
+    shapes, out_of_phase = _real_shapes(mode_vectors[moves_in_axis, :, axis_index].T)
     if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
         raise file.error(
             f"{out_of_phase.max():.0%} of the mode at {frequencies_hz[np.argmax(out_of_phase)]:g} Hz is out of phase; "
             "a structure has normal modes, export those"
         )
     frequencies_hz, ratios = np.where(is_elastic, frequencies_hz, 0.0), np.where(is_elastic, ratios, 0.0)
-    names = [str(node) for node in nodes]
-    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names), tuple(notes)
+    node_names = [str(node) for node in nodes]
+    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, node_names), tuple(notes)
 
 
 @dataclass(frozen=True)
@@ -197,28 +197,28 @@ def _mode_of(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
         )
     # x = phi q: of length and force units in which the energies m q'^2 / 2 are, phi / sqrt(m) in 1/sqrt(kg)
     shape_factor = np.sqrt(file.force_units / file.length_units) / np.sqrt(modal_mass)
-    vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
-    if not np.isfinite(vectors).all():
+    shape_vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
+    if not np.isfinite(shape_vectors).all():
         raise file.error(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
-    return _Mode(frequency_hz, damping_ratio, dict(zip(map(int, dataset["node_nums"]), vectors, strict=True)))
+    return _Mode(frequency_hz, damping_ratio, dict(zip(map(int, dataset["node_nums"]), shape_vectors, strict=True)))
 
 
 def _real_shapes(
     shapes: Complex[np.ndarray, "places modes"],
 ) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
     """Real part of each shape after the rotation that makes it most real, and its share out of phase."""
-    rotated = shapes * np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
-    norms = np.maximum(np.linalg.norm(rotated, axis=0), 1e-300)
-    return rotated.real, np.linalg.norm(rotated.imag, axis=0) / norms
+    rotated_shapes = shapes * np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
+    shape_norms = np.maximum(np.linalg.norm(rotated_shapes, axis=0), 1e-300)
+    return rotated_shapes.real, np.linalg.norm(rotated_shapes.imag, axis=0) / shape_norms
 
 
-_RESPONSE_TYPES = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
-_FORCE_TYPES = (9, 13)
-_FRF_FUNCTION = 4
+_ORDER_AND_QUANTITY_BY_CODE = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
+_FORCE_CODES = (9, 13)
+_FRF_FUNCTION_CODE = 4
 
 
 def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances]:
-    frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION]
+    frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION_CODE]
     if not frfs:
         raise file.error("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
     axis = Counter(abs(frf["rsp_dir"]) for frf in frfs).most_common(1)[0][0]
@@ -227,33 +227,33 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
     if axis not in (1, 2, 3):
         raise file.error("its FRFs do not say their directions; export them with node and direction")
     driving_node, frf_by_node = _driving_point(file, frfs, axis)
-    nodes, positions_m, length_m, line_text = node_line(file, choice, frf_by_node)
+    nodes, positions_m, length_m, line_note = node_line(file, choice, frf_by_node)
     if driving_node not in nodes:
         raise file.error(f"the driving point, node {driving_node}, is not among nodes; add it")
     frequency_hz, accelerance = _accelerances_of(file, [frf_by_node[node] for node in nodes])
-    in_band = lines_in_band(frequency_hz, choice.band_hz)
-    frequency_hz, accelerance = frequency_hz[in_band], accelerance[:, in_band]
+    is_in_band = lines_in_band(frequency_hz, choice.band_hz)
+    frequency_hz, accelerance = frequency_hz[is_in_band], accelerance[:, is_in_band]
     try:
-        fit = fit_modes(frequency_hz, accelerance, nodes.index(driving_node))
+        modal_fit = fit_modes(frequency_hz, accelerance, nodes.index(driving_node))
     except RigError as error:
         raise file.error(str(error)) from error
-    shapes, names = fit.shapes(nodes.index(driving_node)), [str(node) for node in nodes]
-    frequencies_hz, ratios = fit.frequencies_hz, fit.damping_ratios
-    body = structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names)
+    shapes, node_names = modal_fit.shapes(nodes.index(driving_node)), [str(node) for node in nodes]
+    frequencies_hz, damping_ratios = modal_fit.frequencies_hz, modal_fit.damping_ratios
+    body = structure_of(file.path.stem, length_m, frequencies_hz, damping_ratios, positions_m, shapes, node_names)
     first_note = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
-        f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}"
+        f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_note}, from {file.path.name}"
     )
-    left_out = [f"left out: {len(frfs) - len(nodes)} FRFs"] if len(frfs) > len(nodes) else []
-    unmodelled_share = max(float(f"{np.median(fit.misfits_of_modes):.2g}"), Tolerances().unmodelled)
+    left_out_notes = [f"left out: {len(frfs) - len(nodes)} FRFs"] if len(frfs) > len(nodes) else []
+    unmodelled_share = max(float(f"{np.median(modal_fit.misfits_of_modes):.2g}"), Tolerances().unmodelled)
     tolerances = Tolerances(unmodelled=unmodelled_share, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
-    return body, (first_note, *left_out, *_fit_notes(nodes, fit)), tolerances
+    return body, (first_note, *left_out_notes, *_fit_notes(nodes, modal_fit)), tolerances
 
 
-def _fit_notes(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
-    for frequency_hz, ratio in zip(fit.frequencies_hz, fit.damping_ratios, strict=True):
-        yield f"mode: {frequency_hz:.6g} Hz, damping ratio {ratio:.4g}"
-    for node, misfit, mode_misfit in zip(nodes, fit.misfits, fit.misfits_of_modes, strict=True):
+def _fit_notes(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
+    for frequency_hz, damping_ratio in zip(modal_fit.frequencies_hz, modal_fit.damping_ratios, strict=True):
+        yield f"mode: {frequency_hz:.6g} Hz, damping ratio {damping_ratio:.4g}"
+    for node, misfit, mode_misfit in zip(nodes, modal_fit.misfits, modal_fit.misfits_of_modes, strict=True):
         yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {mode_misfit:.2%} by the modes without residuals"
 
 
@@ -265,21 +265,21 @@ def _driving_point(file: UffFile, frfs: list[dict[str, Any]], axis: int) -> tupl
 
     The shared point may be where the force acts or, by reciprocity (a roving hammer), where the sensor sits.
     """
-    by_point: dict[int, dict[int, SignedFrf]] = {}
+    frfs_by_point: dict[int, dict[int, SignedFrf]] = {}
     for frf in frfs:
         if abs(frf["rsp_dir"]) == axis == abs(frf["ref_dir"]):
             response_node, reference_node = int(frf["rsp_node"]), int(frf["ref_node"])
             signed_frf = (float(np.sign(frf["rsp_dir"] * frf["ref_dir"])), frf)
-            by_point.setdefault(reference_node, {})[response_node] = signed_frf
-            by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
-    driving_points = [point for point, frf_by_node in by_point.items() if point in frf_by_node]
+            frfs_by_point.setdefault(reference_node, {})[response_node] = signed_frf
+            frfs_by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
+    driving_points = [point for point, frf_by_node in frfs_by_point.items() if point in frf_by_node]
     if not driving_points:
         raise file.error(
             f"has no FRF of a driving point in direction {AXES[axis - 1]} (one node for force and response), without "
             "which shapes have no scale; measure it too"
         )
-    driving_point = max(driving_points, key=lambda point: len(by_point[point]))
-    return driving_point, by_point[driving_point]
+    driving_point = max(driving_points, key=lambda point: len(frfs_by_point[point]))
+    return driving_point, frfs_by_point[driving_point]
 
 
 def _accelerances_of(
@@ -290,17 +290,17 @@ def _accelerances_of(
     accelerances = []
     for sign, frf in signed_frfs:
         label = f"the FRF {str(frf['id1']).strip()!r} at node {frf['rsp_node']}"
-        order, quantity = _RESPONSE_TYPES.get(frf["ordinate_spec_data_type"], (None, ""))
-        if order is None or frf["orddenom_spec_data_type"] not in _FORCE_TYPES:
+        response_order, quantity = _ORDER_AND_QUANTITY_BY_CODE.get(frf["ordinate_spec_data_type"], (None, ""))
+        if response_order is None or frf["orddenom_spec_data_type"] not in _FORCE_CODES:
             raise file.error(f"{label} does not say that it is a displacement, velocity or acceleration over a force")
-        hz = np.asarray(frf["x"], dtype=float)
-        if hz.shape != frequency_hz.shape or not np.allclose(hz, frequency_hz, rtol=1e-6):
+        line_hz = np.asarray(frf["x"], dtype=float)
+        if line_hz.shape != frequency_hz.shape or not np.allclose(line_hz, frequency_hz, rtol=1e-6):
             raise file.error(f"{label} has other frequencies than the first; export them over the same lines")
-        if len(frf["data"]) != hz.size or not (np.isfinite(frf["data"]).all() and np.isfinite(hz).all()):
+        if len(frf["data"]) != line_hz.size or not (np.isfinite(frf["data"]).all() and np.isfinite(line_hz).all()):
             raise file.error(f"{label} is cut off or not finite; export it again")
         response_factor, force_factor = _unit_factors(file, frf, quantity)
-        factor = sign * response_factor / force_factor
-        accelerances.append(factor * np.asarray(frf["data"]) * (2j * np.pi * hz) ** (2 - order))
+        frf_factor = sign * response_factor / force_factor
+        accelerances.append(frf_factor * np.asarray(frf["data"]) * (2j * np.pi * line_hz) ** (2 - response_order))
     return frequency_hz, np.array(accelerances)
 
 

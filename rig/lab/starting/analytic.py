@@ -22,8 +22,8 @@ class MassRig(StartWithStops, frozen=True, kw_only=True):
         body = Oscillator(
             name="mass", mass_kg=self.mass_kg, frequency_hz=self.frequency_hz, damping_ratio=self.damping_ratio
         )
-        mass = Station("mass")
-        rig = self._rig((body,), [(mass, None)], mass, [mass])
+        mass_station = Station("mass")
+        rig = self._rig((body,), [(mass_station, None)], mass_station, [mass_station])
         return rig, self.notes()
 
 

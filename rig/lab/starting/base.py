@@ -108,7 +108,7 @@ def spread_positions(
     chosen_positions_m = sorted(set(required_m))
     offered_positions_m = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
     while len(chosen_positions_m) < min(position_count, len(offered_positions_m)):
-        distance_m = np.abs(offered_positions_m[:, None] - np.array([*chosen_positions_m, *avoided_m])).min(axis=1)
-        farthest_m = float(offered_positions_m[np.argmax(distance_m)])
+        min_distances_m = np.abs(offered_positions_m[:, None] - np.array([*chosen_positions_m, *avoided_m])).min(axis=1)
+        farthest_m = float(offered_positions_m[np.argmax(min_distances_m)])
         chosen_positions_m.append(float(f"{farthest_m:.9g}") if among_m is None else farthest_m)
     return tuple(sorted(chosen_positions_m))

@@ -31,9 +31,9 @@ class TwoMassesRig(StartWithStops, frozen=True, kw_only=True):
     damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of each; a free mass has none.")] = 0.01
 
     def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
-        for name, values in (("masses_kg", self.masses_kg), ("frequencies_hz", self.frequencies_hz)):
-            if len(values) != 2:
-                raise RigError(f"{name} has {len(values)} numbers; give two, one for each mass")
+        for name, numbers in (("masses_kg", self.masses_kg), ("frequencies_hz", self.frequencies_hz)):
+            if len(numbers) != 2:
+                raise RigError(f"{name} has {len(numbers)} numbers; give two, one for each mass")
         first_mass, second_mass = (
             Oscillator(name=name, mass_kg=mass_kg, frequency_hz=hz, damping_ratio=self.damping_ratio if hz else 0.0)
             for name, mass_kg, hz in zip(("first", "second"), self.masses_kg, self.frequencies_hz, strict=True)
@@ -82,9 +82,9 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
         force_at = stations[
             self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1
         ]
-        frequency_text = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
+        frequency_words = ", ".join(f"{natural_hz:.4g}" for natural_hz in body.natural_hz)
         rig = self._rig((body,), meeting_stations, force_at, stations)
-        return rig, (f"natural frequencies, without contacts: {frequency_text} Hz", *self.notes())
+        return rig, (f"natural frequencies, without contacts: {frequency_words} Hz", *self.notes())
 
     def _mass_pairs(self, mass_count: int) -> Iterator[tuple[int, int]]:
         for pair in self.contacts or (f"{mass_count}-{mass_count - 1}",):
@@ -115,8 +115,8 @@ def row_of_masses(
         - np.diag(springs_above_n_per_m[:-1], 1)
         - np.diag(springs_above_n_per_m[:-1], -1)
     )
-    squared_omega, shapes = scipy.linalg.eigh(stiffness_matrix, np.diag(masses_kg))
-    is_rigid = squared_omega < 1e-9 * squared_omega[-1]  # rounding would give a free row a frequency
-    natural_hz = np.sqrt(np.where(is_rigid, 0.0, squared_omega)) / (2 * np.pi)
+    omega_squared, shapes = scipy.linalg.eigh(stiffness_matrix, np.diag(masses_kg))
+    is_rigid = omega_squared < 1e-9 * omega_squared[-1]  # rounding would give a free row a frequency
+    natural_hz = np.sqrt(np.where(is_rigid, 0.0, omega_squared)) / (2 * np.pi)
     positions_m = np.arange(1.0, len(masses_kg) + 1)
     return structure_of(name, positions_m[-1], natural_hz, np.where(is_rigid, 0.0, damping_ratio), positions_m, shapes)

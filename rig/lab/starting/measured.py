@@ -67,14 +67,14 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             fit = fit_record(measured, self.positions_m, driving_index, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        densities = fit.noise_density.tolist()
+        noise_densities = fit.noise_density.tolist()
         if self.noise_density is not None:
-            densities = [self.noise_density] * len(densities)
+            noise_densities = [self.noise_density] * len(noise_densities)
         law = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
         stations = [Station(self.name, position_m) for position_m in self.positions_m]
         sensors = (
-            replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{density:.3g}"))
-            for station, density in zip(stations, densities, strict=True)
+            replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
+            for station, noise_density in zip(stations, noise_densities, strict=True)
         )
         rig = Rig(
             name=self.name,
@@ -88,10 +88,10 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
                 highest_hz=float(f"{fit.band_hz[1]:.4g}"),
             ),
         )
-        repeats = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
+        repetition_words = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
         first_note = (
             f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, "
-            f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz; its force {repeats}"
+            f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz; its force {repetition_words}"
         )
         misfit_notes = (
             f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({frf_misfit:.2%} by the FRFs' modes)"
@@ -100,17 +100,17 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         return rig, (first_note, *_mode_notes(fit.body, fit.band_hz), *misfit_notes)
 
     def map_text(self, rig: Rig) -> str:
-        lines = [f"rig = {json.dumps(RIG_NAME)}"]
+        map_lines = [f"rig = {json.dumps(RIG_NAME)}"]
         if self.time_column:
-            lines.append(f"time = {_map_entry(self.time_column, 's')}")
+            map_lines.append(f"time = {_map_entry(self.time_column, 's')}")
         else:
-            lines.append(f"sample_rate_hz = {rig.sample_rate_hz!r}")
-        lines.append(f"force = {_map_entry(self.force_column, self.force_unit)}")
-        sensors = (
+            map_lines.append(f"sample_rate_hz = {rig.sample_rate_hz!r}")
+        map_lines.append(f"force = {_map_entry(self.force_column, self.force_unit)}")
+        sensor_lines = (
             f"{json.dumps(sensor.name)} = {_map_entry(column, self.unit)}"
             for sensor, column in zip(rig.sensors, self.columns, strict=True)
         )
-        return "\n".join([*lines, "", "[sensors]", *sensors, ""])
+        return "\n".join([*map_lines, "", "[sensors]", *sensor_lines, ""])
 
     def _check_options(self) -> None:
         if len(self.columns) != len(self.positions_m):
@@ -131,17 +131,17 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
 
     def _measured_response(self) -> MeasuredResponse:
-        names = (self.force_column, *self.columns, self.time_column)
-        table = read_table(self.from_record, TextForm(), [_source(name, None).column for name in names if name])
-        sources = {"force": ("force", _source(self.force_column, self.force_unit))}
-        for k, name in enumerate(self.columns, start=1):
-            sources[f"sensor {k}"] = (self.quantity[0], _source(name, self.unit))
+        column_names = (self.force_column, *self.columns, self.time_column)
+        table = read_table(self.from_record, TextForm(), [_source(name, None).column for name in column_names if name])
+        source_by_name = {"force": ("force", _source(self.force_column, self.force_unit))}
+        for sensor_number, name in enumerate(self.columns, start=1):
+            source_by_name[f"sensor {sensor_number}"] = (self.quantity[0], _source(name, self.unit))
         try:
-            columns, si_factors = source_columns(table, sources)
+            column_by_name, si_factors = source_columns(table, source_by_name)
             time_source = _source(self.time_column, "s") if self.time_column else None
-            sample_times = sample_times_of(table, list(columns.values()), time_source, self.sample_rate_hz)
+            sample_times = sample_times_of(table, list(column_by_name.values()), time_source, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")
-            si_rows, _ = evenly_sampled(rows_in_si(columns, si_factors), sample_times, rate_hz, resample=False)
+            si_rows, _ = evenly_sampled(rows_in_si(column_by_name, si_factors), sample_times, rate_hz, resample=False)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(si_rows[0], si_rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)
@@ -158,6 +158,6 @@ def _map_entry(column: str, unit: str | None) -> str:
 
 
 def _mode_notes(body: Structure, band_hz: tuple[float, float]) -> Iterator[str]:
-    for hz, ratio in zip(body.natural_hz, body.ratios, strict=True):
-        remark = "" if band_hz[0] <= hz <= band_hz[1] else ", stands for those outside the band"
-        yield f"mode: {hz:.6g} Hz, damping ratio {ratio:.4g}{remark}"
+    for natural_hz, damping_ratio in zip(body.natural_hz, body.ratios, strict=True):
+        band_note = "" if band_hz[0] <= natural_hz <= band_hz[1] else ", stands for those outside the band"
+        yield f"mode: {natural_hz:.6g} Hz, damping ratio {damping_ratio:.4g}{band_note}"

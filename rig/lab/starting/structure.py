@@ -75,8 +75,8 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
         if self.from_uff is None:
             return self._with_rigid_modes(self._from_json()), (), None
-        settings = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
-        body, notes, tolerances = structure_from_uff(self.from_uff, Choice(*settings))
+        choice_fields = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
+        body, notes, tolerances = structure_from_uff(self.from_uff, Choice(*choice_fields))
         return self._with_rigid_modes(body), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:
@@ -105,8 +105,8 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def _with_rigid_modes(self, body: Structure) -> Structure:
         """Body with a translation, 1/sqrt(m), and a rotation, (x - centre)/sqrt(J), prepended as modes of 0 Hz."""
-        options = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
-        if options == (None, None, None):
+        rigid_options = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        if rigid_options == (None, None, None):
             return body
         if self.mass_kg is None or self.centre_m is None or self.inertia_kg_m2 is None:
             raise RigError("mass_kg, centre_m and inertia_kg_m2 belong together; give all three, or none")
@@ -117,15 +117,15 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
                 f"mass_kg is {self.mass_kg} and inertia_kg_m2 {self.inertia_kg_m2}; give finite values above zero"
             )
         positions_m = body.positions_m
-        rotation = (positions_m - self.centre_m) / np.sqrt(self.inertia_kg_m2)
-        rigid = np.stack([np.full(len(positions_m), 1 / np.sqrt(self.mass_kg)), rotation], axis=1)
+        rotation_shape = (positions_m - self.centre_m) / np.sqrt(self.inertia_kg_m2)
+        rigid_shapes = np.stack([np.full(len(positions_m), 1 / np.sqrt(self.mass_kg)), rotation_shape], axis=1)
         return structure_of(
             body.name,
             body.length_m,
             np.append(np.zeros(2), body.natural_hz),
             np.append(np.zeros(2), body.ratios),
             positions_m,
-            np.append(rigid, body.shapes(positions_m, body.max_modes), axis=1),
+            np.append(rigid_shapes, body.shapes(positions_m, body.max_modes), axis=1),
             [row.node for row in body.rows],
         )
 
@@ -145,7 +145,7 @@ def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
 
 
 def _basis_position_m(body: Structure, position_m: float, option: str) -> float:
-    """Place of the modal basis nearest to place_m; raises RigError if it is too far."""
+    """Place of the modal basis nearest to position_m; raises RigError if it is too far."""
     nearest_m = float(body.positions_m[np.argmin(np.abs(body.positions_m - position_m))])
     if not abs(nearest_m - position_m) <= SAME_PLACE_SHARE * body.length_m:
         raise RigError(

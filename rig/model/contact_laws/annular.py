@@ -14,7 +14,7 @@ from rig.model.contact_laws.elementary import beyond, contributes, root, select,
 Components = Float[np.ndarray, "2 *shape"]
 Tensor = Float[np.ndarray, "2 2 *shape"]
 """Components of a derivative: of the force, then of eta or its rate."""
-TINY_M = 1e-150
+MIN_RADIUS_M = 1e-150
 """Distance from the centre below which the force has no direction, and is zero."""
 
 
@@ -30,7 +30,7 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
     clearance grows by `wear_m_per_s`. The bodies do not turn about their axes, so that v_t is the sliding velocity.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ("center_y_m", "center_z_m")
+    signed_fields: ClassVar[tuple[str, ...]] = ("center_y_m", "center_z_m")
     spatial: ClassVar[bool] = True
 
     clearance_m: float
@@ -81,12 +81,12 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
         radial_y, radial_z = eta[0] - law.center_y_m, eta[1] - law.center_z_m
-        radius_m = root(radial_y * radial_y + radial_z * radial_z) + TINY_M
+        radius_m = root(radial_y * radial_y + radial_z * radial_z) + MIN_RADIUS_M
         depth_m = beyond(radius_m, 0.0, law.clearance_m + law.wear_m_per_s * time_s)
         normal_n = law.stiffness_n_per_m * depth_m
         if contributes(law.damping_n_s_per_m):
-            damping = smaller(depth_m * (law.damping_n_s_per_m / DAMPING_DEPTH_M), law.damping_n_s_per_m)
-            normal_n = normal_n + damping * ((rate[0] * radial_y + rate[1] * radial_z) / radius_m)
+            damping_n_s_per_m = smaller(depth_m * (law.damping_n_s_per_m / DAMPING_DEPTH_M), law.damping_n_s_per_m)
+            normal_n = normal_n + damping_n_s_per_m * ((rate[0] * radial_y + rate[1] * radial_z) / radius_m)
             normal_n = select(normal_n > 0.0, normal_n, 0.0)
         relative_speed = (rate[1] * radial_y - rate[0] * radial_z) / (radius_m * law.sliding_speed_m_per_s)
         friction_n = law.friction_coefficient * normal_n * tanh(relative_speed)
@@ -121,26 +121,26 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
         With dn = t dt'eta / r and dt = -n dt'eta / r, the turn of the axes, and dv_n = v_t t / r, dv_t = -v_n t / r.
         """
         eta_m = np.asarray(eta_m)
-        rate = np.broadcast_to(rate_m_per_s, eta_m.shape)
+        rates = np.broadcast_to(rate_m_per_s, eta_m.shape)
         y, z = eta_m[0] - self.center_y_m, eta_m[1] - self.center_z_m
-        radius_m = np.hypot(y, z) + TINY_M
+        radius_m = np.hypot(y, z) + MIN_RADIUS_M
         n, t = np.stack([y, z]) / radius_m, np.stack([-z, y]) / radius_m
-        v_n, v_t = np.sum(rate * n, axis=0), np.sum(rate * t, axis=0)
-        depth, c, mu = self.penetration_m(eta_m, time_s), self.damping_n_s_per_m, self.friction_coefficient
-        damping_share = np.minimum(depth / DAMPING_DEPTH_M, 1.0)
-        share_slope = (depth < DAMPING_DEPTH_M) / DAMPING_DEPTH_M
-        normal_n = self.stiffness_n_per_m * depth + c * damping_share * v_n
-        is_closed = (depth > 0) & (normal_n > 0)
+        v_n, v_t = np.sum(rates * n, axis=0), np.sum(rates * t, axis=0)
+        depth_m, c, mu = self.penetration_m(eta_m, time_s), self.damping_n_s_per_m, self.friction_coefficient
+        damping_share = np.minimum(depth_m / DAMPING_DEPTH_M, 1.0)
+        damping_share_slope = (depth_m < DAMPING_DEPTH_M) / DAMPING_DEPTH_M
+        normal_n = self.stiffness_n_per_m * depth_m + c * damping_share * v_n
+        is_closed = (depth_m > 0) & (normal_n > 0)
         normal_n = normal_n * is_closed
-        friction_direction = np.tanh(v_t / self.sliding_speed_m_per_s)
-        friction_rate_slope = mu * normal_n * (1 - friction_direction**2) / self.sliding_speed_m_per_s
+        friction_saturation = np.tanh(v_t / self.sliding_speed_m_per_s)
+        friction_rate_slope = mu * normal_n * (1 - friction_saturation**2) / self.sliding_speed_m_per_s
         normal_by_eta = is_closed * (
-            (self.stiffness_n_per_m + c * share_slope * v_n) * n + c * damping_share * v_t / radius_m * t
+            (self.stiffness_n_per_m + c * damping_share_slope * v_n) * n + c * damping_share * v_t / radius_m * t
         )
         normal_by_rate = is_closed * c * damping_share * n
-        friction_by_eta = mu * friction_direction * normal_by_eta - friction_rate_slope * v_n / radius_m * t
-        friction_by_rate = mu * friction_direction * normal_by_rate + friction_rate_slope * t
-        axis_turn = (normal_n * t - mu * normal_n * friction_direction * n) / radius_m
+        friction_by_eta = mu * friction_saturation * normal_by_eta - friction_rate_slope * v_n / radius_m * t
+        friction_by_rate = mu * friction_saturation * normal_by_rate + friction_rate_slope * t
+        axis_turn = (normal_n * t - mu * normal_n * friction_saturation * n) / radius_m
         by_eta = n[:, None] * normal_by_eta + t[:, None] * friction_by_eta + axis_turn[:, None] * t
         return by_eta, n[:, None] * normal_by_rate + t[:, None] * friction_by_rate
 

@@ -26,7 +26,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     alone.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ()
+    signed_fields: ClassVar[tuple[str, ...]] = ()
     """Fields that may be negative."""
     piecewise_linear: ClassVar[bool] = False
     """True of laws that clearances, stiffness and damping describe, unless further fields say otherwise."""
@@ -50,9 +50,9 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
-            value, may_be_infinite = getattr(self, field), field in CLEARANCES
-            if not ((np.isfinite(value) or (may_be_infinite and value > 0)) and (value >= 0 or field in self.signed)):
-                null_advice = ", or null where there is no stop on that side" if may_be_infinite else ""
+            value, may_be_inf = getattr(self, field), field in CLEARANCES
+            if not ((np.isfinite(value) or (may_be_inf and value > 0)) and (value >= 0 or field in self.signed_fields)):
+                null_advice = ", or null where there is no stop on that side" if may_be_inf else ""
                 raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above{null_advice}")
         if not self.sides and not self.acts_in_the_gap:
             raise RigError(
@@ -76,7 +76,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return False
 
     @property
-    def steepest(self) -> tuple[float, float]:
+    def largest_slopes(self) -> tuple[float, float]:
         """Largest df/d eta (N/m) and df/d eta' (N s/m) at a stop, which a time step has to resolve."""
         return self.stiffness_n_per_m, self.damping_n_s_per_m
 
@@ -93,8 +93,8 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def sides(self) -> tuple[int, ...]:
         """Sides that have a stop: -1 the lower one, 1 the upper one."""
-        clearances_m = ((-1, self.lower_clearance_m), (1, self.upper_clearance_m))
-        return tuple(side for side, clearance_m in clearances_m if np.isfinite(clearance_m))
+        sides_and_clearances_m = ((-1, self.lower_clearance_m), (1, self.upper_clearance_m))
+        return tuple(side for side, clearance_m in sides_and_clearances_m if np.isfinite(clearance_m))
 
     def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
@@ -133,18 +133,18 @@ class PlaneLaw(ContactLaw, frozen=True, kw_only=True):
 
 def walls_m(law: ContactLaw) -> list[tuple[float, int]]:
     """Relative displacements at which the stops stand at time 0, the upper one first, each with its side."""
-    positions_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
-    return [(positions_m[side], side) for side in reversed(law.sides)]
+    position_by_side_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
+    return [(position_by_side_m[side], side) for side in reversed(law.sides)]
 
 
 def depth_of(law: Any, eta: Any, time_s: Any) -> Any:
     """Signed depth beyond the stops, m."""
-    low, high = -law.lower_clearance_m, law.upper_clearance_m
+    lower_stop_m, upper_stop_m = -law.lower_clearance_m, law.upper_clearance_m
     if contributes(law.wear_m_per_s):
-        low, high = low - law.wear_m_per_s * time_s, high + law.wear_m_per_s * time_s
-    return beyond(eta, low, high)
+        lower_stop_m, upper_stop_m = lower_stop_m - law.wear_m_per_s * time_s, upper_stop_m + law.wear_m_per_s * time_s
+    return beyond(eta, lower_stop_m, upper_stop_m)
 
 
-def penetration_m(eta_m: Signal, lower_m: Any, upper_m: Any) -> Values:
+def penetration_m(eta_m: Signal, lower_clearance_m: Any, upper_clearance_m: Any) -> Values:
     """eta - upper above the upper stop, eta + lower below the lower one, zero between; metres."""
-    return np.asarray(beyond(eta_m, -lower_m, upper_m))
+    return np.asarray(beyond(eta_m, -lower_clearance_m, upper_clearance_m))

@@ -31,7 +31,7 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
     without a solution at some steps.
     """
 
-    signed: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
+    signed_fields: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
     piecewise_linear: ClassVar[bool] = True
 
     cubic_n_per_m3: float = 0.0
@@ -51,42 +51,42 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
 
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
-        depth = depth_of(law, eta, time_s)
-        force = _secant(law, depth) * depth
+        depth_m = depth_of(law, eta, time_s)
+        force_n = _secant(law, depth_m) * depth_m
         if contributes(law.cubic_n_per_m3):
-            force = force + law.cubic_n_per_m3 * depth * depth * depth
+            force_n = force_n + law.cubic_n_per_m3 * depth_m * depth_m * depth_m
         if contributes(law.damping_n_s_per_m):
             damping = law.damping_n_s_per_m
-            force = force + smaller(magnitude(depth) * (damping / DAMPING_DEPTH_M), damping) * rate
+            force_n = force_n + smaller(magnitude(depth_m) * (damping / DAMPING_DEPTH_M), damping) * rate
             if not law.pulls:
-                force = select(force * depth > 0.0, force, 0.0)
+                force_n = select(force_n * depth_m > 0.0, force_n, 0.0)
         if contributes(law.open_damping_n_s_per_m):
-            force = force + law.open_damping_n_s_per_m * rate
+            force_n = force_n + law.open_damping_n_s_per_m * rate
         if law.friction_n != 0.0:
-            force = force + law.friction_n * tanh(rate / FRICTION_SPEED_M_PER_S)
-        return force
+            force_n = force_n + law.friction_n * tanh(rate / FRICTION_SPEED_M_PER_S)
+        return force_n
 
     @property
     def acts_in_the_gap(self) -> bool:
         return bool(self.friction_n or self.open_damping_n_s_per_m)
 
     @property
-    def steepest(self) -> tuple[float, float]:
-        drag = self.damping_n_s_per_m + self.open_damping_n_s_per_m + self.friction_n / FRICTION_SPEED_M_PER_S
-        return self.stiffness_n_per_m * max(1.0, self.lower_stiffness_ratio), drag
+    def largest_slopes(self) -> tuple[float, float]:
+        damping_slope = self.damping_n_s_per_m + self.open_damping_n_s_per_m + self.friction_n / FRICTION_SPEED_M_PER_S
+        return self.stiffness_n_per_m * max(1.0, self.lower_stiffness_ratio), damping_slope
 
     def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
-        depth = depth_of(self, eta_m, time_s)
-        spring = self.exponent * _secant(self, depth)
-        return np.asarray((spring + 3 * self.cubic_n_per_m3 * depth * depth) * (depth != 0))
+        depth_m = depth_of(self, eta_m, time_s)
+        tangent_n_per_m = self.exponent * _secant(self, depth_m)
+        return np.asarray((tangent_n_per_m + 3 * self.cubic_n_per_m3 * depth_m * depth_m) * (depth_m != 0))
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
-        depth = depth_of(self, eta_m, time_s)
-        damping_share = smaller(magnitude(depth) / DAMPING_DEPTH_M, 1.0)
+        depth_m = depth_of(self, eta_m, time_s)
+        damping_share = smaller(magnitude(depth_m) / DAMPING_DEPTH_M, 1.0)
         if not self.pulls:
-            elastic_n = (_secant(self, depth) + self.cubic_n_per_m3 * depth * depth) * depth
+            elastic_n = (_secant(self, depth_m) + self.cubic_n_per_m3 * depth_m * depth_m) * depth_m
             damping_share = damping_share * (
-                (elastic_n + self.damping_n_s_per_m * damping_share * rate_m_per_s) * depth > 0.0
+                (elastic_n + self.damping_n_s_per_m * damping_share * rate_m_per_s) * depth_m > 0.0
             )
         friction_slope = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
         return np.asarray(
@@ -98,14 +98,14 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
         return np.asarray(_secant(self, depth) * depth**2 / (self.exponent + 1) + self.cubic_n_per_m3 * depth**4 / 4)
 
 
-def _secant(law: Any, depth: Any) -> Any:
+def _secant(law: Any, depth_m: Any) -> Any:
     """k |depth / d|^(p - 1) of the stop that is touched, N/m."""
-    stiffness = law.stiffness_n_per_m
+    secant_n_per_m = law.stiffness_n_per_m
     if contributes(law.lower_stiffness_ratio - 1.0):
-        stiffness = stiffness * select(depth < 0.0, law.lower_stiffness_ratio, 1.0)
+        secant_n_per_m = secant_n_per_m * select(depth_m < 0.0, law.lower_stiffness_ratio, 1.0)
     if law.exponent != 1.0:
-        stiffness = stiffness * power(magnitude(depth) / law.reference_depth_m, law.exponent - 1.0)
-    return stiffness
+        secant_n_per_m = secant_n_per_m * power(magnitude(depth_m) / law.reference_depth_m, law.exponent - 1.0)
+    return secant_n_per_m
 
 
 def equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float = 0.0) -> DeadZone:

@@ -36,7 +36,7 @@ class HuntCrossley(PlaneLaw, frozen=True, kw_only=True, tag="hunt_crossley"):
         return linear_force * power(depth_ratio, law.exponent - 1.0)
 
     def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
-        return np.asarray(self.exponent * self._secant(depth_of(self, eta_m, time_s)))
+        return np.asarray(self.exponent * self._secant_stiffness(depth_of(self, eta_m, time_s)))
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
         depth_ratio = np.abs(depth_of(self, eta_m, time_s)) / self.reference_depth_m
@@ -44,8 +44,8 @@ class HuntCrossley(PlaneLaw, frozen=True, kw_only=True, tag="hunt_crossley"):
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         depth = depth_of(self, eta_m, time_s)
-        return np.asarray(self._secant(depth) * depth**2 / (self.exponent + 1))
+        return np.asarray(self._secant_stiffness(depth) * depth**2 / (self.exponent + 1))
 
-    def _secant(self, depth_m: Any) -> Any:
+    def _secant_stiffness(self, depth_m: Any) -> Any:
         depth_ratio = np.abs(depth_m) / self.reference_depth_m
         return self.stiffness_n_per_m * depth_ratio ** (self.exponent - 1) * (depth_m != 0)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 Row = Float[np.ndarray, " coordinates"]
 Derivatives = Float[np.ndarray, "3 coordinates"]
 """Rows of w, its slope w' and its curvature w'' at a place, over the coordinates."""
-LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
+METRES_BY_UNIT: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 
 
 def pointwise(derivatives: Derivatives, _: float) -> Row:
@@ -48,5 +48,5 @@ class Quantity:
     """Whether it depends on the curvature."""
 
     def __post_init__(self) -> None:
-        for name, derivatives in (("translates", (1.0, 0.0, 0.0)), ("bends", (0.0, 0.0, 1.0))):
-            object.__setattr__(self, name, bool(np.any(self.operator(np.array(derivatives)[:, None], 1.0))))
+        for flag_name, unit_derivatives in (("translates", (1.0, 0.0, 0.0)), ("bends", (0.0, 0.0, 1.0))):
+            object.__setattr__(self, flag_name, bool(np.any(self.operator(np.array(unit_derivatives)[:, None], 1.0))))

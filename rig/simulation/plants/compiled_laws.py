@@ -48,12 +48,12 @@ def law_records(laws: Sequence[ContactLaw]) -> Any:
     """Table with a row of coefficients per law, of any kind; an annular one has two, ANNULAR_Y and ANNULAR_Z."""
     table = np.zeros(len(laws), LAW_RECORD_TYPE)
     for law_record, law in zip(table, laws, strict=True):
-        for name, value in msgspec.structs.asdict(law).items():
-            law_record[name] = value
+        for field_name, value in msgspec.structs.asdict(law).items():
+            law_record[field_name] = value
         law_record["kind"] = ANNULAR_Y if law.spatial else PLANE_LAWS.index(type(law))
         law_record["acts_in_the_gap"] = law.acts_in_the_gap
-    for _, law_rows in law_spans(laws):
-        table["kind"][law_rows.start + 1 : law_rows.stop] = ANNULAR_Z
+    for _, row_span in law_spans(laws):
+        table["kind"][row_span.start + 1 : row_span.stop] = ANNULAR_Z
     return table.view(np.recarray)
 
 
@@ -98,24 +98,24 @@ for _general, _compiled in _SCALAR_FUNCTIONS.items():
     overload(_general, strict=False)(lambda *_, own=_compiled: own)
 
 
-def _formula_by_kind(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
+def _dispatching_formula(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
     """Compiled formula that dispatches on a row's kind among the formulas from number `first_kind` on."""
     first_formula = inlined(unwrap(formulas[first_kind]))
     if first_kind + 1 == len(formulas):
         return first_formula
-    later_formulas = _formula_by_kind(formulas, first_kind + 1)
+    later_formula = _dispatching_formula(formulas, first_kind + 1)
 
     @inlined
     @no_type_check
-    def formula_of_kind(law, eta, rate, time_s):
-        if law.kind == first_kind:
-            return first_formula(law, eta, rate, time_s)
-        return later_formulas(law, eta, rate, time_s)
+    def formula_of_kind(law_record, eta, rate, time_s):
+        if law_record.kind == first_kind:
+            return first_formula(law_record, eta, rate, time_s)
+        return later_formula(law_record, eta, rate, time_s)
 
     return formula_of_kind
 
 
-force_n = _formula_by_kind([law.formula for law in PLANE_LAWS])
+force_n = _dispatching_formula([law.formula for law in PLANE_LAWS])
 """Contact force (N) from (row, eta, eta', t)."""
 vector_force_n = inlined(unwrap(Annular.formula))
 """Its components y and z from (row, (eta_y, eta_z), (eta_y', eta_z'), t) of an annular contact."""

@@ -9,7 +9,7 @@ from rig.model.contact_laws import ContactLaw, elementary
 from rig.model.description import Station
 from rig.simulation.plants.mesh import Mesh
 
-MODULUS_EVERY_STEPS = 64
+STEPS_PER_MODULUS_UPDATE = 64
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ ExtraPhysics = GroundedForce | ChangingModulus | Section
 
 def add_contact(exu: Any, mbs: Any, against_marker: int, marker: int, law: ContactLaw) -> int:
     """Add a connector with a contact law between two markers; return its number."""
-    _let_formulas_record(exu.symbolic)
+    _register_symbolic_functions(exu.symbolic)
 
     @no_type_check  # recorded symbolically from the plain function
     def force_n(_system, t, _number, eta, rate, _stiffness, _damping, _offset):
@@ -63,7 +63,7 @@ def add_contact(exu: Any, mbs: Any, against_marker: int, marker: int, law: Conta
 
 
 @cache
-def _let_formulas_record(symbolic: Any) -> None:
+def _register_symbolic_functions(symbolic: Any) -> None:
     """Register Exudyn's symbolic functions with those of the contact laws, whose formulas it then compiles."""
 
     @no_type_check
@@ -74,9 +74,9 @@ def _let_formulas_record(symbolic: Any) -> None:
     def select(condition, chosen, otherwise):
         return symbolic.IfThenElse(condition, symbolic.Real(1.0) * chosen, symbolic.Real(1.0) * otherwise)
 
-    functions = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
-    functions |= {"power": symbolic.pow, "root": symbolic.sqrt, "tanh": symbolic.tanh}
-    for name, function in functions.items():
+    symbolic_functions = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
+    symbolic_functions |= {"power": symbolic.pow, "root": symbolic.sqrt, "tanh": symbolic.tanh}
+    for name, function in symbolic_functions.items():
         getattr(elementary, name).register(symbolic.Real, function)
 
 
@@ -90,21 +90,21 @@ def add_grounded(exu: Any, mbs: Any, ground_marker: int, marker: int, grounded_f
     return _add_connector(mbs, ground_marker, marker, symbolic_force_n)
 
 
-def modulus_change(mbs: Any, meshes: list[Mesh], change: ChangingModulus) -> Callable[[int, float], None]:
+def modulus_update(mbs: Any, meshes: list[Mesh], change: ChangingModulus) -> Callable[[int, float], None]:
     """Function of (step, time) that updates the bending stiffness of a beam's elements every 64 steps."""
     mesh = next(mesh for mesh in meshes if mesh.body.name == change.beam)
     numbered_objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     element_numbers = [
-        n
-        for n, exudyn_object in numbered_objects
+        object_number
+        for object_number, exudyn_object in numbered_objects
         if exudyn_object["objectType"] == "ANCFCable2D" and int(exudyn_object["nodeNumbers"][0]) in mesh.node_numbers
     ]
-    nominal_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in element_numbers}
+    nominal_bending_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in element_numbers}
 
     def update_modulus(step: int, time_s: float) -> None:
-        if step % MODULUS_EVERY_STEPS == 0:
+        if step % STEPS_PER_MODULUS_UPDATE == 0:
             for number in element_numbers:
-                mbs.SetObjectParameter(number, "bendingStiffness", nominal_n_m2[number] * change.factor(time_s))
+                mbs.SetObjectParameter(number, "bendingStiffness", nominal_bending_n_m2[number] * change.factor(time_s))
 
     return update_modulus
 
@@ -121,10 +121,10 @@ def _add_connector(
     from exudyn.itemInterface import CartesianSpringDamper, CoordinateSpringDamper
 
     connector_type = CartesianSpringDamper if isinstance(stiffness, list) else CoordinateSpringDamper
-    connector = mbs.AddObject(
+    connector_number = mbs.AddObject(
         connector_type(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping)
     )
-    user_function = CreateSymbolicUserFunction(mbs, force_function, "springForceUserFunction", connector)
-    mbs.SetObjectParameter(connector, "springForceUserFunction", user_function)
-    mbs.variables[f"law of connector {connector}"] = user_function  # Exudyn does not keep it alive
-    return int(connector)
+    user_function = CreateSymbolicUserFunction(mbs, force_function, "springForceUserFunction", connector_number)
+    mbs.SetObjectParameter(connector_number, "springForceUserFunction", user_function)
+    mbs.variables[f"law of connector {connector_number}"] = user_function  # Exudyn does not keep it alive
+    return int(connector_number)

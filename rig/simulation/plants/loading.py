@@ -17,14 +17,14 @@ from rig.simulation.motion import Forces, ForceSignal
 SPLINE_SUPPORT = 64
 """Samples on either side that determine a cubic spline to rounding."""
 
-Connections = Float[np.ndarray, " connections"]
+ConnectionVector = Float[np.ndarray, " connections"]
 ModalVector = Float[np.ndarray, " modes"]
 EtaRows = Float[np.ndarray, "connections modes"]
-Stiffness = Float[np.ndarray, "modes modes"]
+ModalMatrix = Float[np.ndarray, "modes modes"]
 
 
 def true_force(
-    rig: Rig, measured_n: ForceSignal, step_s: float, span: slice = slice(None)
+    rig: Rig, measured_force_n: ForceSignal, step_s: float, span: slice = slice(None)
 ) -> Float[np.ndarray, " some"]:
     """True force F(t) = measured(t - lag) / gain (N) from the measured one at multiples of the step.
 
@@ -32,14 +32,14 @@ def true_force(
     """
     force_sensor = rig.force_sensor
     if not force_sensor.lag_s:
-        return measured_n[span] / force_sensor.gain
-    first_step, end_step, _ = span.indices(len(measured_n))
+        return measured_force_n[span] / force_sensor.gain
+    first_step, end_step, _ = span.indices(len(measured_force_n))
     shifted_steps = np.arange(first_step, end_step) - force_sensor.lag_s / step_s
-    steps = np.clip(shifted_steps, 0, len(measured_n) - 1)
-    first_knot, last_knot = int(steps[0]) - SPLINE_SUPPORT, int(steps[-1]) + SPLINE_SUPPORT
-    knots = np.arange(max(0, first_knot), min(len(measured_n), last_knot))
-    interpolated_n = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
-    return np.where(shifted_steps < 0, measured_n[:1], interpolated_n) / force_sensor.gain
+    clipped_steps = np.clip(shifted_steps, 0, len(measured_force_n) - 1)
+    knots_start, knots_end = int(clipped_steps[0]) - SPLINE_SUPPORT, int(clipped_steps[-1]) + SPLINE_SUPPORT
+    knots = np.arange(max(0, knots_start), min(len(measured_force_n), knots_end))
+    interpolated_n = scipy.interpolate.CubicSpline(knots, measured_force_n[knots[0] : knots[-1] + 1])(clipped_steps)
+    return np.where(shifted_steps < 0, measured_force_n[:1], interpolated_n) / force_sensor.gain
 
 
 def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
@@ -53,22 +53,22 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
         return ()
     if description.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; a base motion up to {description.high_hz} Hz needs at most 1/(4 high_hz)")
-    spectrum = noise_spectrum(sample_count, step_s, description.low_hz, description.high_hz, description.seed)
+    accel_spectrum = noise_spectrum(sample_count, step_s, description.low_hz, description.high_hz, description.seed)
     omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
-    velocity_spectrum = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    spectra = (displacement_spectrum, velocity_spectrum, spectrum)
+    velocity_spectrum = np.divide(accel_spectrum, 1j * omega, out=np.zeros_like(accel_spectrum), where=omega > 0)
+    displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(accel_spectrum), where=omega > 0)
+    spectra = (displacement_spectrum, velocity_spectrum, accel_spectrum)
     d, v, a = (np.fft.irfft(transform, sample_count) for transform in spectra)
     rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
     rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
     rise_slope = 30 * rise_share**2 * (1 - rise_share) ** 2 / RISE_S
     rise_curvature = 60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share) / RISE_S**2
-    motion = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
-    return tuple(rms_factor * signal for signal in motion)
+    unscaled_signals = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
+    return tuple(rms_factor * unscaled_signal for unscaled_signal in unscaled_signals)
 
 
-def shaken_base(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
+def base_signals_of(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Displacement, velocity and acceleration of the base at multiples of the step.
 
     They are those of `base_motion`, unless the force is on the ground and is not zero: it is then the inertial force
@@ -84,10 +84,10 @@ def shaken_base(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndar
 def connections(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by components (`contact_rows`), then cubic springs and dampers as dead zones to the ground without
     clearance and linear stiffness."""
-    springs = [spring for spring in rig.springs if spring.cubic_n_per_m3]
-    to_ground = [(f"spring {i}", spring.station, spring.law) for i, spring in enumerate(springs)]
-    to_ground += [(f"damper {i}", damper.station, damper.law) for i, damper in enumerate(rig.dampers)]
-    return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in to_ground))
+    cubic_springs = [spring for spring in rig.springs if spring.cubic_n_per_m3]
+    grounded = [(f"spring {i}", spring.station, spring.law) for i, spring in enumerate(cubic_springs)]
+    grounded += [(f"damper {i}", damper.station, damper.law) for i, damper in enumerate(rig.dampers)]
+    return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
@@ -101,7 +101,7 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     for connection in connections(rig):
         cubic_n_per_m3, station = getattr(connection.law, "cubic_n_per_m3", 0.0), connection.at
         is_free = cubic_n_per_m3 < 0 and station.body not in touched_bodies
-        limits_m.append(np.sqrt(_static_stiffness(rig, station) / -cubic_n_per_m3) if is_free else np.inf)
+        limits_m.append(np.sqrt(_static_stiffness_n_per_m(rig, station) / -cubic_n_per_m3) if is_free else np.inf)
     return np.array(limits_m)
 
 
@@ -117,7 +117,7 @@ def check_softening(
             )
 
 
-def _static_stiffness(rig: Rig, station: Station) -> float:
+def _static_stiffness_n_per_m(rig: Rig, station: Station) -> float:
     """Static stiffness of a body at a station, N/m; zero if it has a rigid-body mode."""
     body = rig.body(station.body)
     modes, mode_count = modes_of(in_plane(rig, station.direction), body), body.max_modes
@@ -134,17 +134,17 @@ def has_static_load(rig: Rig) -> bool:
 
 def law_spans(laws: Sequence[ContactLaw]) -> Iterator[tuple[ContactLaw, slice]]:
     """Every law with its rows among the connections: one, or two of a law of both directions, which stands twice."""
-    row = 0
-    while row < len(laws):
-        yield laws[row], slice(row, row + 1 + laws[row].spatial)
-        row += 1 + laws[row].spatial
+    first_row = 0
+    while first_row < len(laws):
+        yield laws[first_row], slice(first_row, first_row + 1 + laws[first_row].spatial)
+        first_row += 1 + laws[first_row].spatial
 
 
 def connection_forces_n(
-    laws: Sequence[ContactLaw], eta_m: Connections, rate_m_per_s: Connections, time_s: float = 0.0
-) -> Connections:
+    laws: Sequence[ContactLaw], eta_m: ConnectionVector, rate_m_per_s: ConnectionVector, time_s: float = 0.0
+) -> ConnectionVector:
     """Force of every connection at its relative displacement and rate, N."""
-    forces_n = [law.force_n(eta_m[rows], rate_m_per_s[rows], time_s) for law, rows in law_spans(laws)]
+    forces_n = [law.force_n(eta_m[row_span], rate_m_per_s[row_span], time_s) for law, row_span in law_spans(laws)]
     return np.concatenate([np.zeros(0), *forces_n])
 
 
@@ -159,23 +159,23 @@ def equilibrium(
     load_tolerance = 1e-6 * float(np.linalg.norm(modal_load))
     if not load_tolerance:
         return np.zeros(modal_load.size)
-    q, residual, stiffness = _least_energy(omega_squared, eta_rows, laws, modal_load)
-    if np.linalg.norm(residual) < load_tolerance:
-        return q
-    unresisted_motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
+    rest_q, unbalanced_load, tangent_stiffness = _energy_minimum(omega_squared, eta_rows, laws, modal_load)
+    if np.linalg.norm(unbalanced_load) < load_tolerance:
+        return rest_q
+    unresisted_motions = scipy.linalg.null_space(tangent_stiffness, rcond=1e-12)
     gap_law_rows = eta_rows[[law.acts_in_the_gap for law in laws]] @ unresisted_motions
-    unresisted_load = residual @ unresisted_motions
+    unresisted_load = unbalanced_load @ unresisted_motions
     if np.linalg.norm(unresisted_load - unresisted_load @ np.linalg.pinv(gap_law_rows) @ gap_law_rows) > load_tolerance:
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    held_load = modal_load - residual
-    if np.linalg.norm(held_load) > load_tolerance:
-        return _least_energy(omega_squared, eta_rows, laws, held_load)[0]
+    resisted_load = modal_load - unbalanced_load
+    if np.linalg.norm(resisted_load) > load_tolerance:
+        return _energy_minimum(omega_squared, eta_rows, laws, resisted_load)[0]
     return np.zeros(modal_load.size)
 
 
-def _least_energy(
+def _energy_minimum(
     omega_squared: ModalVector, eta_rows: EtaRows, laws: tuple[ContactLaw, ...], modal_load: ModalVector
-) -> tuple[ModalVector, ModalVector, Stiffness]:
+) -> tuple[ModalVector, ModalVector, ModalMatrix]:
     """Minimum of the convex energy sum omega^2 q^2 / 2 + sum U_j(eta_rows_j q) - modal_load q.
 
     Found by proximal Newton steps from zero. Returns the coordinates q, the unbalanced part of the load, and the
@@ -183,46 +183,46 @@ def _least_energy(
     """
     q = np.zeros(modal_load.size)
 
-    def energy(trial: ModalVector) -> float:
-        eta_m = eta_rows @ trial
-        stored_j = sum(float(np.sum(law.energy_j(eta_m[rows]))) for law, rows in law_spans(laws))
-        return float(omega_squared @ trial**2 / 2 + stored_j - modal_load @ trial)
+    def energy_j(trial_q: ModalVector) -> float:
+        eta_m = eta_rows @ trial_q
+        contact_energy_j = sum(float(np.sum(law.energy_j(eta_m[row_span]))) for law, row_span in law_spans(laws))
+        return float(omega_squared @ trial_q**2 / 2 + contact_energy_j - modal_load @ trial_q)
 
-    def derivatives(trial: ModalVector) -> tuple[ModalVector, Stiffness]:
-        eta_m = eta_rows @ trial
-        tangent = np.zeros(len(eta_rows))
+    def gradient_and_stiffness(trial_q: ModalVector) -> tuple[ModalVector, ModalMatrix]:
+        eta_m = eta_rows @ trial_q
+        connection_stiffness = np.zeros(len(eta_rows))
         coupling = np.zeros((modal_load.size, modal_load.size))
-        forces_n = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
+        connection_forces = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
         for law, rows in law_spans(laws):
-            by_eta = law.by_eta_n_per_m(eta_m[rows])
-            tangent[rows] = np.diag(by_eta) if law.spatial else by_eta
+            law_stiffness = law.by_eta_n_per_m(eta_m[rows])
+            connection_stiffness[rows] = np.diag(law_stiffness) if law.spatial else law_stiffness
             if law.spatial:
-                coupling += by_eta[0, 1] * (np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1]))
-        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent) @ eta_rows
+                coupling += law_stiffness[0, 1] * (np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1]))
+        tangent_stiffness = np.diag(omega_squared) + (eta_rows.T * connection_stiffness) @ eta_rows
         if coupling.any():
-            stiffness = stiffness + coupling
-        return omega_squared * trial + forces_n @ eta_rows - modal_load, stiffness
+            tangent_stiffness = tangent_stiffness + coupling
+        return omega_squared * trial_q + connection_forces @ eta_rows - modal_load, tangent_stiffness
 
     for tie_stiffness in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor_q = q
 
-        def cost(trial: ModalVector, tie: float = tie_stiffness, anchor: ModalVector = anchor_q) -> float:
-            return float(energy(trial) + tie * np.sum((trial - anchor) ** 2) / 2)
+        def tied_energy_j(trial_q: ModalVector, tie: float = tie_stiffness, anchor: ModalVector = anchor_q) -> float:
+            return float(energy_j(trial_q) + tie * np.sum((trial_q - anchor) ** 2) / 2)
 
         for _ in range(30):
-            unbalanced, stiffness = derivatives(q)
-            unbalanced = unbalanced + tie_stiffness * (q - anchor_q)
-            if np.linalg.norm(unbalanced) < 1e-9 * np.linalg.norm(modal_load):
+            gradient, tangent_stiffness = gradient_and_stiffness(q)
+            gradient = gradient + tie_stiffness * (q - anchor_q)
+            if np.linalg.norm(gradient) < 1e-9 * np.linalg.norm(modal_load):
                 break
-            q_step = np.linalg.solve(stiffness + tie_stiffness * np.eye(q.size), unbalanced)
-            cost_before = cost(q)
-            while cost(q - q_step) > cost_before + 1e-12 * abs(cost_before):
+            q_step = np.linalg.solve(tangent_stiffness + tie_stiffness * np.eye(q.size), gradient)
+            energy_before_j = tied_energy_j(q)
+            while tied_energy_j(q - q_step) > energy_before_j + 1e-12 * abs(energy_before_j):
                 q_step = q_step / 2
             q = q - q_step
         if np.linalg.norm(q - anchor_q) < 1e-12 * np.linalg.norm(q):
             break
     for _ in range(3):
-        unbalanced, stiffness = derivatives(q)
-        q = q - np.linalg.lstsq(stiffness, unbalanced, rcond=1e-12)[0]
-    unbalanced, stiffness = derivatives(q)
-    return q, -unbalanced, stiffness
+        gradient, tangent_stiffness = gradient_and_stiffness(q)
+        q = q - np.linalg.lstsq(tangent_stiffness, gradient, rcond=1e-12)[0]
+    gradient, tangent_stiffness = gradient_and_stiffness(q)
+    return q, -gradient, tangent_stiffness

@@ -16,17 +16,17 @@ from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.model.space import plane_rigs
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, ProjectedSignals, forces_of
 from rig.simulation.plants.loading import (
+    base_signals_of,
     check_softening,
     connection_forces_n,
     connections,
     equilibrium,
     has_static_load,
-    shaken_base,
     softening_limits_m,
     true_force,
 )
 
-BLOCK_STEPS = 1 << 13
+STEPS_PER_BLOCK = 1 << 13
 BEND_SUPPORT = 8
 """Samples on either side that are used for the bend of a force within a step."""
 
@@ -36,8 +36,8 @@ class ModalModel:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
     Rows are over the modal coordinates q: station_rows give the displacement of a station, sensor_rows what a sensor
-    measures, eta_rows the relative displacements. input_forces are the modal forces per unit of each known input:
-    exciting forces, static loads with the weight, base, tones. At rest the coordinates are rest_coordinates and the
+    measures, eta_rows the relative displacements. modal_force_by_input is per unit of each known input: exciting
+    forces, static loads with the weight, base, tones. At rest the coordinates are rest_coordinates and the
     contact forces rest_contact_n. In space the modes are those of y, then of z, and an annular contact has a row and
     its law in each.
     """
@@ -48,15 +48,15 @@ class ModalModel:
     sensor_rows: Float[np.ndarray, "sensors modes"]
     eta_rows: Float[np.ndarray, "contacts modes"]
     laws: tuple[ContactLaw, ...]
-    input_forces: Float[np.ndarray, "inputs modes"]
+    modal_force_by_input: Float[np.ndarray, "inputs modes"]
     rest_coordinates: Float[np.ndarray, " modes"]
     rest_contact_n: Float[np.ndarray, " contacts"]
 
     def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
         """State of rest (q, q'), and the contact state (4, contacts) of `stepping.advance`."""
-        no_rate = np.zeros(len(self.eta_rows))
-        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, no_rate, no_rate])
-        return np.append(self.rest_coordinates, np.zeros(self.omega.size)), contact_state
+        zeros = np.zeros(len(self.eta_rows))
+        rest_contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, zeros, zeros])
+        return np.append(self.rest_coordinates, np.zeros(self.omega.size)), rest_contact_state
 
 
 def simulate(
@@ -79,14 +79,14 @@ def simulate(
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
-    base_signals = shaken_base(rig, forces_n, step_s)
+    base_signals = base_signals_of(rig, forces_n, step_s)
     model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [sensor.measures for sensor in rig.sensors]
     step_constants = constants_of(model, step_s)
     shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)
     last_state, contact_state = model.start()
     contact_history_n, bend_history_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
-    for first_step in range(0, len(force_n), BLOCK_STEPS):
-        span = slice(first_step, min(first_step + BLOCK_STEPS, len(force_n)))
+    for first_step in range(0, len(force_n), STEPS_PER_BLOCK):
+        span = slice(first_step, min(first_step + STEPS_PER_BLOCK, len(force_n)))
         inputs, input_bends = applied_inputs(rig, forces_n, base_signals, step_s, span)
         contact_n, contact_bends_n = np.empty((2, len(model.eta_rows), span.stop - first_step))
         # a new array a block: Motion computes from it on demand
@@ -104,20 +104,20 @@ def simulate(
         progress(span.stop / len(force_n))
         contact_history_n = np.concatenate([contact_history_n[:, -4:], contact_n], axis=1)
         bend_history_n = np.concatenate([bend_history_n[:, -1:], contact_bends_n], axis=1)
-        corrected_contact_n = _without_alias(contact_history_n, bend_history_n)
+        corrected_contact_n = _alias_free_forces_n(contact_history_n, bend_history_n)
         sensed = sensed_quantities(rig, model, block_states, inputs[:, 1:], corrected_contact_n)
         if base_signals:
             sensed += np.array(
                 [base_signals[quantity.order][span] * quantity.translates for quantity in quantities]
             ).reshape(sensed.shape)
-        coordinates = block_states[:, : model.omega.size]
+        modal_coordinates = block_states[:, : model.omega.size]
         yield Motion(
             start_s=first_step * step_s,
             step_s=step_s,
             forces_n=forces_n[span],
             sensed=sensed,
-            displacement_m=ProjectedSignals(shapes, coordinates, base_signals[0][span] if base_signals else None),
-            eta_m=ProjectedSignals(model.eta_rows[: len(contact_rows(rig))], coordinates),
+            displacement_m=ProjectedSignals(shapes, modal_coordinates, base_signals[0][span] if base_signals else None),
+            eta_m=ProjectedSignals(model.eta_rows[: len(contact_rows(rig))], modal_coordinates),
             contact_force_n=contact_n[: len(contact_rows(rig))],
         )
 
@@ -127,32 +127,32 @@ def sensed_quantities(
     model: ModalModel,
     states: Float[np.ndarray, "samples states"],
     inputs: Float[np.ndarray, "inputs samples"],
-    contact_n: Float[np.ndarray, "all samples"],
+    contact_forces_n: Float[np.ndarray, "all samples"],
 ) -> Float[np.ndarray, "sensors samples"]:
     """True quantities at the sensors from the modal states, relative to the base."""
     mode_count = model.omega.size
-    sensed = np.empty((len(rig.sensors), len(states)))
+    sensed_values = np.empty((len(rig.sensors), len(states)))
     first_sensor = 0
     for order, sensors in groupby(rig.sensors, lambda s: s.measures.order):
-        order_shapes = model.sensor_rows[first_sensor : first_sensor + len(list(sensors))]
-        order_values = sensed[first_sensor : first_sensor + len(order_shapes)]
-        first_sensor += len(order_shapes)
+        sensor_shapes = model.sensor_rows[first_sensor : first_sensor + len(list(sensors))]
+        sensor_values = sensed_values[first_sensor : first_sensor + len(sensor_shapes)]
+        first_sensor += len(sensor_shapes)
         if order < 2:
-            np.matmul(order_shapes, states[:, order * mode_count : (order + 1) * mode_count].T, out=order_values)
+            np.matmul(sensor_shapes, states[:, order * mode_count : (order + 1) * mode_count].T, out=sensor_values)
         else:
             acceleration_by_state = np.concatenate(
-                [-(model.omega**2) * order_shapes, -2 * model.zeta * model.omega * order_shapes], axis=1
+                [-(model.omega**2) * sensor_shapes, -2 * model.zeta * model.omega * sensor_shapes], axis=1
             )
             acceleration_by_force = np.concatenate(
-                [order_shapes @ model.input_forces.T, -order_shapes @ model.eta_rows.T], axis=1
+                [sensor_shapes @ model.modal_force_by_input.T, -sensor_shapes @ model.eta_rows.T], axis=1
             )
-            np.matmul(acceleration_by_state, states.T, out=order_values)
-            order_values += acceleration_by_force @ np.concatenate([inputs, contact_n])
-    return sensed
+            np.matmul(acceleration_by_state, states.T, out=sensor_values)
+            sensor_values += acceleration_by_force @ np.concatenate([inputs, contact_forces_n])
+    return sensed_values
 
 
-def _without_alias(
-    history_n: Float[np.ndarray, "contacts longer"], bends_n: Float[np.ndarray, "contacts long"]
+def _alias_free_forces_n(
+    contact_history_n: Float[np.ndarray, "contacts longer"], bend_history_n: Float[np.ndarray, "contacts long"]
 ) -> Float[np.ndarray, "contacts samples"]:
     """Contact forces for accelerometers: their samples add up to the true impulse although the force has corners.
 
@@ -160,9 +160,9 @@ def _without_alias(
     (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the middle of the step. The input
     has four earlier samples of the forces, and one earlier bend.
     """
-    second_differences_n = np.diff(history_n, n=2)
-    excess_bends_n = bends_n + (3 * second_differences_n[:, 1:] - second_differences_n[:, :-1]) / 24
-    return history_n[:, 4:] + 1.5 * excess_bends_n[:, 1:] - 0.5 * excess_bends_n[:, :-1]
+    second_differences_n = np.diff(contact_history_n, n=2)
+    excess_bends_n = bend_history_n + (3 * second_differences_n[:, 1:] - second_differences_n[:, :-1]) / 24
+    return contact_history_n[:, 4:] + 1.5 * excess_bends_n[:, 1:] - 0.5 * excess_bends_n[:, :-1]
 
 
 class BodyModes(NamedTuple):
@@ -177,13 +177,13 @@ class BodyModes(NamedTuple):
 def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
     """Modes of every body of a rig, first in y, then in z if the rig moves in it."""
     return [
-        BodyModes(body, modes_of(plane, body), mode_count(body, modes_per_beam), direction)
-        for direction, plane in plane_rigs(rig).items()
-        for body in plane.bodies
+        BodyModes(body, modes_of(plane_rig, body), mode_count(body, modes_per_beam), direction)
+        for direction, plane_rig in plane_rigs(rig).items()
+        for body in plane_rig.bodies
     ]
 
 
-def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
+def model_of(rig: Rig, base_moves: bool, modes_per_beam: int) -> ModalModel:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
     omega = 2 * np.pi * np.concatenate([basis.modes.frequencies_hz(basis.mode_count) for basis in body_modes])
@@ -196,16 +196,16 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
     eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
     eta_rows = eta_rows.reshape(len(contacts), omega.size)
     static_modal_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
-    base_modal_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
+    base_modal_load = _base_modal_forces(rig, body_modes) if base_moves or rig.gravity_m_per_s2 else np.zeros(0)
     if rig.gravity_m_per_s2:
         static_modal_load = static_modal_load + rig.gravity_m_per_s2 * base_modal_load
     rest_coordinates = equilibrium(omega**2, eta_rows, laws, static_modal_load)
-    input_forces = [station_rows[station] for station in rig.forces]
+    modal_force_by_input = [station_rows[station] for station in rig.forces]
     if has_static_load(rig):
-        input_forces.append(static_modal_load)
-    if moving_base:
-        input_forces.append(base_modal_load)
-    input_forces += [station_rows[tone.station] for tone in rig.tones]
+        modal_force_by_input.append(static_modal_load)
+    if base_moves:
+        modal_force_by_input.append(base_modal_load)
+    modal_force_by_input += [station_rows[tone.station] for tone in rig.tones]
     return ModalModel(
         omega=omega,
         zeta=zeta,
@@ -213,7 +213,7 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
         sensor_rows=np.array([_sensed_row(rig, body_modes, sensor) for sensor in rig.sensors]).reshape(-1, omega.size),
         eta_rows=eta_rows,
         laws=laws,
-        input_forces=np.array(input_forces),
+        modal_force_by_input=np.array(modal_force_by_input),
         rest_coordinates=rest_coordinates,
         rest_contact_n=connection_forces_n(laws, eta_rows @ rest_coordinates, np.zeros(len(eta_rows))),
     )
@@ -231,19 +231,19 @@ def applied_inputs(
 
     Before the first sample the rig rests: no force, all static loads, no motion of the base.
     """
-    padded = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
-    at_rest = np.zeros(int(padded.start == 0))
-    signals = [np.append(at_rest, true_force(rig, signal, step_s, padded)) for signal in forces_n.signals]
+    padded_span = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
+    rest_sample = np.zeros(int(padded_span.start == 0))
+    input_rows = [np.append(rest_sample, true_force(rig, signal, step_s, padded_span)) for signal in forces_n.signals]
     if has_static_load(rig):
-        signals.append(np.ones(signals[0].size))
+        input_rows.append(np.ones(input_rows[0].size))
     if base_signals:
-        signals.append(np.append(at_rest, base_signals[2][padded]))
-    time_s = np.arange(padded.start - at_rest.size, padded.stop) * step_s
-    signals += [tone.force_n(time_s) for tone in rig.tones]
-    inputs = np.array(signals)
-    first = span.start - padded.start - 1 + at_rest.size
-    kept = slice(first, first + span.stop - span.start + 1)
-    return np.ascontiguousarray(inputs[:, kept]), np.ascontiguousarray(_bends(inputs)[:, kept])
+        input_rows.append(np.append(rest_sample, base_signals[2][padded_span]))
+    time_s = np.arange(padded_span.start - rest_sample.size, padded_span.stop) * step_s
+    input_rows += [tone.force_n(time_s) for tone in rig.tones]
+    inputs = np.array(input_rows)
+    first_column = span.start - padded_span.start - 1 + rest_sample.size
+    column_span = slice(first_column, first_column + span.stop - span.start + 1)
+    return np.ascontiguousarray(inputs[:, column_span]), np.ascontiguousarray(_bends(inputs)[:, column_span])
 
 
 def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
@@ -251,12 +251,12 @@ def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
     from rig.simulation.plants.compiled_laws import law_records
     from rig.simulation.plants.stepping import gauss_points
 
-    propagator, force_response = _propagator(model.omega, model.zeta, step_s)
+    propagator, force_response = _propagator_and_force_response(model.omega, model.zeta, step_s)
     state_by_input, state_by_contact_force = (
-        (force_response[:, None] * input_shapes[:, None]).reshape(3, len(input_shapes), 2 * model.omega.size)
-        for input_shapes in (model.input_forces, -model.eta_rows)
+        (force_response[:, None] * modal_force_rows[:, None]).reshape(3, len(modal_force_rows), 2 * model.omega.size)
+        for modal_force_rows in (model.modal_force_by_input, -model.eta_rows)
     )
-    gain, increment_factors = _step_gain(model, state_by_contact_force, step_s)
+    gain, increment_factors = _gain_and_increment_factors(model, state_by_contact_force, step_s)
     return (
         propagator,
         state_by_input,
@@ -270,22 +270,22 @@ def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
     )
 
 
-def _step_gain(
+def _gain_and_increment_factors(
     model: ModalModel, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
     """Response of every eta and eta' to each end force and each bend within a step, and 1 / (1 + self gain).
 
     Raises RigError if the loop gain of a contact force exceeds one half.
     """
-    end_responses = state_by_contact_force[1:].reshape(2, len(model.eta_rows), 2, model.omega.size)
-    gain = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.eta_rows, end_responses))
-    stiffness, damping = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
-    loop_gain = np.abs(gain[0, 0]) @ stiffness + np.abs(gain[0, 1]) @ damping
+    force_responses = state_by_contact_force[1:].reshape(2, len(model.eta_rows), 2, model.omega.size)
+    gain = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.eta_rows, force_responses))
+    largest_stiffness, largest_damping = np.array([law.largest_slopes for law in model.laws]).reshape(-1, 2).T
+    loop_gain = np.abs(gain[0, 0]) @ largest_stiffness + np.abs(gain[0, 1]) @ largest_damping
     if np.any(loop_gain > 0.5):
         raise RigError(
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop_gain.max():.2g}); use a smaller step"
         )
-    self_gain = -np.diag(gain[0, 0]) * stiffness - np.diag(gain[0, 1]) * damping
+    self_gain = -np.diag(gain[0, 0]) * largest_stiffness - np.diag(gain[0, 1]) * largest_damping
     return gain, 1 / (1 + self_gain)
 
 
@@ -297,21 +297,21 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
     """
     bends = np.zeros(inputs.shape)
     with np.errstate(invalid="ignore"):  # a force that is not finite
-        curvature_n = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
-        size_n = np.abs(curvature_n)
-        is_corner = size_n[:, 1:-1] > 4 * np.maximum(size_n[:, :-2], size_n[:, 2:])
-        at_start, at_end = curvature_n[:, 1:-2], curvature_n[:, 2:-1]
-        curvature_sum_n = np.where(is_corner[:, :-1], at_end, at_start) + np.where(is_corner[:, 1:], at_start, at_end)
-        bends[:, 1:-2] = -curvature_sum_n / 24
+        curvature = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
+        curvature_sizes = np.abs(curvature)
+        is_corner = curvature_sizes[:, 1:-1] > 4 * np.maximum(curvature_sizes[:, :-2], curvature_sizes[:, 2:])
+        at_start, at_end = curvature[:, 1:-2], curvature[:, 2:-1]
+        curvature_sum = np.where(is_corner[:, :-1], at_end, at_start) + np.where(is_corner[:, 1:], at_start, at_end)
+        bends[:, 1:-2] = -curvature_sum / 24
     return bends
 
 
 def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> Float[np.ndarray, " allmodes"]:
     """Shapes of all bodies' modes at a station, or a derivative along the body; zero for all other modes."""
-    position_m = np.array([station.position_m])
+    positions_m = np.array([station.position_m])
     return np.concatenate(
         [
-            basis.modes.shapes(position_m, basis.mode_count, order)[0]
+            basis.modes.shapes(positions_m, basis.mode_count, order)[0]
             if (basis.body.name, basis.direction) == (station.body, station.direction)
             else np.zeros(basis.mode_count)
             for basis in body_modes
@@ -320,24 +320,24 @@ def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> 
 
 
 def _sensed_row(rig: Rig, body_modes: list[BodyModes], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
-    derivatives = np.array([shape_row(body_modes, sensor.station, order) for order in range(3)])
-    return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
+    derivative_rows = np.array([shape_row(body_modes, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(derivative_rows, rig.fibre_m(sensor))
 
 
-def _propagator(
+def _propagator_and_force_response(
     omega: Float[np.ndarray, " modes"], zeta: Float[np.ndarray, " modes"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 modes"], Float[np.ndarray, "3 2 modes"]]:
     """Exact step of x = (q, q') under p(s) = (1 - s) p0 + s p1 + 6 b s (1 - s): x1 = A x0 + r0 p0 + r1 p1 + r2 b.
 
     A and the three r come from one augmented matrix exponential, that of (q, q', p, dp/ds, d2p/ds2).
     """
-    augmented = np.zeros((omega.size, 5, 5))
-    augmented[:, 0, 1] = step_s
-    augmented[:, 1, 0] = -(omega**2) * step_s
-    augmented[:, 1, 1] = -2 * zeta * omega * step_s
-    augmented[:, 1, 2] = step_s
-    augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
-    exponential = scipy.linalg.expm(augmented)
-    constant, linear, quadratic = exponential[:, :2, 2:].transpose(2, 1, 0)
-    propagator = np.ascontiguousarray(exponential[:, :2, :2].transpose(1, 2, 0))
+    augmented_matrices = np.zeros((omega.size, 5, 5))
+    augmented_matrices[:, 0, 1] = step_s
+    augmented_matrices[:, 1, 0] = -(omega**2) * step_s
+    augmented_matrices[:, 1, 1] = -2 * zeta * omega * step_s
+    augmented_matrices[:, 1, 2] = step_s
+    augmented_matrices[:, 2, 3] = augmented_matrices[:, 3, 4] = 1.0
+    matrix_exponential = scipy.linalg.expm(augmented_matrices)
+    constant, linear, quadratic = matrix_exponential[:, :2, 2:].transpose(2, 1, 0)
+    propagator = np.ascontiguousarray(matrix_exponential[:, :2, :2].transpose(1, 2, 0))
     return propagator, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])

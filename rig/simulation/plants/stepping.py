@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from rig.simulation.plants.compiled_laws import ANNULAR_Y, ANNULAR_Z, NUMBA_OPTIONS, force_n, vector_force_n
 
-TOLERANCE_N = 1e-9
+FORCE_TOLERANCE_N = 1e-9
 MAX_SWEEPS = 60
-BEND_REFRESH = 1e-4
+BEND_REFRESH_CHANGE = 1e-4
 """Relative change of the end forces beyond which their bends within the step are recomputed."""
 FORCE, ETA, RATE, BEND = range(4)
 """Rows of a contact state: force, eta, eta' and bend of the force, for every contact."""
@@ -31,11 +31,11 @@ def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:
 
     Rows: position and weight, then the weights of eta and eta' at both ends of the step in eta, and those in eta'.
     """
-    points, weights = np.polynomial.legendre.leggauss(16)
-    z, h = (points + 1) / 2, step_s
-    value = [(1 - z) ** 2 * (1 + 2 * z), h * z * (1 - z) ** 2, z**2 * (3 - 2 * z), -h * z**2 * (1 - z)]
-    slope = [-6 * z * (1 - z) / h, (1 - z) * (1 - 3 * z), 6 * z * (1 - z) / h, z * (3 * z - 2)]
-    return np.array([z, weights / 2, *value, *slope])
+    legendre_points, legendre_weights = np.polynomial.legendre.leggauss(16)
+    z, h = (legendre_points + 1) / 2, step_s
+    eta_weights = [(1 - z) ** 2 * (1 + 2 * z), h * z * (1 - z) ** 2, z**2 * (3 - 2 * z), -h * z**2 * (1 - z)]
+    rate_weights = [-6 * z * (1 - z) / h, (1 - z) * (1 - 3 * z), 6 * z * (1 - z) / h, z * (3 * z - 2)]
+    return np.array([z, legendre_weights / 2, *eta_weights, *rate_weights])
 
 
 @_compiled
@@ -62,10 +62,10 @@ def _may_touch_ring(law, previous, j, eta, rate, time_s, step_s):
 
 @_compiled
 @no_type_check
-def _bend_on_ring(law, j, previous, current, time_s, step_s, gauss, share):
+def _relax_ring_bends(law, j, previous, current, time_s, step_s, gauss, relaxation):
     """Move the bends of rows j and j + 1, the components of an annular contact's force, by a share to those due."""
     start_s, i = time_s - step_s, j + 1
-    mean_y, mean_z = 0.0, 0.0
+    mean_force_y, mean_force_z = 0.0, 0.0
     for m in range(gauss.shape[1]):
         a, b, c, d = gauss[2, m], gauss[3, m], gauss[4, m], gauss[5, m]
         y = a * previous[ETA, j] + b * previous[RATE, j] + c * current[ETA, j] + d * current[RATE, j]
@@ -74,10 +74,10 @@ def _bend_on_ring(law, j, previous, current, time_s, step_s, gauss, share):
         y_rate = a * previous[ETA, j] + b * previous[RATE, j] + c * current[ETA, j] + d * current[RATE, j]
         z_rate = a * previous[ETA, i] + b * previous[RATE, i] + c * current[ETA, i] + d * current[RATE, i]
         force_y, force_z = vector_force_n(law, (y, z), (y_rate, z_rate), start_s + gauss[0, m] * step_s)
-        mean_y += gauss[1, m] * force_y
-        mean_z += gauss[1, m] * force_z
-    current[BEND, j] += share * (mean_y - (previous[FORCE, j] + current[FORCE, j]) / 2 - current[BEND, j])
-    current[BEND, i] += share * (mean_z - (previous[FORCE, i] + current[FORCE, i]) / 2 - current[BEND, i])
+        mean_force_y += gauss[1, m] * force_y
+        mean_force_z += gauss[1, m] * force_z
+    current[BEND, j] += relaxation * (mean_force_y - (previous[FORCE, j] + current[FORCE, j]) / 2 - current[BEND, j])
+    current[BEND, i] += relaxation * (mean_force_z - (previous[FORCE, i] + current[FORCE, i]) / 2 - current[BEND, i])
 
 
 @_compiled
@@ -92,14 +92,14 @@ def _ring_increments(law, j, gain, eta, rate, excess):
     radius_m = math.sqrt(y * y + z * z) + 1e-150
     y, z = y / radius_m, z / radius_m
     sliding = (rate[1] * y - rate[0] * z) / law.sliding_speed_m_per_s
-    rubbing = law.friction_coefficient * math.tanh(sliding)
+    friction = law.friction_coefficient * math.tanh(sliding)
     friction_slope = law.friction_coefficient
-    if abs(rubbing) > 1e-6 * friction_slope:
-        friction_slope = (rubbing / sliding + friction_slope - rubbing * rubbing / friction_slope) / 2
+    if abs(friction) > 1e-6 * friction_slope:
+        friction_slope = (friction / sliding + friction_slope - friction * friction / friction_slope) / 2
     friction_slope *= law.stiffness_n_per_m * max(radius_m - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
     k, c = law.stiffness_n_per_m, law.damping_n_s_per_m
-    push_y = (gain[0, 0, j, j] * k + gain[0, 1, j, j] * c) * (y - rubbing * z)
-    push_z = (gain[0, 0, i, i] * k + gain[0, 1, i, i] * c) * (z + rubbing * y)
+    push_y = (gain[0, 0, j, j] * k + gain[0, 1, j, j] * c) * (y - friction * z)
+    push_z = (gain[0, 0, i, i] * k + gain[0, 1, i, i] * c) * (z + friction * y)
     rub_y, rub_z = gain[0, 1, j, j] * friction_slope * z, gain[0, 1, i, i] * friction_slope * y
     yy, yz = 1.0 - push_y * y - rub_y * z, -push_y * z + rub_y * y
     zy, zz = -push_z * y + rub_z * z, 1.0 - push_z * z - rub_z * y
@@ -144,7 +144,7 @@ def _advance_modes(states, step, inputs, bends, propagator, state_by_input, stat
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular):
+def _sweep_forces(current, eta, rate, gain, increment_factors, laws, time_s, has_annular):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     max_change, max_force = 0.0, 0.0
     for j in range(eta.size):
@@ -155,40 +155,40 @@ def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annula
             eta_j += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
             rate_j += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
         if has_annular is not None and laws[j].kind == ANNULAR_Y:
-            second = j + 1
-            second_eta, second_rate = eta[second], rate[second]
+            z_row = j + 1
+            second_eta, second_rate = eta[z_row], rate[z_row]
             for k in range(eta.size):
-                second_eta += gain[0, 0, second, k] * current[FORCE, k] + gain[1, 0, second, k] * current[BEND, k]
-                second_rate += gain[0, 1, second, k] * current[FORCE, k] + gain[1, 1, second, k] * current[BEND, k]
-            force, second_force = vector_force_n(laws[j], (eta_j, second_eta), (rate_j, second_rate), time_s)
-            increment, second_increment = force - current[FORCE, j], second_force - current[FORCE, second]
-            if force != 0.0 or second_force != 0.0:
-                increment, second_increment = _ring_increments(
-                    laws[j], j, gain, (eta_j, second_eta), (rate_j, second_rate), (increment, second_increment)
+                second_eta += gain[0, 0, z_row, k] * current[FORCE, k] + gain[1, 0, z_row, k] * current[BEND, k]
+                second_rate += gain[0, 1, z_row, k] * current[FORCE, k] + gain[1, 1, z_row, k] * current[BEND, k]
+            law_force, second_force = vector_force_n(laws[j], (eta_j, second_eta), (rate_j, second_rate), time_s)
+            force_increment, second_increment = law_force - current[FORCE, j], second_force - current[FORCE, z_row]
+            if law_force != 0.0 or second_force != 0.0:
+                force_increment, second_increment = _ring_increments(
+                    laws[j], j, gain, (eta_j, second_eta), (rate_j, second_rate), (force_increment, second_increment)
                 )
-            current[FORCE, j] += increment
-            current[FORCE, second] += second_increment
+            current[FORCE, j] += force_increment
+            current[FORCE, z_row] += second_increment
             current[ETA, j], current[RATE, j] = (
-                eta_j + gain[0, 0, j, j] * increment,
-                rate_j + gain[0, 1, j, j] * increment,
+                eta_j + gain[0, 0, j, j] * force_increment,
+                rate_j + gain[0, 1, j, j] * force_increment,
             )
-            current[ETA, second], current[RATE, second] = (
-                second_eta + gain[0, 0, second, second] * second_increment,
-                second_rate + gain[0, 1, second, second] * second_increment,
+            current[ETA, z_row], current[RATE, z_row] = (
+                second_eta + gain[0, 0, z_row, z_row] * second_increment,
+                second_rate + gain[0, 1, z_row, z_row] * second_increment,
             )
-            max_change = max(max_change, abs(increment), abs(second_increment))
-            max_force = max(max_force, abs(force), abs(second_force))
+            max_change = max(max_change, abs(force_increment), abs(second_increment))
+            max_force = max(max_force, abs(law_force), abs(second_force))
             continue
-        force = force_n(laws[j], eta_j, rate_j, time_s)
-        increment = force - current[FORCE, j]
-        if force != 0.0:
-            increment *= increment_factors[j]
-        current[FORCE, j] += increment
+        law_force = force_n(laws[j], eta_j, rate_j, time_s)
+        force_increment = law_force - current[FORCE, j]
+        if law_force != 0.0:
+            force_increment *= increment_factors[j]
+        current[FORCE, j] += force_increment
         current[ETA, j], current[RATE, j] = (
-            eta_j + gain[0, 0, j, j] * increment,
-            rate_j + gain[0, 1, j, j] * increment,
+            eta_j + gain[0, 0, j, j] * force_increment,
+            rate_j + gain[0, 1, j, j] * force_increment,
         )
-        max_change, max_force = max(max_change, abs(increment)), max(max_force, abs(force))
+        max_change, max_force = max(max_change, abs(force_increment)), max(max_force, abs(law_force))
     return max_change, max_force
 
 
@@ -197,17 +197,17 @@ def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annula
 def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, has_annular):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_SWEEPS):
-        max_change, max_force = _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
-        if iteration > 0 and max_change <= TOLERANCE_N:
+        max_change, max_force = _sweep_forces(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
+        if iteration > 0 and max_change <= FORCE_TOLERANCE_N:
             break
         if has_annular is not None and iteration == MAX_SWEEPS - 1 and max_change > 1e-6 * max_force:
             current[FORCE, 0] = np.nan  # not solved: the run ends
-        if iteration == 0 or max_change > BEND_REFRESH * max_force:
+        if iteration == 0 or max_change > BEND_REFRESH_CHANGE * max_force:
             for j in range(eta.size):
                 if has_annular is not None and laws[j].kind < 0:
                     if may_touch[j] and laws[j].kind == ANNULAR_Y:
-                        share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
-                        _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
+                        relaxation = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
+                        _relax_ring_bends(laws[j], j, previous, current, time_s, step_s, gauss, relaxation)
                 elif may_touch[j]:
                     current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
 
@@ -217,7 +217,7 @@ def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, law
 def advance(
     states,
     contact_state,
-    forces,
+    contact_forces,
     contact_bends,
     inputs,
     input_bends,
@@ -233,7 +233,7 @@ def advance(
     first_step,
     step_s,
 ):
-    """Fill states (samples + 1, q and q' of every mode) from row 0 on; forces, contact_bends (contacts, samples).
+    """Fill states (samples + 1, q and q' of all modes) from row 0, contact_forces, contact_bends (contacts, samples).
 
     contact_state (4, contacts) belongs to the first row and is updated to the last. inputs and input_bends
     (inputs, samples + 1) are the known forces. propagator (2, 2, modes) advances a mode; state_by_input and
@@ -245,7 +245,7 @@ def advance(
     mode_count, contact_count = eta_rows.shape[1], eta_rows.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
     may_touch = np.empty(contact_count, dtype=np.bool_)
-    for step in range(forces.shape[1]):
+    for step in range(contact_forces.shape[1]):
         time_s = (first_step + step) * step_s
         _advance_modes(
             states, step, inputs, input_bends, propagator, state_by_input, state_by_contact_force, contact_state
@@ -293,6 +293,6 @@ def advance(
                         + state_by_contact_force[2, j, i] * current[BEND, j]
                     )
         for j in range(contact_count):
-            forces[j, step], contact_bends[j, step] = current[FORCE, j], current[BEND, j]
+            contact_forces[j, step], contact_bends[j, step] = current[FORCE, j], current[BEND, j]
             for row in range(4):
                 contact_state[row, j] = current[row, j]

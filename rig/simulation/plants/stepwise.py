@@ -29,15 +29,15 @@ class Stepwise:
                 f"rig {rig.name!r}: its base shakes, and the force alone is given step by step; leave it out"
             )
         self.rig, self.step_s = rig, step_s
-        self._limits_m = softening_limits_m(rig)
+        self._softening_limits_m = softening_limits_m(rig)
         self._model = model_of(rig, False, modes_per_beam)
         self._constants = constants_of(self._model, step_s)
         self._state, self._contact_state = self._model.start()
-        self._steps, self._inputs = 0, self._input_values(0.0, 0)
+        self._step_count, self._inputs = 0, self._input_values(0.0, 0)
 
     @property
     def time_s(self) -> float:
-        return self._steps * self.step_s
+        return self._step_count * self.step_s
 
     @property
     def eta_m(self) -> Float[np.ndarray, " contacts"]:
@@ -61,32 +61,32 @@ class Stepwise:
         from rig.simulation.plants.stepping import advance
 
         start_inputs, contact_count = self._inputs, len(self._model.eta_rows)
-        end_inputs = self._input_values(force_n, self._steps + step_count)
+        end_inputs = self._input_values(force_n, self._step_count + step_count)
         elapsed_share = np.linspace(0.0, 1.0, step_count + 1)
         inputs = start_inputs[:, None] + elapsed_share * (end_inputs - start_inputs)[:, None]
         for input_row, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
-            inputs[input_row] = tone.force_n((self._steps + np.arange(step_count + 1)) * self.step_s)
+            inputs[input_row] = tone.force_n((self._step_count + np.arange(step_count + 1)) * self.step_s)
         states = np.empty((step_count + 1, self._state.size))
         states[0] = self._state
-        forces, contact_bends = np.empty((2, contact_count, step_count))
+        contact_forces, contact_bends = np.empty((2, contact_count, step_count))
         input_bends = np.zeros(inputs.shape)
         advance(
             states,
             self._contact_state,
-            forces,
+            contact_forces,
             contact_bends,
             inputs,
             input_bends,
             *self._constants,
-            self._steps + 1,
+            self._step_count + 1,
             self.step_s,
         )
-        self._state, self._inputs, self._steps = states[-1], end_inputs, self._steps + step_count
+        self._state, self._inputs, self._step_count = states[-1], end_inputs, self._step_count + step_count
         if not np.all(np.isfinite(self._state)):
             raise RigError(
                 f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
             )
-        check_softening(self._limits_m, self._model.eta_rows @ states[1:, : self._model.omega.size].T)
+        check_softening(self._softening_limits_m, self._model.eta_rows @ states[1:, : self._model.omega.size].T)
 
     def _input_values(self, force_n: float, step_count: int) -> Float[np.ndarray, " inputs"]:
         """Known inputs after a number of steps, in the order of the model's gains."""

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.lab.exporting import export
 from rig.lab.modal import Choice, structure_from_uff
-from rig.lab.mode_shapes import MOST_MODES, nodes_of
+from rig.lab.mode_shapes import MAX_MODES_PER_BEAM, nodes_of
 from rig.model.description import PointMass, Station
 from rig.model.modes import modes_of
 from rig.model.structure import structure_of
@@ -55,7 +55,7 @@ def test_each_body_of_two_beams_comes_back_by_its_nodes(exported, mass_kg):
         node_at = {s.position_m: n for s, n in nodes.items() if s.body == body.name}
         structure, _, _ = structure_from_uff(path, Choice(nodes=tuple(node_at.values())))
         assert structure.length_m == pytest.approx(body.length_m)
-        check_modes(structure, modes_of(rig, body), np.array([*node_at]), MOST_MODES)
+        check_modes(structure, modes_of(rig, body), np.array([*node_at]), MAX_MODES_PER_BEAM)
 
 
 def test_a_modal_basis_comes_back_at_its_places(exported):

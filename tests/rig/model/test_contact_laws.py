@@ -150,7 +150,7 @@ def test_nothing_is_steeper_at_a_stop_than_a_law_says(law):
     linear = replace(law, **{field: powerless[field] for field in powerless if field in law.__struct_fields__})
     depth_m = getattr(law, "reference_depth_m", 5e-4)
     eta = np.array([-1e-3 - depth_m, 2e-3 + depth_m])
-    stiffness, damping = linear.steepest
+    stiffness, damping = linear.largest_slopes
     assert max(linear.by_eta_n_per_m(eta)) == pytest.approx(stiffness)
     assert max(linear.by_rate_n_s_per_m(eta, np.zeros(2))) == pytest.approx(damping)
 

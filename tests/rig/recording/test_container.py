@@ -19,7 +19,7 @@ from rig.commands.command_line import refuse_existing
 from rig.errors import RigError
 from rig.model.description import to_json
 from rig.recording import RIG_NAME, channel_groups, container, read, writing
-from rig.recording.container import MAX_BYTES
+from rig.recording.container import MAX_RECORD_BYTES
 from rig.recording.messages import BLOCK_NAME, BLOCK_SCHEMA
 from rig.recording.recovery import recover
 from rig.recording.segments import segments
@@ -73,9 +73,9 @@ def metadata(name, **entries):
         (attachment("photo.jpg", b"x", declared=2**31), "damaged"),
         (attachment("photo.jpg", b"x", declared=2**64 - 1), "damaged"),
         (chunk("lz4", lz4.frame.compress(b"x"), 2**62), f"a chunk declares {2**62} bytes when decompressed"),
-        (chunk("zstd", zstandard.compress(b"x"), MAX_BYTES + 1), "bytes when decompressed"),
-        (chunk("lz4", lz4.frame.compress(bytes(MAX_BYTES)), 1000), "the checksum of a chunk is wrong"),
-        (chunk("zstd", zstandard.compress(bytes(MAX_BYTES)), 1000), "the checksum of a chunk is wrong"),
+        (chunk("zstd", zstandard.compress(b"x"), MAX_RECORD_BYTES + 1), "bytes when decompressed"),
+        (chunk("lz4", lz4.frame.compress(bytes(MAX_RECORD_BYTES)), 1000), "the checksum of a chunk is wrong"),
+        (chunk("zstd", zstandard.compress(bytes(MAX_RECORD_BYTES)), 1000), "the checksum of a chunk is wrong"),
         (chunk("brotli", b"x", 1), "unknown compression 'brotli'"),
         (struct.pack("<BQ", 0, 0), "a record without a kind"),
         (attachment(RIG_NAME, to_json(RIG)), "more than one attachment is named 'rig.json'"),
@@ -103,9 +103,9 @@ def test_what_is_made_to_do_harm_is_refused_within_little_memory(tmp_path, recor
 
 def test_chunks_that_hold_more_than_their_file_allows_are_refused_by_every_reader(tmp_path):
     """Five chunks of zeros, each as large as one may be: 20 kB make 335 MB, and are not kept meanwhile."""
-    path, data = tmp_path / "r.mcap", struct.pack("<BQ", 0x80, MAX_BYTES - 9) + bytes(MAX_BYTES - 9)
+    path, data = tmp_path / "r.mcap", struct.pack("<BQ", 0x80, MAX_RECORD_BYTES - 9) + bytes(MAX_RECORD_BYTES - 9)
     write(path)
-    packed = chunk("zstd", zstandard.compress(data), MAX_BYTES, zlib.crc32(data))
+    packed = chunk("zstd", zstandard.compress(data), MAX_RECORD_BYTES, zlib.crc32(data))
     with_record_in_front(path, 5 * packed)
     assert path.stat().st_size < 2e5
     for work in (read, lambda p: recover(p, tmp_path / "saved.mcap"), lambda p: next(segments(p, 2.0, 0.0))):
@@ -113,7 +113,7 @@ def test_chunks_that_hold_more_than_their_file_allows_are_refused_by_every_reade
         try:
             with pytest.raises(RigError, match="what its chunks hold would take"):
                 work(path)
-            assert tracemalloc.get_traced_memory()[1] < 2.5 * MAX_BYTES  # a chunk, and what it is decompressed in
+            assert tracemalloc.get_traced_memory()[1] < 2.5 * MAX_RECORD_BYTES  # a chunk and what it is decompressed in
         finally:
             tracemalloc.stop()
     assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
@@ -202,7 +202,7 @@ def test_a_file_that_is_cut_while_it_is_read_is_refused(tmp_path, monkeypatch):
         os.truncate(path, 1000)
         return channel.topic.endswith("/block")
 
-    monkeypatch.setattr(container, "_PIECE_BYTES", 1000)
+    monkeypatch.setattr(container, "_WINDOW_BYTES", 1000)
     monkeypatch.setattr("rig.recording.file.holds_blocks", cut)
     with pytest.raises(RigError, match="is cut off"):
         read(path)

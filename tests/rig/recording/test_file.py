@@ -16,7 +16,7 @@ from rig.errors import RigError
 from rig.model.description import UNITS, Station, to_json
 from rig.recording import RECORDED, channel_groups, read, read_truth, truth_groups, truth_path, writing
 from rig.recording.messages import decode_block
-from rig.recording.writer import BLOCK_SAMPLES, CHUNK_S, SAMPLES_AT_ONCE, start_date_ns
+from rig.recording.writer import CHUNK_S, SAMPLES_AT_ONCE, SAMPLES_PER_BLOCK, start_date_ns
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.blocks import encode_block
 
@@ -175,7 +175,7 @@ def test_a_chunk_is_small_so_that_a_kill_loses_little(tmp_path, rate_hz, at_once
     assert max(c.chunk_length for c in chunks) <= 2**20
     assert (
         max(c.message_end_time - c.message_start_time for c in chunks) * 1e-9
-        < CHUNK_S + (BLOCK_SAMPLES + at_once) / rate_hz
+        < CHUNK_S + (SAMPLES_PER_BLOCK + at_once) / rate_hz
     )
     assert len(chunks) > 2
 

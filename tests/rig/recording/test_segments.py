@@ -44,7 +44,7 @@ def test_the_segments_are_what_is_in_the_file(path, length_s, overlap_s):
 
 
 def test_no_more_is_held_than_a_segment(path, monkeypatch):
-    monkeypatch.setattr(container, "_PIECE_BYTES", 1 << 19)
+    monkeypatch.setattr(container, "_WINDOW_BYTES", 1 << 19)
     tracemalloc.start()
     for _ in segments(path, 10.0, 2.0):
         pass

@@ -48,7 +48,7 @@ def sampled(row, delay_s, step_s, samples):
 
 @pytest.mark.parametrize("rig", [RIG, BURDENED], ids=["plain", "burdened"])
 def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkeypatch):
-    monkeypatch.setattr(modal, "BLOCK_STEPS", 5003)  # which no sampling interval divides
+    monkeypatch.setattr(modal, "STEPS_PER_BLOCK", 5003)  # which no sampling interval divides
     duration_s = 1.5
     force_n = force_history(SETTINGS.force(), needed_duration_s(rig, duration_s), STEP_S)
     motion = concatenated(modal.simulate(rig, force_n, STEP_S, lambda _: None))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.viewer.axes import HEIGHT, MAX_TICKS, WIDTH, Axes, decades, tick_values
+from rig.viewer.axes import HEIGHT, MAX_TICK_COUNT, WIDTH, Axes, decades, tick_values
 from rig.viewer.blueprint import axis_reach
 
 
@@ -14,7 +14,7 @@ def test_figures_are_few_round_and_within(low, high):
     values = tick_values(low, high)
     step = np.diff(values)
     assert not np.signbit(values[values == 0]).any()  # printed as -0
-    assert 3 <= values.size <= MAX_TICKS
+    assert 3 <= values.size <= MAX_TICK_COUNT
     np.testing.assert_allclose(step, step[0])
     assert round(step[0] / 10 ** np.floor(np.log10(step[0]) + 1e-9), 6) in {1, 2, 5}
     np.testing.assert_allclose(values / step[0], np.round(values / step[0]), atol=1e-6)

@@ -49,7 +49,7 @@ def test_each_window_continues_from_the_measured_displacement_and_velocity(chang
     time_s = np.arange(recording.samples) / recording.rig.sample_rate_hz
     motion = Deflection(recording.rig, (MASS,), amplitude_m * np.sin(omega * time_s)[None], is_approximate=False)
     predicted = predicted_motion(recording, motion, true, coasting, 0.125)
-    window = predicted.window_samples
+    window = predicted.samples_per_window
     assert window / recording.rig.sample_rate_hz == pytest.approx(0.125)
     start_s = time_s[::window].repeat(window)[: predicted.measured_m.shape[1]]
     since_s = time_s[: start_s.size] - start_s
@@ -82,7 +82,7 @@ def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(change
         times, values = series(tmp_path / "r.rrd", place)
         breaks = np.isnan(values[0])
         np.testing.assert_array_equal(values[0, ~breaks], 1e3 * values_m[0])
-        windows = values_m.shape[1] // predicted.window_samples
+        windows = values_m.shape[1] // predicted.samples_per_window
         assert np.count_nonzero(breaks) == (0 if name == "0_measured" else windows - 1)
         (drawn,) = static(tmp_path / "r.rrd", place, "SeriesLines:colors")
         assert (drawn >> 24, drawn >> 16 & 255, drawn >> 8 & 255) == colour
@@ -112,5 +112,5 @@ def test_a_station_without_a_sensor_is_refused_and_a_short_record_has_no_predict
     motion = deflection(recording, truth)
     with pytest.raises(RigError, match="no motion is recorded at 'nowhere'; give one of the sensors mass"):
         predicted_motion(recording, motion, true, coasting, station_name="nowhere")
-    assert predicted_motion(recording, motion, true, coasting, station_name="stop").shown_row == 0
+    assert predicted_motion(recording, motion, true, coasting, station_name="stop").shown_station_row == 0
     assert predicted_motion(recording, motion, true, coasting, window_s=7.0) is None

@@ -231,8 +231,8 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
 def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
     recording, truth = mass
     curves = 4  # force, acceleration, two of the contact
-    monkeypatch.setattr(rig.viewer.viewing, "MAX_SCALARS", curves * recording.samples // 8)
-    monkeypatch.setattr(rig.viewer.stage, "FRAME_RATES_HZ", (32.0, 32.0))
+    monkeypatch.setattr(rig.viewer.viewing, "MAX_PLOTTED_VALUES", curves * recording.samples // 8)
+    monkeypatch.setattr(rig.viewer.stage, "FRAME_RATE_RANGE_HZ", (32.0, 32.0))
     write_rrd(recording, truth, tmp_path / "r.rrd")
     rate = recording.rig.sample_rate_hz
     times, force = series(tmp_path / "r.rrd", "exciting_force")

@@ -23,7 +23,7 @@ def exact():
     samples = round(9.0 * BELIEVED.sample_rate_hz)
     fine = forces_at_steps(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
     blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes_per_beam=24))
-    coordinates_m = np.concatenate([b.displacement_m.coordinates for b in blocks])[::factor].T
+    coordinates_m = np.concatenate([b.displacement_m.modal_coordinates for b in blocks])[::factor].T
     rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
     return case, concatenated(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
 

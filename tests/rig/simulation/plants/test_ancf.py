@@ -47,7 +47,7 @@ def test_segments_hardly_show(monkeypatch):
     step_s = 2.0**-12
     force_n = 40 * np.sin(2 * np.pi * 10 * np.arange(700) * step_s)
     single_run = simulated(rig, force_n, step_s)
-    monkeypatch.setattr(ancf, "BLOCK_STEPS", 128)
+    monkeypatch.setattr(ancf, "STEPS_PER_BLOCK", 128)
     blocks = list(ancf.simulate(rig, force_n, step_s, lambda _: None))
     assert [round(b.start_s / step_s) for b in blocks] == [0, 129, 257, 385, 513, 641]
     pieces = concatenated(iter(blocks))

@@ -76,7 +76,7 @@ def test_nodes_stand_at_contacts_and_force():
     for station in [s for c in rig.contacts for s in (c.at, c.against)] + [rig.force_at]:
         mesh = next(m for m in meshes_of(rig) if m.body.name == station.body)
         assert np.abs(mesh.positions_m - station.position_m).min() < 1e-12
-        node_index = mesh.node_numbers.index(mesh.node_at(station.position_m))
+        node_index = mesh.node_numbers.index(mesh.node_number_at(station.position_m))
         assert mesh.positions_m[node_index] == pytest.approx(station.position_m)
         assert np.diff(mesh.positions_m).max() < 1.001 / ELEMENT_COUNT
 

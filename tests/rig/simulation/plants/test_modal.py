@@ -89,7 +89,7 @@ def test_blocks_do_not_show(monkeypatch):
     force_n = 20 * np.sin(2 * np.pi * 25 * np.arange(6000) * 2.0**-14)
     single_run = simulated(settings.rig(), force_n, 2.0**-14)
     assert single_run.contact_force_n.any()
-    monkeypatch.setattr(modal, "BLOCK_STEPS", 700)
+    monkeypatch.setattr(modal, "STEPS_PER_BLOCK", 700)
     blocks = list(modal.simulate(settings.rig(), force_n, 2.0**-14, lambda _: None))
     assert [round(b.start_s / b.step_s) for b in blocks] == list(range(0, 6000, 700))
     pieces = concatenated(iter(blocks))
