@@ -39,6 +39,8 @@ that rubs was explained by damping beyond its tolerance, and the friction was pl
 CHANCE_PULL = 3.0
 """Stated standard deviations beyond which a tolerance is not off by chance: an effect may pull it. Derived: a normal
 variable exceeds it once in 370."""
+TWIN_DEVIATIONS = 2.0
+"""Standard deviations below which the places of two equal effects do not differ. Convention."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,26 @@ class Hypothesis:
     def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
         """Fitted parameters of each effect."""
         return _values_by_candidate(self.candidates, self.values)
+
+    def values_of(self, member_indices: Sequence[int]) -> Values:
+        """Parameters of some members; one of them adds the strength of an equal at its place that is not among them."""
+        values = self.values_by_candidate()
+        retained_values = {index: values[index].copy() for index in member_indices}
+        for dropped_index in set(range(len(values))) - set(member_indices):
+            candidate = self.candidates[dropped_index]
+            twins = [k for k in member_indices if self.candidates[k].name == candidate.name]
+            if (twin := next((k for k in twins if self._are_at_one_place(k, dropped_index)), None)) is not None:
+                strengths = candidate.parameters.strengths
+                retained_values[twin][strengths] += values[dropped_index][strengths]
+        return np.concatenate(list(retained_values.values()))
+
+    def _are_at_one_place(self, first_index: int, second_index: int) -> bool:
+        """True if two equal effects are at places that differ by less than `TWIN_DEVIATIONS`."""
+        values, variances = (_values_by_candidate(self.candidates, v) for v in (self.values, np.diag(self.covariance)))
+        distances = values[first_index] - values[second_index]
+        deviations = np.sqrt(variances[first_index] + variances[second_index])
+        strengths = self.candidates[first_index].parameters.strengths
+        return bool(np.all(np.delete(np.abs(distances) < TWIN_DEVIATIONS * deviations, strengths)))
 
     @property
     def parameters(self) -> ParameterSet:

@@ -327,9 +327,8 @@ def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequ
     """Fit of some members of the set without the others; the nominal rig where there are none."""
     if not member_indices:
         return search.nominal_fit()
-    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    members = tuple(candidates[index] for index in member_indices)
-    start_values = np.concatenate([values[index] for index in member_indices])
+    members = tuple(best_set.hypothesis.candidates[index] for index in member_indices)
+    start_values = best_set.hypothesis.values_of(member_indices)
     start_residual = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(search, members, start_values, start_residual, best_set.linearization)
     return refined(search, brief_fit, best_set.cost)

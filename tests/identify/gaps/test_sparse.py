@@ -6,7 +6,7 @@ import pytest
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.hypothesis import Search
+from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.sparse import best_selection, ranked_hypotheses
@@ -66,6 +66,15 @@ def test_an_effect_that_dominates_is_selected_alone(pair, model):
     """It bends the model of the others."""
     selection = best_selection(model, pair.nominal_fit().hypothesis)
     assert [part.name for part in selection.candidates] == ["added_mass:barrel"]
+
+
+def test_an_effect_takes_over_its_equal_at_one_place_alone(pair):
+    """Two springs whose places the record does not tell apart are one; the fit without one of them starts from it."""
+    spring = next(candidate for candidate in pair.candidates if candidate.name == "linear_spring:barrel")
+    values, nominal = np.array([1936.0, 0.853, 178.0, 0.861]), pair.nominal_fit().hypothesis.misfit
+    for place_deviation, expected in ((0.1, [2114.0, 0.853]), (0.001, [1936.0, 0.853])):
+        covariance = np.diag(np.square([50.0, place_deviation, 50.0, place_deviation]))
+        assert Hypothesis((spring, spring), values, covariance, nominal).values_of([0]) == pytest.approx(expected)
 
 
 @pytest.mark.study
