@@ -186,7 +186,7 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
     table = page.table(("", "", "identified", laws_name, "differs by"), table_rows)
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval; inside: it holds the value beside it.{clearance_words}</p>"
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval; agrees: it holds the value beside it.{clearance_words}</p>"
     return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 
@@ -219,9 +219,9 @@ def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str
 
 def _difference_text(estimate: Estimate, reference: float) -> str:
     """Difference from the reference value in per cent, if that is not zero, and whether the 95 % interval holds it."""
-    is_inside = abs(estimate.value - reference) <= COVERED * estimate.standard_error
+    agrees = abs(estimate.value - reference) <= COVERED * estimate.standard_error
     difference_text = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
-    return f"{difference_text}{'inside' if is_inside else 'outside'}"
+    return f"{difference_text}{'agrees' if agrees else 'differs'}"
 
 
 def refusals_html(report: ContactReport) -> str:

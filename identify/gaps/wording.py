@@ -53,6 +53,8 @@ PREDICTION_WORDS = {
 """Result of the prediction in words, by its code."""
 RATIO_WORDS = {"relative_position": "of the length of the body", "factor": "times the value in rig.json"}
 """What a parameter without a unit is a ratio to, by its name."""
+UNIT_WORDS = {"n", "m", "s", "s2", "m2", "m3", "kg", "hz", "pa", "rad", "per", "minute"}
+"""Words of a parameter's name that are its unit."""
 MIN_HINT_SHARE = 0.1
 """Explained share below which an unmeasured force is no hint: null simulations explain as much."""
 MIN_DESCRIPTION_SHARE = 0.5
@@ -198,10 +200,20 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
     return joined(words or [f"{percent(SMALLEST_SHARE)} of the motion"])
 
 
-def stays_unexplained_words(unexplained: UnexplainedShares) -> str:
-    """Clause "2.5 % of the motion stays unexplained"."""
-    is_plural = sum(share > 0 for share in (unexplained.share, *unexplained.contact_shares.values())) > 1
-    return f"{unexplained_words(unexplained)} {'stay' if is_plural else 'stays'} unexplained"
+def stays_unexplained_words(gap: Diagnosis) -> str:
+    """Clause "3.6 % of the force of contact_2 (3.0 % matters) stays unexplained" on what the named effects leave: what
+    exceeds its threshold, or all if nothing does."""
+    left, matters = gap.after, gap.matters
+    exceeding = [f"{percent(left.share)} of the motion ({percent(matters.motion)} matters)"]
+    exceeding *= left.share > matters.motion
+    exceeding += [
+        f"{percent(share)} of the force of {name} ({percent(matters.contact)} matters)"
+        for name, share in left.contact_shares.items()
+        if share > matters.contact
+    ]
+    seen_count = sum(share > 0 for share in (left.share, *left.contact_shares.values()))
+    verb = "stay" if (len(exceeding) or seen_count) > 1 else "stays"
+    return f"{joined(exceeding) if exceeding else unexplained_words(left)} {verb} unexplained"
 
 
 def joined(words: Sequence[str], conjunction: str = "and") -> str:
@@ -261,6 +273,15 @@ def remaining_probabilities(gap: Gap, shown_cause_count: int) -> list[tuple[str,
         (NOMINAL_WORDS.get(gap.verdict, "no effect of the library"), gap.probability_nothing),
         (unmeasured, gap.probability_unknown),
     ]
+
+
+def parameter_words(name: str) -> str:
+    """Name of a parameter without its unit, which its value has: "linear_spring stiffness"."""
+    effect, _, parameter = name.partition(".")
+    words = parameter.split("_")
+    while words[-1] in UNIT_WORDS:
+        words.pop()
+    return f"{effect} {' '.join(words)}"
 
 
 def probability(value: float) -> str:

@@ -37,10 +37,15 @@ HELD_WORDS = "held: no rigid-body mode"
 
 @dataclass(frozen=True)
 class DrawnMark:
-    """Mark of an effect or force at a station, with its words."""
+    """Mark of an effect or force at a station, with its words; a hint is drawn fainter."""
 
     station: Station
     words: str
+    is_hint: bool = False
+
+    @property
+    def css_class(self) -> str:
+        return "mark hint" if self.is_hint else "mark"
 
 
 @dataclass(frozen=True)
@@ -269,14 +274,14 @@ def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[st
     ends_px = (middle_px - 9, words_px)
     if layout.is_marked_below(body):
         ends_px = (middle_px + 9, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
-    yield _path_element("mark", f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
-    yield f'<circle class="mark" cx="{x_px:g}" cy="{middle_px:g}" r="9"/>'
+    yield _path_element(mark.css_class, f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
+    yield f'<circle class="{mark.css_class}" cx="{x_px:g}" cy="{middle_px:g}" r="9"/>'
 
 
 def _mark_words(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
     for k, line in enumerate(text.lines):
         y_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * k
-        yield _text_element(text.x_px, y_px, text.anchor, line, "mark-words")
+        yield _text_element(text.x_px, y_px, text.anchor, line, "dim" if mark.is_hint else "mark-words")
 
 
 def _path_element(css_class: str, path_data: str, tooltip: str = "") -> str:

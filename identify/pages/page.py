@@ -66,7 +66,9 @@ summary{cursor:pointer;color:var(--dim)}
 .machine .force{stroke:var(--dim);stroke-width:2.4}
 .machine .sensor{fill:var(--page);stroke:var(--dim);stroke-width:1.2}
 .machine .body{fill:var(--line);stroke:var(--ink)}
-.machine .mark{fill:none;stroke:var(--cause);stroke-width:2.4}.machine .mark-words{fill:var(--cause);font-weight:600}
+.machine .mark{fill:none;stroke:var(--cause);stroke-width:2.4}
+.machine .hint{stroke:var(--dim);stroke-width:1.6;stroke-dasharray:4 3}
+.machine .mark-words{fill:var(--cause);font-weight:600}
 @media print{body{max-width:none}h2,h3,summary{break-after:avoid}.plot,figure,tr{break-inside:avoid}
 .plot{zoom:var(--shrink,1)}.first{grid-template-columns:repeat(2,minmax(0,1fr))}table{font-size:.8rem}td.number{white-space:normal}}
 @media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}

@@ -87,7 +87,7 @@ def test_the_diagnosis_sees_the_same_residual_and_the_same_nuisance_columns(reco
     (beam, of_beam), (data, of_data) = both
     for one, other in (
         (data.residual, beam.residual),
-        (data.contact_n, beam.contact_n),
+        (data.contact_force_n, beam.contact_force_n),
         (data.eta_m, beam.eta_m),
     ):
         np.testing.assert_allclose(one, other, atol=1e-8 * np.abs(other).max())

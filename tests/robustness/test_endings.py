@@ -51,8 +51,9 @@ def test_a_command_that_is_ended_says_so_and_leaves_nothing_half(sound, tmp_path
 
 def test_an_interrupt_that_a_callback_of_compiled_code_swallows_comes_again():
     program = """
-import ctypes, sys, time
+import ctypes, signal, sys, time
 from rig.commands.command_line import repeat_lost_interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # as a terminal has it
 sys.unraisablehook = repeat_lost_interrupt
 def interrupted(): raise KeyboardInterrupt
 ctypes.CFUNCTYPE(None)(interrupted)()

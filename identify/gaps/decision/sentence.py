@@ -138,7 +138,7 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
     cause = gap.causes[0]
     return [
         f"{_subject(cause)} {_inflected(cause, 'explains', 'explain')} the difference in part: "
-        f"{_inflected(cause, 'it', 'they')} {_removal_words(gap, '')}, and {stays_unexplained_words(gap.after)}.",
+        f"{_inflected(cause, 'it', 'they')} {_removal_words(gap, '')}, and {stays_unexplained_words(gap)}.",
         *_veto_sentence(gap),
         _force_description(gap, "The rest"),
     ]

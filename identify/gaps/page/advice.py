@@ -28,7 +28,8 @@ LOG_MILLION = 13.8
 """Natural logarithm of the odds above which no number is written."""
 
 _STEP_BY_ARGUMENT = {
-    "displacement": "The force grows with the displacement: push there with known weights and measure the deflection.",
+    "displacement": "The force follows the displacement: pull and push there with known forces, small "
+    "ones first, and measure the deflection.",
     "clearance": "The force acts beyond a clearance: push there until something touches, and measure the deflection.",
     "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
     "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
@@ -140,7 +141,7 @@ def _explained_steps(gap: Gap) -> list[str]:
 def _partly_explained_steps(gap: Gap) -> list[str]:
     return [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: "
-        f"{stays_unexplained_words(gap.after)}.",
+        f"{stays_unexplained_words(gap)}.",
         *_unexplained_steps(gap),
         *(_inspection_steps(gap.unknown) if gap.unknown else []),
         *_discriminating_steps(gap),
@@ -148,9 +149,10 @@ def _partly_explained_steps(gap: Gap) -> list[str]:
 
 
 def _steps_if_unexplained(gap: Gap) -> list[str]:
-    steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
+    steps = ["Do not rely on rig.json: no effect of the library would make it right."]
     steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap) or [UNKNOWN_ADVICE]
-    if gap.causes and is_effective(gap.causes[0]):
+    is_described = gap.unknown is not None and gap.unknown.explained >= MIN_DESCRIPTION_SHARE
+    if gap.causes and is_effective(gap.causes[0]) and not is_described:
         return steps + _discriminating_steps(gap)
     return steps + _experiment_steps(gap)
 

@@ -7,6 +7,7 @@ from identify.gaps.residual.unfolding import IN_Z
 from identify.gaps.results import Gap
 from identify.gaps.wording import MIN_DESCRIPTION_SHARE, MIN_HINT_SHARE
 from identify.pages.machine import DrawnMark
+from identify.pages.wording import percent
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
 
@@ -60,13 +61,14 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     unknown = gap.unknown
     if unknown is None or unknown.explained < MIN_HINT_SHARE:
         return
-    hint = "a hint: " * (unknown.explained < MIN_DESCRIPTION_SHARE)
+    is_hint = unknown.explained < MIN_DESCRIPTION_SHARE
+    hint = f"a hint ({percent(unknown.explained)} of it): " * is_hint
     if (name := unknown.contact or unknown.sensor) and (station := station_named(rig, name)):
         fault = "clearance that swings" if unknown.contact else "fault of the sensor"
-        yield DrawnMark(station, f"{hint}{name}: {fault}")
+        yield DrawnMark(station, f"{hint}{name}: {fault}", is_hint)
     for body_name, growth in unknown.growth.items():
         middle = Station(body_name, rig.body(body_name).length_m / 2)
-        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %")
+        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %", is_hint)
     against = None
     if unknown.against_body is not None and unknown.against_position_m is not None:
         against = Station(unknown.against_body, unknown.against_position_m)
@@ -74,6 +76,6 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
         force_words = "unmeasured pair of forces" if against else "unmeasured force"
         place_words = "" if rig.body(unknown.body).is_mass else f", near {unknown.position_m:.2f} m"
         size_words = f"{hint}{force_words}, {unknown.rms_n:.3g} N rms{place_words}"
-        yield DrawnMark(Station(unknown.body, unknown.position_m), size_words)
+        yield DrawnMark(Station(unknown.body, unknown.position_m), size_words, is_hint)
     if against:
-        yield DrawnMark(against, "its opposite")
+        yield DrawnMark(against, "its opposite", is_hint)

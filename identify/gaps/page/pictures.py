@@ -26,8 +26,8 @@ MAX_CAUSES = 6
 """Causes of a figure at most. Display."""
 MAX_LABELS = 12
 """Labels of an axis at most. Display."""
-LEAST_PERCENT, UNBOUNDED_PERCENT = 1.0, 1e6
-"""Per cent of its threshold at which a smaller value is drawn, and to which the line of an unbounded one goes."""
+LEAST_RATIO, UNBOUNDED_RATIO = 0.01, 1e4
+"""Share of its threshold at which a smaller value is drawn, and to which the line of an unbounded one goes."""
 MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
@@ -94,29 +94,29 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     drawn_rigs = [("the model as it is", quantities, RED, "s", 0.0)]
     if gap.causes and is_effective(gap.causes[0]):
         drawn_rigs.append(("with the likeliest cause", gap.evidence.quantities_after, BLUE, "o", 0.28))
-    right_percent = 200.0
+    largest_ratio = 2.0
     for label, rig_quantities, colour, marker, row_offset in drawn_rigs:
         rows = row_offset + np.arange(len(rig_quantities))
-        percents = np.array(  # a value that is not known is not drawn
+        ratios = np.array(  # a value that is not known is not drawn
             [
-                [np.nan if end is None else 100 * end / quantity.threshold for end in (quantity.value, quantity.upper)]
+                [np.nan if end is None else end / quantity.threshold for end in (quantity.value, quantity.upper)]
                 for quantity in rig_quantities
             ]
         )
-        drawn_percents = np.maximum(percents, LEAST_PERCENT)
-        axes.plot(drawn_percents[:, 0], rows, marker, color=colour, label=label)
-        for row, ends in zip(rows, drawn_percents, strict=True):
-            line_ends = np.nan_to_num(ends, nan=UNBOUNDED_PERCENT, posinf=UNBOUNDED_PERCENT)
+        drawn_ratios = np.maximum(ratios, LEAST_RATIO)
+        axes.plot(drawn_ratios[:, 0], rows, marker, color=colour, label=label)
+        for row, ends in zip(rows, drawn_ratios, strict=True):
+            line_ends = np.nan_to_num(ends, nan=UNBOUNDED_RATIO, posinf=UNBOUNDED_RATIO)
             axes.plot(line_ends, [row, row], color=colour, lw=2.0)
-        right_percent = max(right_percent, 2 * np.max(percents, initial=0.0, where=np.isfinite(percents)))
-    axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="what matters")
+        largest_ratio = max(largest_ratio, 2 * np.max(ratios, initial=0.0, where=np.isfinite(ratios)))
+    axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="limit")
     axes.set_xscale("log")
-    axes.set_xlim(0.7 * LEAST_PERCENT, right_percent)
-    limits = [f" ({bound_numbers(quantity)[-1]})" if quantity.threshold else "" for quantity in quantities]
+    axes.set_xlim(0.7 * LEAST_RATIO, largest_ratio)
+    limits = [f", limit {bound_numbers(quantity)[-1]}" if quantity.threshold else "" for quantity in quantities]
     names = [f"{_shortened_name(quantity.name)}{limit}" for quantity, limit in zip(quantities, limits, strict=True)]
     axes.set_yticks(np.arange(len(quantities)), names)
     axes.set_ylim(len(quantities) - 0.5, -0.5)
-    axes.set(xlabel="difference relative to the least that matters, %")
+    axes.set(xlabel="difference over its limit")
     figure.legend(loc="outside upper center", ncols=3)
 
 

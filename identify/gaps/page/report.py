@@ -22,7 +22,7 @@ from identify.gaps.page.sections import (
     unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import findings_heading, interval, verdict_words
+from identify.gaps.wording import findings_heading, interval, parameter_words, verdict_words
 from identify.pages import page
 from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
@@ -39,7 +39,8 @@ CAPTION_BY_FIGURE = {
     "whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
     "decided_quantities": "What decides: the difference in the motion, the contact forces and the contact parameters. "
     "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. A quantity is settled "
-    "as too small to matter if its line ends left of the dashed one, at the size in brackets.",
+    "as too small to matter if its line ends left of the dashed one, at its limit. Differences below a hundredth of it "
+    "stand at the left edge.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
     "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "
@@ -146,10 +147,11 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
 
 
 def _intervals_sentence(gap: Gap) -> str:
-    """Sentence " 95 %: added_mass.mass_kg 0.150 ± 0.019 kg." of the likeliest cause, if its effects are named."""
+    """Sentence " 95 % intervals: added_mass mass 0.150 ± 0.019 kg." of the likeliest cause, if it is named."""
     if not (gap.causes and gap.causes[0].named):
         return ""
-    return f" 95 %: {', '.join(f'{name} {interval(value)}' for name, value in gap.causes[0].parameters.items())}."
+    intervals = (f"{parameter_words(name)} {interval(value)}" for name, value in gap.causes[0].parameters.items())
+    return f" 95 % intervals: {', '.join(intervals)}."
 
 
 def _findings_html(gap: Gap, findings: Sequence[str]) -> str:

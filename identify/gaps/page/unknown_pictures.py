@@ -62,7 +62,7 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis: int, 
         line_motion, line_forces_n, cell_law_n = law_values
         cell_forces_n = cell_forces_n - _linear_difference_n(cell_motion, cell_forces_n, cell_law_n)
     axes = figure.subplots()
-    points = axes.scatter(drawn_motion[axis], cell_forces_n, c=drawn_motion[1 - axis], s=10, cmap="viridis")
+    points = axes.scatter(drawn_motion[axis], cell_forces_n, c=drawn_motion[1 - axis], s=10, cmap="coolwarm")
     figure.colorbar(points, label=axis_names[1 - axis])
     if law_values:
         axes.plot((1e3, 1.0)[axis] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")

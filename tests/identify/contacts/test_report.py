@@ -58,8 +58,8 @@ def test_the_values_stand_with_their_intervals_beside_the_true_ones(identificati
     ):
         value = interval(scale * estimate.value, scale * estimate.standard_error, "1")
         assert f'<td>{name}</td><td class="number">{value}</td>' in text
-        is_inside = abs(estimate.value - true) < 1.96 * estimate.standard_error
-        assert f"{round(100 * (estimate.value / true - 1), 3):+.3g} %, {'inside' if is_inside else 'outside'}" in text
+        agrees = abs(estimate.value - true) < 1.96 * estimate.standard_error
+        assert f"{round(100 * (estimate.value / true - 1), 3):+.3g} %, {'agrees' if agrees else 'differs'}" in text
     assert "<th>true</th>" in text
     assert "<b>identified</b>" in text
 

@@ -15,7 +15,7 @@ from identify.gaps.decision_table import Verdict
 from identify.gaps.page.pictures import pictures
 from identify.gaps.results import Attribution
 
-NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
+NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\)|over its limit)$")
 
 
 def drawn(gap):

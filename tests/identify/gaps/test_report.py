@@ -240,7 +240,7 @@ def test_the_values_of_what_is_named_stand_below_the_drawing(gaps, rig_of, tmp_p
     for name, is_there in (("explained", True), ("consistent", False)):
         write_all(gaps[name], rig_of(gaps[name]), name, tmp_path)
         caption = re.search("<figcaption>The rig, (.*?)</figcaption>", (tmp_path / "gap.html").read_text("utf-8"))[1]
-        values = "95 %: added_mass.mass_kg 0.1414 ± 0.0021 kg (at the limit of its range), added_mass.relative_position"
+        values = "95 % intervals: added_mass mass 0.1414 ± 0.0021 kg (at the limit of its range), added_mass relative"
         assert (values in caption.replace("\xa0", " ")) == is_there
 
 
@@ -393,9 +393,14 @@ def test_the_page_of_a_structure_is_accessible(inaccessible, gaps, rig_of, tmp_p
 
 def test_what_explains_little_is_marked_as_a_hint_or_not_at_all(gaps, rig_of):
     gap = gaps["unexplained"]
-    for explained, begin in ((0.6, ["unmeasured force"]), (0.3, ["a hint: unmeasured force"]), (0.05, [])):
+    for explained, begin in (
+        (0.6, ["unmeasured force"]),
+        (0.3, ["a hint (30.0 % of it): unmeasured force"]),
+        (0.05, []),
+    ):
         drawn = marks(replace(gap, unknown=replace(gap.unknown, explained=explained)), rig_of(gap))
         assert [mark.words.partition(",")[0] for mark in drawn] == begin
+        assert [mark.is_hint for mark in drawn] == [explained < 0.5 for _ in begin]
 
 
 def test_the_law_of_an_unmeasured_force_is_drawn_as_named_and_its_dots_less_a_linear_part(gaps):
