@@ -92,7 +92,7 @@ def write_page(
     page.write(
         path,
         title=title,
-        answer=answer(report, len(result.rig.contacts)),
+        answer=answer(report, len(result.rig.contacts), laws, laws_name),
         top_blocks=[
             f"{findings_html}{drawing_html(result.rig, report)}{values_html(report, laws, laws_name)}",
             "".join(decisive_html),
@@ -143,14 +143,14 @@ def variance_html(shares_by_quantity: Mapping[str, Mapping[str, float]]) -> str:
     return f"<p>Where the variance of each value comes from.</p>{table}"
 
 
-def answer(report: ContactReport, contact_count: int) -> page.Answer:
-    """Answer that the page of a report on so many contacts begins with."""
+def answer(report: ContactReport, contact_count: int, laws: Laws, laws_name: str) -> page.Answer:
+    """Answer that the page of a report on so many contacts begins with, and whether reference values agree with it."""
     count = len(report.contacts)
     words = "identified" if count == contact_count else f"{count} of {contact_count} contacts identified"
     return page.Answer(
         "red" if not count else "green" if count == contact_count and not report.findings else "yellow",
         "not to be relied on" if report.findings else words,
-        _sentences(report),
+        [*_sentences(report), *_agreement_sentences(report, laws, laws_name)],
     )
 
 
@@ -167,6 +167,19 @@ def _sentences(report: ContactReport) -> list[str]:
         stiffness = _interval_text(contact.stiffness_n_per_m, "N/m")
         clauses.append(f"{contact.name}: {clearance}stiffness {stiffness}{law}")
     return ["; ".join(clauses)]
+
+
+def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> list[str]:
+    """Sentence on the reference values that lie outside the intervals, or that none does."""
+    values = [
+        (f"{name} of {contact.name}", _agrees(estimate, reference))
+        for contact in report.contacts
+        for name, estimate, reference, *_ in _values_with_reference(contact, laws[contact.name])
+        if np.isfinite(reference)
+    ]
+    if differing := [words for words, agrees in values if not agrees]:
+        return [f"The {laws_name} value lies outside the 95 % interval of the {', '.join(differing)}."]
+    return [f"Every 95 % interval holds the {laws_name} value."] if values else []
 
 
 def _interval_text(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
@@ -195,9 +208,10 @@ def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
     return 2 * estimate.standard_error < reference.standard_error
 
 
-def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
-    """Row of each quantity: identified value, reference value, difference."""
-    first_quantity = "stiffness" if contact.is_spring else "clearance"
+def _values_with_reference(
+    contact: ContactEstimate, law: ContactLaw
+) -> Iterator[tuple[str, Estimate, float, str, float]]:
+    """Name, estimate, reference value, unit and scale to it of each identified quantity."""
     for name, estimate, reference, unit, scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
@@ -208,20 +222,31 @@ def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str
         ("sliding speed", contact.sliding_speed_m_per_s, getattr(law, "sliding_speed_m_per_s", 0.0), "mm/s", 1e3),
     ):
         if estimate is not None and not (contact.is_spring and name == "clearance"):
-            yield (
-                contact.name if name == first_quantity else "",
-                name if unit == "1" else f"{name}, {unit}",
-                _interval_text(estimate, "1", scale),
-                number(scale * reference) if np.isfinite(reference) else "no stop",
-                _difference_text(estimate, reference) if np.isfinite(reference) else "",
-            )
+            yield name, estimate, reference, unit, scale
+
+
+def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
+    """Row of each quantity: identified value, reference value, difference."""
+    first_quantity = "stiffness" if contact.is_spring else "clearance"
+    for name, estimate, reference, unit, scale in _values_with_reference(contact, law):
+        yield (
+            contact.name if name == first_quantity else "",
+            name if unit == "1" else f"{name}, {unit}",
+            _interval_text(estimate, "1", scale),
+            number(scale * reference) if np.isfinite(reference) else "no stop",
+            _difference_text(estimate, reference) if np.isfinite(reference) else "",
+        )
+
+
+def _agrees(estimate: Estimate, reference: float) -> bool:
+    """True if the 95 % interval holds the reference value."""
+    return abs(estimate.value - reference) <= COVERED * estimate.standard_error
 
 
 def _difference_text(estimate: Estimate, reference: float) -> str:
     """Difference from the reference value in per cent, if that is not zero, and whether the 95 % interval holds it."""
-    agrees = abs(estimate.value - reference) <= COVERED * estimate.standard_error
     difference_text = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
-    return f"{difference_text}{'agrees' if agrees else 'differs'}"
+    return f"{difference_text}{'agrees' if _agrees(estimate, reference) else 'differs'}"
 
 
 def refusals_html(report: ContactReport) -> str:

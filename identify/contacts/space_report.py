@@ -51,7 +51,7 @@ def _write_page(
     page.write(
         path,
         title=title,
-        answer=answer(report, len(result.rig.contacts)),
+        answer=answer(report, len(result.rig.contacts), *laws_and_name),
         top_blocks=[f"{findings}{drawing_html(result.rig, report)}{values_html(report, *laws_and_name)}", orbit_html],
         sections=[("What was refused", refusals_html(report))] if report.unanswered else [],
         folded_sections=[

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from html import escape, unescape
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -64,6 +65,23 @@ def test_the_values_stand_with_their_intervals_beside_the_true_ones(identificati
     assert "<b>identified</b>" in text
 
 
+def test_the_answer_says_whether_the_reference_agrees(identification, tmp_path):
+    """A reference that is 10 % off lies outside every interval of this record that it concerns."""
+    (contact,) = identification.rig.contacts
+    lower_m, upper_m = 1.1 * contact.law.lower_clearance_m, 1.1 * contact.law.upper_clearance_m
+    wide = msgspec.structs.replace(contact.law, lower_clearance_m=lower_m, upper_clearance_m=upper_m)
+    for law, expected in (
+        (contact.law, "Every 95 % interval holds the rig.json value."),
+        (
+            wide,
+            f"The rig.json value lies outside the 95 % interval of the clearance of {contact.name}, lower clearance",
+        ),
+    ):
+        path = tmp_path / "contact.html"
+        write_page(identification, {}, "mass", {contact.name: law}, "rig.json", path)
+        assert expected in _text(path.read_text(encoding="utf-8"))
+
+
 def test_what_was_assumed_is_said(identification, silent, page):
     text = _text(page(identification))
     assert all(name in text for name in identification.report.channels_used)
@@ -107,7 +125,7 @@ def test_what_rules_the_error_is_what_is_advised(identification, source, remedy)
 def test_names_cannot_break_the_page(identification, page):
     odd = "<i>&\"'</title>"
     text = page(identification, title=odd, laws_name=odd)
-    assert text.count(escape(odd)) == 3  # twice the title, once the column
+    assert text.count(escape(odd)) == 4  # twice the title, once the column, once the answer
     assert "<i>" not in text
 
 
