@@ -79,6 +79,8 @@ def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence
 
 
 def _even_lines(words: str, line_count: int) -> list[str]:
-    """Words wrapped to at most `line_count` lines, whose longest is as short as it can be."""
-    wrapped = (wrap(words, letters) for letters in range(1, len(words) + 1))
-    return next(lines for lines in wrapped if len(lines) <= line_count)
+    """Words wrapped, none broken, to at most `line_count` lines, whose longest is as short as it can be; to as many as
+    there are with the longest word alone in its line."""
+    longest_word = max(map(len, words.split()))
+    wrapped = [wrap(words, letters) for letters in range(longest_word, max(longest_word, MAX_LINE_LETTERS) + 1)]
+    return next((lines for lines in wrapped if len(lines) <= line_count), wrapped[0])

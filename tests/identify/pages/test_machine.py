@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
-from identify.pages.drawing_texts import BOLD_LETTER_WIDTH, LETTER_WIDTH, WIDTH
+from identify.pages.drawing_texts import BOLD_LETTER_WIDTH, LETTER_WIDTH, WIDTH, TextSpans, mark_text
 from identify.pages.machine import DrawnMark, rig_drawing
 from rig.model.description import Station, Support
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -109,3 +109,10 @@ def test_names_cannot_break_the_drawing():
     rig = Sdof().rig()
     odd = replace(rig, contacts=(replace(rig.contacts[0], name="</text><b>&"),))
     assert "</text><b>&" in [text.text for text in drawing(odd).iter("text")]
+
+
+def test_no_name_is_broken_in_the_words_of_a_mark():
+    words = "a hint (14.7 % of it): cradle_1000mm_acceleration: fault of the sensor"
+    for x_px in (5.0, WIDTH / 2, WIDTH - 5.0):
+        text = mark_text(x_px, words, TextSpans(), [x_px, x_px + 40.0])
+        assert " ".join(text.lines).replace("\N{NO-BREAK SPACE}", " ") == words
