@@ -86,8 +86,8 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
         findings = [f for f in findings if f.cause != "noise"]
-    single_channel_findings = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
-    explained_names = {*force_names, *_channel_names(single_channel_findings)}
+    single_linear_check_findings = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
+    explained_names = {*force_names, *_channel_names(single_linear_check_findings)}
 
     def is_explained(finding: Finding) -> bool:
         return not set(finding.channels) <= {*force_names} and set(finding.channels) <= explained_names
@@ -138,7 +138,7 @@ def _model_findings(
         if len(usable_indices) > len(contact_groups(plane_rig)) + 1:
             if not quiet_sample_count(plane_record.forces_n, plane_rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
-            return _channel_findings(plane_record, compared_sensors, usable_indices, tolerances)
+            return _linear_check_findings(plane_record, compared_sensors, usable_indices, tolerances)
         # no single direction tells when a ring is open
         has_annular_contact = any(contact.law.spatial for contact in full.rig.contacts)
         if not waveform_findings and all(body.is_mass for body in plane_rig.bodies) and not has_annular_contact:
@@ -148,7 +148,7 @@ def _model_findings(
     return []
 
 
-def _channel_findings(
+def _linear_check_findings(
     recording: Recording, sensors: tuple[Sensor, ...], usable_indices: list[int], tolerances: Tolerances
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""

@@ -16,7 +16,7 @@ from identify.contacts.joint_fit import (
     small_sample_factor,
     unexplained_share,
 )
-from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_of_halves
+from identify.contacts.law_fit import LEAST_HALF_SAMPLES, difference_and_excess_of_halves
 from identify.contacts.linearization import Jacobian
 from identify.signals.scores import informative_part_starts, part_scores
 
@@ -191,7 +191,7 @@ def _misfit_covariance(fit: AnnularFit, jacobian: Jacobian, part_starts: Int[np.
         in_first, in_second = is_closed & is_first, is_closed & ~is_first
         if min(in_first.sum(), in_second.sum()) < LEAST_HALF_SAMPLES:
             continue
-        law_difference, excess_share = misfit_of_halves(half_scores(in_first) - half_scores(in_second))
+        law_difference, excess_share = difference_and_excess_of_halves(half_scores(in_first) - half_scores(in_second))
         law_error = np.zeros(len(RING))
         law_error[free_indices] = law_difference / largest_slopes / 2
         covariance += excess_share * np.outer(law_error, law_error)

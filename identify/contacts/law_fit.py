@@ -265,13 +265,15 @@ def misfit_covariance(
         first_scores, second_scores = (_half_scores(fit, force_by_free, half, part_starts) for half in halves)
         if first_scores is None or second_scores is None:
             continue
-        free_difference, excess_share = misfit_of_halves(first_scores - second_scores)
+        free_difference, excess_share = difference_and_excess_of_halves(first_scores - second_scores)
         law_error = fit.scaled_to_laws @ free_difference / 2
         covariance += excess_share * np.outer(law_error, law_error)
     return covariance
 
 
-def misfit_of_halves(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+def difference_and_excess_of_halves(
+    score_differences: Float[np.ndarray, "parts free"],
+) -> tuple[Float[np.ndarray, " free"], float]:
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     part_count, parameter_count = score_differences.shape
     free_difference = score_differences.sum(axis=0)

@@ -96,8 +96,10 @@ def nifo(
         weight_changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
     ) -> Float[np.ndarray, "blocks contacts"]:
         """Changes of the spectral means of the stiffness k = -w / H by those of the weights w and of the FRF H."""
-        contact_changes, frf_changes = weight_changes[:, :, contact_columns], weight_changes[:, :, :1]
-        stiffness_changes = -((contact_changes + stiffness_n_per_m[chunk, None] * frf_changes) / frf[chunk, None, None])
+        contact_weight_changes, frf_changes = weight_changes[:, :, contact_columns], weight_changes[:, :, :1]
+        stiffness_changes = -(
+            (contact_weight_changes + stiffness_n_per_m[chunk, None] * frf_changes) / frf[chunk, None, None]
+        )
         return stiffness_changes.real.sum(axis=0) / frf.size
 
     def block_influences(block_indices: Sequence[int]) -> Float[np.ndarray, "blocks contacts"]:

@@ -305,10 +305,10 @@ class TimeStampCheck:
 
     def check(self, group_name: str, sample_rate_hz: float, block: Block) -> None:
         """Raise RigError, without the name of the file, if a block's time does not follow from its first sample."""
-        since_start_ns = block.first_sample * 1e9 / sample_rate_hz
+        first_sample_time_ns = block.first_sample * 1e9 / sample_rate_hz
         if self._start_ns is None:
-            self._start_ns, self._first_group = block.time_ns - since_start_ns, group_name
-        expected_ns = self._start_ns + since_start_ns
+            self._start_ns, self._first_group = block.time_ns - first_sample_time_ns, group_name
+        expected_ns = self._start_ns + first_sample_time_ns
         if not abs(block.time_ns - expected_ns) <= max(TOLERANCE_NS, TOLERANCE_SAMPLES * 1e9 / sample_rate_hz):
             raise RigError(
                 f"group {group_name}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "

@@ -249,9 +249,11 @@ def _decide_with_force(
     named_set = decision.named_hypothesis
     if named_set and explained_share(named_set.nominal_misfit, named_set.misfit, matters) >= PARTLY_EXPLAINED_SHARE:
         companion_attempt, companion_cost = force_in(named_set.rig), None
-        companion = companion_attempt.result
-        if companion and not acts_at_effects(companion.on_fit_record.force_place, record.rig, named_set.rig):
-            companion_cost = minus_two_log_with_force(validation, named_set.rig, companion, named_set.misfit)
+        companion_force = companion_attempt.result
+        if companion_force and not acts_at_effects(
+            companion_force.on_fit_record.force_place, record.rig, named_set.rig
+        ):
+            companion_cost = minus_two_log_with_force(validation, named_set.rig, companion_force, named_set.misfit)
         decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = companion_attempt, fit_nuisance(record, named_set.rig)[1]

@@ -39,7 +39,7 @@ class PredictedDecision:
         return self.rollout_attempt.result is not None and self.rollout_attempt.result.vetoed
 
     @property
-    def is_doubtful(self) -> bool:
+    def is_prediction_poor(self) -> bool:
         """True if the prediction is vetoed or falls short of what the named effects let expect."""
         return self.is_vetoed or (self.rollout_attempt.result is not None and self.rollout_attempt.result.falls_short)
 
@@ -88,14 +88,14 @@ def predicted_decision(
         if weighted.probability > RIVAL_PROBABILITY and strengths_exclude_neutral(weighted.validated.hypothesis)
     ]
     ruled_out: list[ValidatedHypothesis] = []
-    while latest_decision.is_doubtful:
+    while latest_decision.is_prediction_poor:
         doubtful_hypothesis = latest_decision.decision.named_hypothesis
         ruled_out += [validated for validated in latest_decision.ranked_hypotheses if validated is doubtful_hypothesis]
         rivals = [rival for rival in rivals if rival is not doubtful_hypothesis]
         if not rivals:
             break
         latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rivals], decide, predict)
-        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted):
+        if latest_decision.decision.corrects_rig and not (latest_decision.is_prediction_poor and accepted):
             accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
     return accepted or first_decision
 

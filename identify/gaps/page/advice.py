@@ -163,7 +163,10 @@ def _unexplained_steps(gap: Gap) -> list[str]:
         name, share = max(gap.after.contact_shares.items(), key=lambda contact: contact[1], default=("", 0.0))
         if share <= gap.matters.contact:
             return []
-        return [f"Look at {name}: the rest lies in its force, of which {percent(share)} is unexplained."]
+        return [
+            f"Look at {name}: the rest lies in its force, of which {percent(share)} is unexplained. Sensors that show "
+            "sideways motion do that too where stops are stiff: state its share (tolerance lateral_motion)."
+        ]
     width_hz = gap.bands[-1].high_hz - gap.bands[0].low_hz
     if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * width_hz:
         return [

@@ -39,13 +39,13 @@ MAX_BANDS = 3
 class _PatternSpectra:
     """Residual on a record's lines, as far as it has the pattern of a base motion.
 
-    pattern_power is |p'y|^2/s in noise, pattern_size s; excess_of_pattern and excess_power are the power beyond the
-    sensors' noise that has the pattern, and all of it.
+    pattern_power is |p'y|^2/s in noise, unit_motion_power s, the pattern's power by a base motion of unit density;
+    excess_of_pattern and excess_power are the power beyond the sensors' noise that has the pattern, and all of it.
     """
 
     lines_hz: Float[np.ndarray, " lines"]
     pattern_power: Float[np.ndarray, " lines"]
-    pattern_size: Float[np.ndarray, " lines"]
+    unit_motion_power: Float[np.ndarray, " lines"]
     excess_of_pattern: Float[np.ndarray, " lines"]
     excess_power: Float[np.ndarray, " lines"]
 
@@ -95,7 +95,7 @@ def _pattern_spectra(linearization: Linearization, residual: Residual) -> _Patte
     spectra = _windowed_spectra(linearization, residual)
     smoothing_line_count = max(1, round(SMOOTHING_BANDWIDTH_HZ * record.transform_length / record.sample_rate_hz))
     sensor_rms = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_line_count, axis=1), 1e-300))
-    pattern_power, pattern_size = _power_and_size(spectra / sensor_rms, pattern / sensor_rms)
+    pattern_power, unit_motion_power = _power_and_size(spectra / sensor_rms, pattern / sensor_rms)
     remaining_power = np.sum(np.abs(spectra / sensor_rms) ** 2, axis=0) - pattern_power
     remaining_power = remaining_power / max(1, len(spectra) - contact_count - 1)
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_line_count), 1e-300)
@@ -103,7 +103,7 @@ def _pattern_spectra(linearization: Linearization, residual: Residual) -> _Patte
     return _PatternSpectra(
         lines_hz,
         pattern_power / noise_power,
-        pattern_size / noise_power,
+        unit_motion_power / noise_power,
         _power_and_size(spectra, pattern)[0] - noise_by_pattern,
         np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern,
     )
@@ -115,11 +115,11 @@ def _band_estimate(
     """Values and standard errors of the band of largest gain, whatever else moves the machine there; None below
     `min_gain`."""
     record, ranges, lines_hz = linearization.record, candidate.parameters, spectra.lines_hz
-    pattern_power, pattern_size = spectra.pattern_power, spectra.pattern_size
+    pattern_power, unit_motion_power = spectra.pattern_power, spectra.unit_motion_power
     is_in_range = (lines_hz >= ranges["low_hz"].low) & (lines_hz <= ranges["high_hz"].high)
     largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
-        gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
+        gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, unit_motion_power), 0.0)
         interval_gain, interval_lines = _interval_of_largest_sum(gain_by_line)
         if interval_gain > largest_gain:
             largest_gain, best_lines, best_density = interval_gain, interval_lines, trial_density
@@ -127,9 +127,9 @@ def _band_estimate(
     counted_share = counted_sample_count / record.transform_length
     if not 2 * largest_gain * counted_share / WINDOW_BANDWIDTH_LINES > min_gain:
         return None
-    band_power_and_size = pattern_power[best_lines], pattern_size[best_lines]
+    band_power_and_size = pattern_power[best_lines], unit_motion_power[best_lines]
     best_density, relative_error = _fitted_density(best_density, *band_power_and_size, counted_share)
-    gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
+    gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, unit_motion_power), 0.0)
     gain_by_line = gain_by_line * counted_sample_count / record.transform_length / WINDOW_BANDWIDTH_LINES
     cumulative_gain = np.concatenate([[0.0], np.cumsum(gain_by_line)])
     resolution_hz = record.sample_rate_hz / counted_sample_count
@@ -146,32 +146,36 @@ def _power_and_size(
     spectra: Complex[np.ndarray, "sensors lines"], pattern: Complex[np.ndarray, "sensors lines"]
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """Power |p'y|^2/|p|^2 of a pattern p in spectra y at every line, and its size |p|^2."""
-    pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
-    return np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300), pattern_size
+    unit_motion_power = np.sum(np.abs(pattern) ** 2, axis=0)
+    return np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(
+        unit_motion_power, 1e-300
+    ), unit_motion_power
 
 
 def _line_gains(
-    density: float, pattern_power: Float[np.ndarray, " lines"], pattern_size: Float[np.ndarray, " lines"]
+    density: float, pattern_power: Float[np.ndarray, " lines"], unit_motion_power: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, " lines"]:
     """Gain of each line's log likelihood by a spectral density."""
-    return np.asarray(pattern_power * (1 - 1 / (1 + density * pattern_size)) - np.log1p(density * pattern_size))
+    return np.asarray(
+        pattern_power * (1 - 1 / (1 + density * unit_motion_power)) - np.log1p(density * unit_motion_power)
+    )
 
 
 def _fitted_density(
     start_density: float,
     pattern_power: Float[np.ndarray, " lines"],
-    pattern_size: Float[np.ndarray, " lines"],
+    unit_motion_power: Float[np.ndarray, " lines"],
     counted_share: float,
 ) -> tuple[float, float]:
     """Likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
     log_density_bounds = np.log(start_density) + np.array([-1.0, 1.0]) * np.log(10)
     optimum = minimize_scalar(
-        lambda log_density: -np.sum(_line_gains(np.exp(log_density), pattern_power, pattern_size)),
+        lambda log_density: -np.sum(_line_gains(np.exp(log_density), pattern_power, unit_motion_power)),
         bounds=log_density_bounds,
         method="bounded",
     )
     density = float(np.exp(optimum.x))
-    signal_share = density * pattern_size / (1 + density * pattern_size)
+    signal_share = density * unit_motion_power / (1 + density * unit_motion_power)
     return density, float(1 / np.sqrt(max(np.sum(signal_share**2) * counted_share / WINDOW_POWER_CORRELATION, 1e-300)))
 
 

@@ -260,15 +260,15 @@ class Descent:
         full_step = covariance @ gradient
 
         def iterate_after(step_share: float) -> _Iterate | None:
-            next_parameter = 0.0
+            next_shape_parameter = 0.0
             if form.parameter_name:
                 stepped_parameter = parameter + step_share * full_step[coefficient_count]
-                next_parameter = float(np.clip(stepped_parameter, *self.parameter_range))
-                if not next_parameter:
+                next_shape_parameter = float(np.clip(stepped_parameter, *self.parameter_range))
+                if not next_shape_parameter:
                     return None
             next_knots_m = knots_m + step_share * full_step[free_count:]
-            next_coefficients, _, _ = _solve_unit_forces(history, self.unit_forces(next_parameter, next_knots_m))
-            return self._evaluate(next_coefficients, next_parameter, next_knots_m)
+            next_coefficients, _, _ = _solve_unit_forces(history, self.unit_forces(next_shape_parameter, next_knots_m))
+            return self._evaluate(next_coefficients, next_shape_parameter, next_knots_m)
 
         return _ForceStep(iterate_after, float(gradient @ full_step), covariance)
 

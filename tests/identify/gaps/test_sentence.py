@@ -107,6 +107,16 @@ def test_what_to_do_depends_on_the_verdict(gaps):
     assert "corrected" not in steps["unexplained"]
 
 
+def test_a_rest_in_the_force_of_a_contact_leads_to_it_and_is_named_with_its_limit(gaps):
+    gap = gaps["partly_explained"]
+    bands = tuple(replace(band, after=0.0) for band in gap.bands)
+    after = replace(gap.after, share=1e-3, contact_shares={"contact_1": 0.01, "contact_2": 0.036})
+    rest = replace(gap, bands=bands, after=after)
+    assert "3.6 % of the force of contact_2 (3.0 % matters) stays unexplained." in sentence(rest)
+    step = "Look at contact_2: the rest lies in its force, of which 3.6 % is unexplained."
+    assert any(text.startswith(step) and "lateral_motion" in text for text in next_steps(rest))
+
+
 def test_a_description_that_explains_little_is_a_hint(gaps):
     gap = gaps["partly_explained"]
     little = replace(gap, unknown=replace(gap.unknown, explained=0.165))
