@@ -256,7 +256,7 @@ def _mark_stops(
         stop, name = result.stops[contact_index], result.rig.contacts[contact_index].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
-                draw_line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(solid_label_once, None))
+                draw_line(1e3 * sign * position_m, color=GREEN, lw=3.0, label=next(solid_label_once, None))
         for side in result.rig.contact(name).law.sides if name in references else ():
             draw_line(1e3 * side * references[name][0], color="k", ls=":", lw=1.2, label=next(dotted_label_once, None))
 
