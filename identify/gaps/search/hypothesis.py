@@ -82,7 +82,10 @@ class Hypothesis:
         return _values_by_candidate(self.candidates, self.values)
 
     def values_of(self, member_indices: Sequence[int]) -> Values:
-        """Parameters of some members; one of them adds the strength of an equal at its place that is not among them."""
+        """Parameters of some members; one of them adds the strength of an equal at its place that is not among them.
+
+        Strengths of effects that have a place are zero where they are neutral.
+        """
         values = self.values_by_candidate()
         retained_values = {index: values[index].copy() for index in member_indices}
         for dropped_index in set(range(len(values))) - set(member_indices):
