@@ -202,7 +202,7 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
 
 def stays_unexplained_words(gap: Diagnosis) -> str:
     """Clause "3.6 % of the force of contact_2 (3.0 % matters) stays unexplained" on what the named effects leave: what
-    exceeds its threshold, or all if nothing does."""
+    exceeds its threshold; else what is not bounded by it, or all."""
     left, matters = gap.after, gap.matters
     exceeding = [f"{percent(left.share)} of the motion ({percent(matters.motion)} matters)"]
     exceeding *= left.share > matters.motion
@@ -211,6 +211,9 @@ def stays_unexplained_words(gap: Diagnosis) -> str:
         for name, share in left.contact_shares.items()
         if share > matters.contact
     ]
+    unbounded = [bound_words(bound) for bound in gap.evidence.quantities_after if bound.unit == "1" and not bound.holds]
+    if unbounded and not exceeding:
+        return f"{joined(unbounded)} {'stay' if len(unbounded) > 1 else 'stays'} unsettled"
     seen_count = sum(share > 0 for share in (left.share, *left.contact_shares.values()))
     verb = "stay" if (len(exceeding) or seen_count) > 1 else "stays"
     return f"{joined(exceeding) if exceeding else unexplained_words(left)} {verb} unexplained"

@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.sentence import sentence
+from identify.gaps.decision_table import Bounded
 from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
 from identify.gaps.page.screen import colour
 from identify.gaps.results import Band, Gap
@@ -113,6 +114,11 @@ def test_a_rest_in_the_force_of_a_contact_leads_to_it_and_is_named_with_its_limi
     after = replace(gap.after, share=1e-3, contact_shares={"contact_1": 0.01, "contact_2": 0.036})
     rest = replace(gap, bands=bands, after=after)
     assert "3.6 % of the force of contact_2 (3.0 % matters) stays unexplained." in sentence(rest)
+    motion = Bounded("motion", "1", 1e-3, 5.8e-3, 5e-3)
+    unbounded = replace(
+        rest, after=replace(after, contact_shares={}), evidence=replace(gap.evidence, quantities_after=(motion,))
+    )
+    assert "the motion (0.1 % unexplained, at most 0.6 %; 0.5 % matters) stays unsettled." in sentence(unbounded)
     step = "Look at contact_2: the rest lies in its force, of which 3.6 % is unexplained."
     assert any(text.startswith(step) and "lateral_motion" in text for text in next_steps(rest))
 
