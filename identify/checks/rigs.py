@@ -136,9 +136,12 @@ def _mirrored_spectra(spectra: Spectra, body: Body) -> Spectra:
     return dataclasses.replace(spectra, sensors=sensors)
 
 
-def _ends_finding(body_name: str, ends: str) -> Finding:
+def _ends_finding(body_name: str, ends_words: str) -> Finding:
     return Finding(
-        cause="ends", of=body_name, evidence=f"{body_name} moves as a beam that is {ends}", mend="correct its ends"
+        cause="ends",
+        of=body_name,
+        evidence=f"{body_name} moves as a beam that is {ends_words}",
+        mend="correct its ends",
     )
 
 

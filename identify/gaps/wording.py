@@ -202,21 +202,25 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
 
 def stays_unexplained_words(gap: Diagnosis) -> str:
     """Clause "3.6 % of the force of contact_2 (3.0 % matters) stays unexplained" on what the named effects leave: what
-    exceeds its threshold; else what is not bounded by it, or all."""
-    left, matters = gap.after, gap.matters
-    exceeding = [f"{percent(left.share)} of the motion ({percent(matters.motion)} matters)"]
-    exceeding *= left.share > matters.motion
-    exceeding += [
-        f"{percent(share)} of the force of {name} ({percent(matters.contact)} matters)"
-        for name, share in left.contact_shares.items()
-        if share > matters.contact
+    exceeds its threshold, then what is not bounded by it; all if there is neither."""
+    contact_shares, matters = gap.after.contact_shares, gap.matters
+    shares = [("the motion", gap.after.share, matters.motion)]
+    shares += [(f"the force of {name}", share, matters.contact) for name, share in contact_shares.items()]
+    exceeding = [
+        f"{percent(share)} of {words} ({percent(limit)} matters)" for words, share, limit in shares if share > limit
     ]
-    unbounded = [bound_words(bound) for bound in gap.evidence.quantities_after if bound.unit == "1" and not bound.holds]
-    if unbounded and not exceeding:
-        return f"{joined(unbounded)} {'stay' if len(unbounded) > 1 else 'stays'} unsettled"
-    seen_count = sum(share > 0 for share in (left.share, *left.contact_shares.values()))
-    verb = "stay" if (len(exceeding) or seen_count) > 1 else "stays"
-    return f"{joined(exceeding) if exceeding else unexplained_words(left)} {verb} unexplained"
+    unbounded = [
+        bound_words(bound)
+        for bound in gap.evidence.quantities_after
+        if bound.unit == "1" and not bound.holds and (bound.value is None or bound.value <= bound.threshold)
+    ]
+    clauses = [(exceeding, "unexplained"), (unbounded, "unsettled")]
+    if not (exceeding or unbounded):
+        is_plural = sum(share > 0 for _, share, _ in shares) > 1
+        return f"{unexplained_words(gap.after)} {'stay' if is_plural else 'stays'} unexplained"
+    return ", and ".join(
+        f"{joined(words)} {'stay' if len(words) > 1 else 'stays'} {state}" for words, state in clauses if words
+    )
 
 
 def joined(words: Sequence[str], conjunction: str = "and") -> str:

@@ -164,8 +164,9 @@ def _unexplained_steps(gap: Gap) -> list[str]:
         if share <= gap.matters.contact:
             return []
         return [
-            f"Look at {name}: the rest lies in its force, of which {percent(share)} is unexplained. Sensors that show "
-            "sideways motion do that too where stops are stiff: state its share (tolerance lateral_motion)."
+            f"Look at {name}: the rest lies in its force, of which {percent(share)} is unexplained. Sideways motion "
+            "that leaks into the sensors may do the same at stiff stops: if there is any, state its share (tolerance "
+            "lateral_motion)."
         ]
     width_hz = gap.bands[-1].high_hz - gap.bands[0].low_hz
     if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * width_hz:

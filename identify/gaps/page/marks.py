@@ -62,7 +62,7 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     if unknown is None or unknown.explained < MIN_HINT_SHARE:
         return
     is_hint = unknown.explained < MIN_DESCRIPTION_SHARE
-    hint = f"a hint ({percent(unknown.explained)} of it): " * is_hint
+    hint = f"a hint (explains {percent(unknown.explained)}): " * is_hint
     if (name := unknown.contact or unknown.sensor) and (station := station_named(rig, name)):
         fault = "clearance that swings" if unknown.contact else "fault of the sensor"
         yield DrawnMark(station, f"{hint}{name}: {fault}", is_hint)

@@ -105,8 +105,8 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
         )
         drawn_ratios = np.maximum(ratios, LEAST_RATIO)
         axes.plot(drawn_ratios[:, 0], rows, marker, color=colour, label=label)
-        for row, ends in zip(rows, drawn_ratios, strict=True):
-            line_ends = np.nan_to_num(ends, nan=UNBOUNDED_RATIO, posinf=UNBOUNDED_RATIO)
+        for row, value_and_upper in zip(rows, drawn_ratios, strict=True):
+            line_ends = np.nan_to_num(value_and_upper, nan=UNBOUNDED_RATIO, posinf=UNBOUNDED_RATIO)
             axes.plot(line_ends, [row, row], color=colour, lw=2.0)
         largest_ratio = max(largest_ratio, 2 * np.max(ratios, initial=0.0, where=np.isfinite(ratios)))
     axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="limit")

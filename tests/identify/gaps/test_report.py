@@ -395,7 +395,7 @@ def test_what_explains_little_is_marked_as_a_hint_or_not_at_all(gaps, rig_of):
     gap = gaps["unexplained"]
     for explained, begin in (
         (0.6, ["unmeasured force"]),
-        (0.3, ["a hint (30.0 % of it): unmeasured force"]),
+        (0.3, ["a hint (explains 30.0 %): unmeasured force"]),
         (0.05, []),
     ):
         drawn = marks(replace(gap, unknown=replace(gap.unknown, explained=explained)), rig_of(gap))

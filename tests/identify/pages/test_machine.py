@@ -112,7 +112,7 @@ def test_names_cannot_break_the_drawing():
 
 
 def test_no_name_is_broken_in_the_words_of_a_mark():
-    words = "a hint (14.7 % of it): cradle_1000mm_acceleration: fault of the sensor"
+    words = "a hint (explains 14.7 %): cradle_1000mm_acceleration: fault of the sensor"
     for x_px in (5.0, WIDTH / 2, WIDTH - 5.0):
         text = mark_text(x_px, words, TextSpans(), [x_px, x_px + 40.0])
         assert " ".join(text.lines).replace("\N{NO-BREAK SPACE}", " ") == words
