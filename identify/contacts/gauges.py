@@ -60,22 +60,6 @@ class Gauges:
             zero_error=np.where(is_usable, zero_error, 0.0),
         )
 
-    def truncation(
-        self, rig: Rig, responses: Sequence[Response], gauge_response: Complex[np.ndarray, "gauges lines"]
-    ) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
-        """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts
-        on its body, by the indices of force and gauge."""
-        truncation_shares = {}
-        for response in responses:
-            highest = slice(int(CONVERGED_SHARE * response.mode_count), None)
-            force_shapes = input_shapes(rig, response, rig.forces)[:, highest]
-            gauge_shapes, accelerance = response.shapes(self.sensors)[:, highest], response.accelerance[highest]
-            force_indices, gauge_indices = (np.flatnonzero(s.any(1)).tolist() for s in (force_shapes, gauge_shapes))
-            for force_index, gauge_index in product(force_indices, gauge_indices):
-                per_newton = real_product((force_shapes[force_index] * gauge_shapes[gauge_index])[None], accelerance)[0]
-                truncation_shares[force_index, gauge_index] = gauge_response[gauge_index] * per_newton
-        return truncation_shares
-
 
 @dataclass(frozen=True)
 class GaugeRows:
@@ -109,6 +93,26 @@ class GaugeErrors:
             parameter = Nuisance(NuisanceKind.TRUNCATION, f"{gauge_names[gauge]} by {self.force_names[force]}")
             changes.append(Change(parameter, [first_row + gauge], (signal_per_newton * input_spectra[force])[None]))
         return tuple(changes)
+
+
+def truncation_of(
+    gauges: Sequence[Sensor],
+    rig: Rig,
+    responses: Sequence[Response],
+    gauge_response: Complex[np.ndarray, "gauges lines"],
+) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
+    """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts on
+    its body, by the indices of force and gauge."""
+    truncation_shares = {}
+    for response in responses:
+        highest = slice(int(CONVERGED_SHARE * response.mode_count), None)
+        force_shapes = input_shapes(rig, response, rig.forces)[:, highest]
+        gauge_shapes, accelerance = response.shapes(gauges)[:, highest], response.accelerance[highest]
+        force_indices, gauge_indices = (np.flatnonzero(s.any(1)).tolist() for s in (force_shapes, gauge_shapes))
+        for force_index, gauge_index in product(force_indices, gauge_indices):
+            per_newton = real_product((force_shapes[force_index] * gauge_shapes[gauge_index])[None], accelerance)[0]
+            truncation_shares[force_index, gauge_index] = gauge_response[gauge_index] * per_newton
+    return truncation_shares
 
 
 def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 
-from identify.contacts.gauges import GaugeErrors, Gauges
+from identify.contacts.gauges import GaugeErrors, Gauges, truncation_of
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import (
     SpectralLines,
@@ -122,7 +122,7 @@ def observation_of(
     )
     gauge_names = tuple(sensor.name for sensor in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
-    truncation = gauges.truncation(rig, responses, gauge_rows.response)
+    truncation = truncation_of(gauges.sensors, rig, responses, gauge_rows.response)
     gauge_errors = GaugeErrors(len(signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
     return observed, gauge_errors, np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
 

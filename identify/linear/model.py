@@ -137,18 +137,23 @@ class Response:
                 shape_rows[i] = _strain_row(places[i], self.body, np.array([shapes[row] for shapes in derivatives]))
         return shape_rows
 
-    def sensor_weights(self, sensor_stations: Stations, stations: Stations) -> Float[np.ndarray, "stations sensors"]:
-        """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors."""
+    def sensor_weights(
+        self, sensor_places: Sequence[Place], stations: Stations
+    ) -> Float[np.ndarray, "stations sensors"]:
+        """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors; none of
+        strain gauges."""
 
         def make() -> Float[np.ndarray, "stations sensors"]:
-            sensor_indices = [i for i, s in enumerate(sensor_stations) if s is not None and s.body == self.body.name]
+            sensor_indices = [
+                i for i, p in enumerate(sensor_places) if isinstance(p, Station) and p.body == self.body.name
+            ]
             mode_count = min(len(sensor_indices), self.mode_count)
-            sensor_weights = np.zeros((len(stations), len(sensor_stations)))
-            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in sensor_indices])[:, :mode_count])
+            sensor_weights = np.zeros((len(stations), len(sensor_places)))
+            inverse_shapes = np.linalg.pinv(self.shapes([sensor_places[i] for i in sensor_indices])[:, :mode_count])
             sensor_weights[:, sensor_indices] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
             return sensor_weights
 
-        return self._cache((tuple(sensor_stations), tuple(stations)), make)
+        return self._cache((tuple(sensor_places), tuple(stations)), make)
 
     def _cache(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
         """Array by a key, made once; not to be written to."""

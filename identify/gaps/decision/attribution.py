@@ -93,7 +93,7 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     variance_ratios = {}
     for response in residual.model.responses:
         body = response.body
-        sensor_indices = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == body.name]
+        sensor_indices = record.motion_sensors_on(body.name)
         mode_count = min(len(sensor_indices), response.mode_count)
         if not mode_count:
             continue

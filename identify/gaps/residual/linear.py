@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gaps.residual.initial_state import free_motion_of
-from identify.gaps.residual.record import Record
+from identify.gaps.residual.record import Record, place_of
 from identify.gaps.residual.shaken_base import (
     BaseSpectra,
     unmeasured_base_accelerations,
@@ -28,7 +28,7 @@ from identify.gaps.residual.shaken_base import (
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
-    SensorStations,
+    SensorPlaces,
     ground_force_derivative,
     has_ground_forces,
     known_forces_of,
@@ -159,13 +159,13 @@ class LinearModel:
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        sensor_stations = sensor_stations_of(self.record, self.rig)
+        sensor_places = sensor_places_of(self.record, self.rig)
         displacements = self.displacements - self.unmeasured_base_m
         eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
-            eta_m += real_product(_eta_weights(self.rig, response, sensor_stations), displacements)
+            eta_m += real_product(_eta_weights(self.rig, response, sensor_places), displacements)
         for mode in self.free_modes:
-            shape = self._unobserved_shapes(self.responses[mode.body_index], sensor_stations)[:, mode.mode_index]
+            shape = self._unobserved_shapes(self.responses[mode.body_index], sensor_places)[:, mode.mode_index]
             eta_m += np.outer(shape, mode.acceleration * self.record.displacement_per_acceleration)
         return eta_m
 
@@ -175,21 +175,21 @@ class LinearModel:
         contact_force_n: Complex[np.ndarray, "contacts lines"],
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
-        sensor_stations = sensor_stations_of(self.record, self.rig)
+        sensor_places = sensor_places_of(self.record, self.rig)
         forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_force_n])
         accelerations = np.zeros((len(self.rig.contacts), forces_n.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
-            transfer = response.transfer(self._unobserved_shapes(response, sensor_stations), force_shapes)
+            transfer = response.transfer(self._unobserved_shapes(response, sensor_places), force_shapes)
             accelerations += np.einsum("icl,il->cl", transfer, forces_n)
         return accelerations * self.record.displacement_per_acceleration
 
     def _unobserved_shapes(
-        self, response: Response, sensor_stations: SensorStations
+        self, response: Response, sensor_places: SensorPlaces
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        sensor_weights = _eta_weights(self.rig, response, sensor_stations)
-        return relative_shapes(self.rig, response) - sensor_weights @ response.shapes(sensor_stations)
+        sensor_weights = _eta_weights(self.rig, response, sensor_places)
+        return relative_shapes(self.rig, response) - sensor_weights @ response.shapes(sensor_places)
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -204,9 +204,8 @@ class LinearModel:
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        sensor_stations: SensorStations = [sensor.station for sensor in self.record.sensors]
         rig = with_motion_following_dampers(self.record, self.rig)
-        return ground_force_derivative(self.record, rig, self.responses, sensor_stations, self.motion)
+        return ground_force_derivative(self.record, rig, self.responses, self.record.sensor_places, self.motion)
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force by the errors of the accelerations, N."""
@@ -256,10 +255,10 @@ def _linear_model(
     motion: SensedMotion,
 ) -> LinearModel:
     """Linear model whose forces on the ground follow this motion at the sensors."""
-    sensor_response, sensor_stations = sensor_response_of(record, rig), sensor_stations_of(record, rig)
-    known_forces = known_forces_of(record, rig, responses, sensor_stations, motion)
+    sensor_response, sensor_places = sensor_response_of(record, rig), sensor_places_of(record, rig)
+    known_forces = known_forces_of(record, rig, responses, sensor_places, motion)
     contact_count, force_count = len(rig.contacts), len(rig.forces)
-    accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_stations)
+    accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_places)
     by_known_force = [
         response_to_force(record, rig, per_newton, force_n)
         for per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
@@ -269,7 +268,7 @@ def _linear_model(
     known_accelerations = sum(by_known_force[1:], by_known_force[0])
     if rig.loads:
         known_accelerations = known_accelerations + sum(
-            real_product(r.shapes(sensor_stations), static_response(record, rig, r)) for r in responses
+            real_product(r.shapes(sensor_places), static_response(record, rig, r)) for r in responses
         )
     error_deviation = np.sqrt(record.noise_variance + unmodelled_share**2 * record.smoothed_power)
     error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
@@ -278,7 +277,7 @@ def _linear_model(
     if base and np.any(base.noise_variance):
         by_unknown_input.append(np.sqrt(base.noise_variance) * (accelerance_by_input[:force_count] - 1))
     elif rig.base_motion and not base:
-        by_base = unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_stations, record.sample_count)
+        by_base = unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_places, record.sample_count)
         by_unknown_input.append(by_base[None])
     has_force_noise = record.force_noise_variance > 0
     force_noise_n = np.sqrt(record.force_noise_variance[has_force_noise, None, None])
@@ -307,18 +306,19 @@ def _linear_model(
 
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
-    """Response of each sensor to an acceleration, with gain, delay and high-pass."""
+    """Response of each sensor to an acceleration, with gain, delay, high-pass and the factor on its signals."""
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
-    return np.stack([sensor_by_name[sensor.name].response(record.omega) for sensor in record.sensors]).astype(complex)
+    responses = [sensor_by_name[sensor.name].response(record.omega) for sensor in record.sensors]
+    return record.signal_factors[:, None] * np.stack(responses).astype(complex)
 
 
-def sensor_stations_of(record: Record, rig: Rig) -> SensorStations:
-    """Stations of the record's sensors in the rig."""
+def sensor_places_of(record: Record, rig: Rig) -> SensorPlaces:
+    """Places of the record's sensors in the rig."""
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
-    return [sensor_by_name[sensor.name].station for sensor in record.sensors]
+    return [place_of(sensor, sensor_by_name[sensor.name].station) for sensor in record.sensors]
 
 
-def _eta_weights(rig: Rig, response: Response, stations: SensorStations) -> Float[np.ndarray, "contacts sensors"]:
+def _eta_weights(rig: Rig, response: Response, stations: SensorPlaces) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
     places = [*(contact.at for contact in rig.contacts), *(contact.against for contact in rig.contacts)]
     weights = response.sensor_weights(stations, places)
@@ -329,18 +329,17 @@ def ground_spring_correction(
     record: Record, model: LinearModel, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    sensor_stations: SensorStations = [sensor.station for sensor in record.sensors]
-    return -signals_by_forces(model, sensor_stations, model.ground_force_changes(displacement_changes))
+    return -signals_by_forces(model, record.sensor_places, model.ground_force_changes(displacement_changes))
 
 
 def signals_by_forces(
-    model: LinearModel, sensor_stations: SensorStations, forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+    model: LinearModel, sensor_places: SensorPlaces, forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Signals of sensors at some stations by forces at others."""
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
             if response.body.name == station.body:
-                accelerance = response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
+                accelerance = response.transfer(response.shapes(sensor_places), response.shapes([station]))[0]
                 signals += model.sensor_response * (accelerance * force_n)
     return signals

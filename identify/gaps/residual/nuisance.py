@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
+from identify.gaps.residual.gauges import gauge_changes
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.unfolding import transverse_index
@@ -138,16 +139,18 @@ def _with_damper_feedback(record: Record, model: LinearModel, change: Change) ->
     if change.parameter.kind not in MODAL_KINDS or response is None or response.feedback is None:
         return change
     shapes, sensor_response = _shapes_at(record, response, change.sensors), model.sensor_response[change.sensors]
-    fitted_count = min(shapes.shape)
+    shows_motion = [record.sensors[index].measures.translates for index in change.sensors]
+    fitted_count = min(shapes[shows_motion].shape)
     accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
-    accelerations[:fitted_count] = np.linalg.pinv(shapes[:, :fitted_count]) @ (change.signals / sensor_response)
+    sensed_accelerations = (change.signals / sensor_response)[shows_motion]
+    accelerations[:fitted_count] = np.linalg.pinv(shapes[shows_motion, :fitted_count]) @ sensed_accelerations
     feedback_acceleration = shapes @ (response.with_damper_feedback(accelerations) - accelerations)
     return dataclasses.replace(change, signals=change.signals + sensor_response * feedback_acceleration)
 
 
 def _shapes_at(record: Record, response: Response, sensor_indices: Sequence[int]) -> Float[np.ndarray, "sensors modes"]:
     """Mode shapes of a body at some of the record's sensors, given by their indices."""
-    return response.shapes([record.sensors[index].station for index in sensor_indices])
+    return response.shapes([record.sensor_places[index] for index in sensor_indices])
 
 
 def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
@@ -164,6 +167,7 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=model.displacements,
         bodies=tuple(BodyMotion(r, modal, _parameter_mode_indices(record, r)) for r, modal in modal_accelerations),
+        further_changes=gauge_changes(record, model),
         base=model.observed_base,
         transverse=_observed_transverse(record, model),
     )
@@ -192,7 +196,7 @@ def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np
     unexplained = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
     accelerations = model.modal_accelerations
     for response, body_accelerations in zip(model.responses, accelerations, strict=True):
-        sensor_indices = [k for k, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+        sensor_indices = record.motion_sensors_on(response.body.name)
         if sensor_indices:
             sensed_mode_count = min(len(sensor_indices), response.mode_count)
             shapes = _shapes_at(record, response, sensor_indices)[:, :sensed_mode_count]
@@ -277,6 +281,6 @@ def relative_displacements(
     sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements at the contacts from displacements of some of the sensors there."""
-    stations = [sensor.station for sensor in record.sensors]
-    signs = np.array([[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in stations] for c in model.rig.contacts])
-    return real_product(signs.reshape(-1, len(stations))[:, sensor_indices], displacements)
+    places = record.sensor_places
+    signs = np.array([[(p == c.at) * 1.0 - (p == c.against) * 1.0 for p in places] for c in model.rig.contacts])
+    return real_product(signs.reshape(-1, len(places))[:, sensor_indices], displacements)

@@ -5,16 +5,18 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex, Float
+from msgspec.structs import replace
 from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.ringing import MeasuredMode
 from identify.gaps.residual.shaken_base import BaseSpectra
+from identify.linear.model import Place
 from identify.linear.sampled_motion import Sampling
 from identify.signals.drift import DriftPrior
 from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import product_rate_multiple
 from identify.signals.scores import INDEPENDENT_RATE_HZ
-from rig.model.description import Rig, Sensor
+from rig.model.description import Rig, Sensor, Station
 from rig.model.tolerances import Tolerances
 
 
@@ -26,10 +28,18 @@ class CountedPart:
     end_s: float
 
 
+def place_of(sensor: Sensor, station: Station) -> Place:
+    """Place of a sensor at a station: that station, or the gauge there."""
+    return station if sensor.measures.translates else replace(sensor, station=station)
+
+
 @dataclass(frozen=True)
 class Record:
     """Spectra of one recording on the lines from 0 to `highest_hz`, and the samples that count.
 
+    sensors: those of motion, then strain gauges, whose strain takes the place of the displacement (`gauges`).
+    signal_factors: factor on each sensor's signals; of gauges one in common, in m, with which their accelerations have
+    the mean power of the others. zero_errors: standard deviations of the gauges' zeros, times that factor.
     transform_length and decimation: samples of the transform with padding, and the recording's samples per time of the
     residuals; counted_slice: the times that count. window multiplied the recording's samples, sample_count in number.
     acceleration_signals: signals as accelerations, by powers of i omega, with the nominal gain and delay still in them;
@@ -51,6 +61,8 @@ class Record:
 
     rig: Rig
     sensors: tuple[Sensor, ...]
+    signal_factors: Float[np.ndarray, " sensors"]
+    zero_errors: Float[np.ndarray, " sensors"]
     zero_known: bool
     sample_rate_hz: float
     transform_length: int
@@ -85,6 +97,20 @@ class Record:
         return Sampling(
             self.sensors[0].measures.order, self.sample_rate_hz, self.sample_count, fade_samples, self.omega
         )
+
+    @cached_property
+    def motion_sensors(self) -> tuple[Sensor, ...]:
+        """Sensors of motion, without strain gauges."""
+        return tuple(sensor for sensor in self.sensors if sensor.measures.translates)
+
+    @cached_property
+    def sensor_places(self) -> tuple[Place, ...]:
+        """Places of the sensors: stations, and gauges themselves."""
+        return tuple(place_of(sensor, sensor.station) for sensor in self.sensors)
+
+    def motion_sensors_on(self, body_name: str) -> list[int]:
+        """Indices of the sensors of motion on a body."""
+        return [k for k, sensor in enumerate(self.motion_sensors) if sensor.station.body == body_name]
 
     @property
     def highest_hz(self) -> float:

@@ -9,6 +9,7 @@ The inertial force -a_B on each kilogram (N/kg) is the force on the ground of `i
 sensor enters all signals alike: it is one unknown input with a prior, as the noise of a force is.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace as with_fields
 
@@ -16,9 +17,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import make_interp_spline
 
-from identify.linear.model import Response
+from identify.linear.model import Place, Response
 from rig.errors import RigError
-from rig.model.description import BaseMotion, Rig, Sensor, Station
+from rig.model.description import BaseMotion, Rig, Sensor
 from rig.model.modes import participation
 from rig.recording import Recording
 
@@ -128,15 +129,16 @@ def unmeasured_base_accelerations(
     rig: Rig,
     base_motion: BaseMotion,
     responses: tuple[Response, ...],
-    sensor_stations: list[Station | None],
+    sensor_places: Sequence[Place],
     sample_count: int,
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations by an unmeasured base motion of one standard deviation per line, an inertial load on each mode."""
     omega = responses[0].cache.omega
-    accelerations = np.ones((len(sensor_stations), omega.size), dtype=complex)
+    accelerations = np.ones((len(sensor_places), omega.size), dtype=complex)
+    accelerations[[isinstance(place, Sensor) for place in sensor_places]] = 0.0  # strain gauges show bending alone
     for response in responses:
         modal_load = participation(rig, response.body, response.modes, response.mode_count)
-        accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
+        accelerations -= response.transfer(response.shapes(sensor_places), modal_load[None])[0]
     return np.asarray(accelerations * unmeasured_base_deviation(base_motion, omega, sample_count, rig.sample_rate_hz))
 
 

@@ -28,6 +28,7 @@ from identify.gaps.residual.extent import (
     read_sensors,
     sensor_noise_densities,
 )
+from identify.gaps.residual.gauges import gauge_sensors, zeros_of
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
@@ -57,18 +58,19 @@ by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and fram
 def record_of(
     recording: Recording, tolerances: Tolerances | None = None, counted_part: CountedPart | None = None
 ) -> Record:
-    """Record of a recording, by the sensors of `extent.read_sensors`.
+    """Record of a recording, by the sensors of `extent.read_sensors` and the strain gauges of `gauges.gauge_sensors`.
 
     It counts up to the highest frequency that it shows and until its motion has decayed, or as `counted_part` says.
     Raises RigError if the recording is too short, has no sensors of motion or shows none.
     """
     rig, rate_hz, sample_count = recording.rig, recording.rig.sample_rate_hz, recording.samples
     joined_rig, tolerances = group_rig_of(rig), tolerances or rig.tolerances or LABORATORY
-    sensors = read_sensors(recording)
-    beginning = beginning_of(recording, sensors)
+    motion_sensors, gauges = read_sensors(recording), gauge_sensors(recording)
+    sensors, motion_count = (*motion_sensors, *gauges), len(motion_sensors)
+    beginning = beginning_of(recording, motion_sensors)
     check_length(recording, beginning)
     noise_densities = sensor_noise_densities(recording, sensors, beginning.quiet_sample_count)
-    highest_hz = highest_hz_of(recording, sensors, noise_densities, tolerances)
+    highest_hz = highest_hz_of(recording, motion_sensors, noise_densities[:motion_count], tolerances)
     modes: tuple[MeasuredMode, ...] = ()
     is_floating = rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
     if beginning.fits_initial_state and not is_floating:
@@ -79,24 +81,32 @@ def record_of(
     transform = transform_of(recording, beginning, decimation)
     omega = transform.omega
     sensor_spectra, eta_above_band = _sensor_spectra_and_eta_above(recording, transform, joined_rig, sensors)
+    gauge_zeros, gauge_zero_errors = zeros_of(recording, gauges, beginning)
+    sensor_spectra[motion_count:] -= np.outer(gauge_zeros, transform.spectrum(np.ones(sample_count))[: omega.size])
     noise_per_line, corner_hz = sample_count * noise_densities**2 * rate_hz / 2, CORNER_HZ
     if not (rig.contacts or beginning.zero_known):  # contacts have drifts for the slow motion
-        corner_hz = noise_corner_hz(rig, omega, np.abs(sensor_spectra) ** 2, noise_per_line)
+        motion_power = np.abs(sensor_spectra[:motion_count]) ** 2
+        corner_hz = noise_corner_hz(rig, omega, motion_power, noise_per_line[:motion_count])
     acceleration_per_signal, displacement_per_signal = (
         np.stack([omega_power(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
         for order in (2, 0)
     )
     velocity_correction, accelerations = _window_corrections(recording, transform, sensors, omega, beginning.zero_known)
     accelerations += sensor_spectra * acceleration_per_signal
+    noise_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
+    noise_variance = noise_per_line[:, None] * noise_factor**2
+    signal_factors = _signal_factors(accelerations, noise_variance, motion_count)
+    accelerations *= signal_factors[:, None]
     base, base_velocity_correction = _base_and_velocity_corrections(recording, transform, beginning, corner_hz)
     period_samples = _period_samples(recording.forces_n[:, beginning.excitation_start_sample :])
-    noise_factor = np.stack([omega ** (2 - sensor.measures.order) for sensor in sensors])
     unsettled_noise_factor = _unsettled_noise_factors(rig, sensors, omega) if beginning.fits_initial_state else 1.0
     static_ratio = np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors])
     counted_end_s = counted_part.end_s if counted_part else None
     return Record(
         rig=rig,
         sensors=sensors,
+        signal_factors=signal_factors,
+        zero_errors=signal_factors * np.concatenate([np.zeros(motion_count), gauge_zero_errors]),
         zero_known=beginning.zero_known,
         sample_rate_hz=rate_hz,
         transform_length=transform.padded_length,
@@ -106,24 +116,37 @@ def record_of(
         omega=omega,
         force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
         acceleration_signals=accelerations,
-        displacement_signals=sensor_spectra * displacement_per_signal,
+        displacement_signals=signal_factors[:, None] * sensor_spectra * displacement_per_signal,
         base=base,
         velocity_correction=velocity_correction - base_velocity_correction,
         force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_sample_count, tolerances) ** 2,
-        noise_variance=noise_per_line[:, None] * noise_factor**2 * unsettled_noise_factor,
+        noise_variance=signal_factors[:, None] ** 2 * noise_variance * unsettled_noise_factor,
         smoothed_power=_smoothed_power(accelerations, static_ratio, transform),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
-        drifts=_drifts(recording, joined_rig, sensors, tolerances, beginning),
+        drifts=_drifts(recording, joined_rig, motion_sensors, tolerances, beginning),
         excitation_start_s=beginning.excitation_start_sample / rate_hz,
         period_s=None if period_samples is None else period_samples / rate_hz,
         tolerances=tolerances,
         fits_initial_state=beginning.fits_initial_state,
         initial_sensor_states=np.array([_initial_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
         measured_modes=modes,
-        counted_slice=_counted_slice(sample_count, transform, beginning, accelerations, counted_end_s),
+        counted_slice=_counted_slice(sample_count, transform, beginning, accelerations[:motion_count], counted_end_s),
         responses_windowed=not rig.contacts,
     )
+
+
+def _signal_factors(
+    accelerations: Complex[np.ndarray, "sensors lines"],
+    noise_variance: Float[np.ndarray, "sensors lines"],
+    motion_count: int,
+) -> Float[np.ndarray, " sensors"]:
+    """Factors of `Record.signal_factors`, of the power beyond noise."""
+    power = np.maximum(np.mean(np.abs(accelerations) ** 2 - noise_variance, axis=1), 0.0)
+    signal_factors = np.ones(len(power))
+    if np.any(power[motion_count:]):
+        signal_factors[motion_count:] = np.sqrt(power[:motion_count].mean() / power[motion_count:].mean())
+    return signal_factors
 
 
 def _initial_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
@@ -175,7 +198,10 @@ def _static_acceleration_ratio(
     free body, and for accelerometers, which show noise there.
     """
     body = rig.body(sensor.station.body)
-    first_natural_omega = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
+    natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
+    if not sensor.measures.translates:  # rigid-body motion bends nothing
+        natural_hz = natural_hz[natural_hz > 0]
+    first_natural_omega = 2 * np.pi * float(np.min(natural_hz))
     return omega**2 / (omega**2 + first_natural_omega**2) if sensor.measures.order < 2 else np.ones_like(omega)
 
 
@@ -282,5 +308,5 @@ def _add_eta_above_band(
     displacement_per_signal = omega_power(omega_above_band, -sensor.measures.order, CORNER_HZ)
     for k, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
-            if sensor.station == (station or ON_GROUND):
+            if sensor.measures.translates and sensor.station == (station or ON_GROUND):
                 eta_above_band[k] += sign * is_in_passband * sensor_spectrum * displacement_per_signal

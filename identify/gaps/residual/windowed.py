@@ -17,7 +17,7 @@ from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.extent import is_free_mass
 from identify.gaps.residual.record import Record
-from identify.linear.model import Response, real_product
+from identify.linear.model import Place, Response, real_product
 from identify.signals.kinematics import omega_power
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, StaticLoad, Station, contact_stations
@@ -27,7 +27,7 @@ LEAST_WINDOW = 1e-2
 
 Spectrum = Complex[np.ndarray, " lines"]
 MotionSpectra = Complex[np.ndarray, "sensors lines"]
-SensorStations = list[Station | None]
+SensorPlaces = Sequence[Place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ GroundForceChanges = Callable[[MotionSpectra], list[tuple[Station, Spectrum]]]
 
 
 def known_forces_of(
-    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_places: SensorPlaces, motion: SensedMotion
 ) -> tuple[tuple[Station, Spectrum], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion
     (against a shaken base, whose inertial force on each kilogram is the measured one)."""
@@ -55,7 +55,7 @@ def known_forces_of(
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     ground_reactions, following_rig = [], with_motion_following_dampers(record, rig)
     if has_ground_forces(following_rig):
-        ground_reactions = ground_forces(record, following_rig, responses, sensor_stations, motion)
+        ground_reactions = ground_forces(record, following_rig, responses, sensor_places, motion)
     measured_forces = zip(rig.forces, measured_forces_n, strict=True)
     return (*measured_forces, *tone_forces, *_loads_from_rest(record, rig), *ground_reactions)
 
@@ -148,12 +148,12 @@ def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
 
 
 def ground_forces(
-    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_places: SensorPlaces, motion: SensedMotion
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
-    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
+    spring_displacements = displacements_at_elements(responses, sensor_places, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_places, dampers, motion.velocities)
     ground_reactions = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
@@ -170,12 +170,12 @@ def ground_forces(
 
 
 def ground_force_derivative(
-    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: SensorStations, motion: SensedMotion
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_places: SensorPlaces, motion: SensedMotion
 ) -> GroundForceChanges:
     """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displacements_at_elements(responses, sensor_stations, springs, motion.displacements)
-    damper_velocities = displacements_at_elements(responses, sensor_stations, dampers, motion.velocities)
+    spring_displacements = displacements_at_elements(responses, sensor_places, springs, motion.displacements)
+    damper_velocities = displacements_at_elements(responses, sensor_places, dampers, motion.velocities)
     force_slopes: list[Float[np.ndarray, " fine"]] = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_eta_m, window = _oversampled_with_window(record, 3, displacement)
@@ -189,8 +189,8 @@ def ground_force_derivative(
 
     def force_changes(displacement_changes: MotionSpectra) -> list[tuple[Station, Spectrum]]:
         motion_changes = (
-            *displacements_at_elements(responses, sensor_stations, springs, displacement_changes),
-            *displacements_at_elements(responses, sensor_stations, dampers, 1j * record.omega * displacement_changes),
+            *displacements_at_elements(responses, sensor_places, springs, displacement_changes),
+            *displacements_at_elements(responses, sensor_places, dampers, 1j * record.omega * displacement_changes),
         )
         padded_sample_count = record.transform_length // record.decimation
         force_stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
@@ -238,13 +238,13 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
 
 def displacements_at_elements(
     responses: tuple[Response, ...],
-    sensor_stations: SensorStations,
+    sensor_places: SensorPlaces,
     attached_elements: Sequence[PointSpring | PointDamper | PointMass],
     sensor_displacements: MotionSpectra,
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    weights = np.sum([response.sensor_weights(sensor_stations, element_stations) for response in responses], axis=0)
+    weights = np.sum([response.sensor_weights(sensor_places, element_stations) for response in responses], axis=0)
     return real_product(weights, sensor_displacements)
 
 

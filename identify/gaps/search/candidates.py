@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import LinearModel, sensor_stations_of, signals_by_forces
+from identify.gaps.residual.linear import LinearModel, sensor_places_of, signals_by_forces
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, contact_columns, residual_decrease
@@ -219,7 +219,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(body.is_mass for body in rig.bodies):
         return None
     attached_forces = _attached_forces(record, model, attachments)
-    attachment_signals = signals_by_forces(model, sensor_stations_of(record, model.rig), attached_forces)
+    attachment_signals = signals_by_forces(model, sensor_places_of(record, model.rig), attached_forces)
     linear_decrease, contact_decrease_n = model.projection.applied_to(attachment_signals)
     eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
@@ -230,14 +230,14 @@ def _attached_forces(
     record: Record, model: LinearModel, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
-    sensor_stations, responses = sensor_stations_of(record, model.rig), model.responses
-    forces = ground_forces(record, attachments, responses, sensor_stations, model.motion)
+    sensor_places, responses = sensor_places_of(record, model.rig), model.responses
+    forces = ground_forces(record, attachments, responses, sensor_places, model.motion)
     springs = [spring for spring in attachments.springs if spring.stiffness_n_per_m]
-    displacements = displacements_at_elements(responses, sensor_stations, springs, model.displacements)
+    displacements = displacements_at_elements(responses, sensor_places, springs, model.displacements)
     for spring, displacement in zip(springs, displacements, strict=True):
         forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     base_acceleration = model.base.acceleration if model.base else 0.0
-    accelerations = displacements_at_elements(responses, sensor_stations, attachments.masses, model.accelerations)
+    accelerations = displacements_at_elements(responses, sensor_places, attachments.masses, model.accelerations)
     for mass, acceleration in zip(attachments.masses, accelerations, strict=True):
         forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]

@@ -73,11 +73,7 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         return LawOutcomes((), dict.fromkeys(contact_names, refusal))
     force_data = recording.signals["force"]
     signals = {**recording.signals, "force": replace(force_data, values=force_data.values / rig.force_sensor.gain)}
-    # the diagnosis uses no strain gauges
-    motion_sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates)
-    separated_rig = msgspec.structs.replace(
-        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=motion_sensors
-    )
+    separated_rig = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
     try:
         separation = separate(replace(recording, rig=separated_rig, signals=signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes

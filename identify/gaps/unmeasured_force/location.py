@@ -107,7 +107,7 @@ def locate_force(
     With an `expected_place` its kind alone is tried, no further than search_radius_m from it.
     """
     without_force = evidence_without_force(whitened)
-    candidate_places = list(force_places(whitened.record.rig, whitened.record.sensors))
+    candidate_places = list(force_places(whitened.record.rig, whitened.record.motion_sensors))
     if expected_place:
         candidate_places = [place for place in candidate_places if place.is_near(expected_place, search_radius_m)]
         candidate_places += [expected_place] * (expected_place.kind != "distributed")

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.gaps.residual.gauges import gauge_changes
 from identify.gaps.residual.nuisance import MODE_FREQUENCY_REACH
 from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.whitened_record import (
@@ -70,6 +71,7 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
         signals=record.acceleration_signals - model.sensor_response * model.base_at_sensors,
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=record.displacement_signals,
+        further_changes=gauge_changes(record, model),
         base=model.observed_base,
         bodies=tuple(bodies),
     )
@@ -106,7 +108,6 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     relative_time[relative_time > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
     integration = omega_power(record.omega, -2, record.corner_hz)
-    sensor_stations = [sensor.station for sensor in record.sensors]
     for response, modal_accelerations in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
@@ -114,5 +115,5 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
             stiffness_spectra = natural_omega[is_in_band, None] ** 2 * integration * modal_accelerations[is_in_band]
             modal_forces = np.zeros_like(modal_accelerations)
             modal_forces[is_in_band] = -np.fft.rfft(relative_time * np.fft.irfft(stiffness_spectra, sample_count))
-            accelerations += response.shapes(sensor_stations) @ response.modal_accelerations(modal_forces)
+            accelerations += response.shapes(record.sensor_places) @ response.modal_accelerations(modal_forces)
     return accelerations

@@ -191,7 +191,7 @@ def explained_share(located: LocatedForce) -> float:
 def _unobserved_accelerance(located: LocatedForce, station: Station) -> Complex[np.ndarray, " alllines"]:
     """Driving-point accelerance of the modes that the sensors do not observe."""
     whitened = located.whitened_record
-    observed_count = sum(sensor.station.body == station.body for sensor in whitened.record.sensors)
+    observed_count = len(whitened.record.motion_sensors_on(station.body))
     for response in whitened.model.responses:
         if response.body.name == station.body:
             shapes = response.shapes([station])[0, observed_count:]

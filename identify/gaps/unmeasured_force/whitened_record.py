@@ -132,11 +132,10 @@ class WhitenedRecord:
 
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerance from a force at a station to the sensors, m/s^2 per N."""
-        accelerances = np.zeros(self.model.sensor_response.shape, dtype=complex)
-        sensor_stations: list[Station | None] = [sensor.station for sensor in self.record.sensors]
+        accelerances, places = np.zeros(self.model.sensor_response.shape, dtype=complex), self.record.sensor_places
         for response in self.model.responses:
             if response.body.name == station.body:
-                accelerances += response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
+                accelerances += response.transfer(response.shapes(places), response.shapes([station]))[0]
         return accelerances
 
     def acceleration_at(self, station: Station) -> Complex[np.ndarray, " alllines"]:
@@ -192,11 +191,10 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         column_gram=np.zeros((band_first_lines.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
-    sensor_stations = [sensor.station for sensor in record.sensors]
     force_responses = np.stack(
         [
             unwhitened_record.ungated_residual(acceleration_per_newton / rig.force_sensor.gain - bool(record.base))
-            for acceleration_per_newton in accelerances(model.rig, model.responses, rig.forces, sensor_stations)[
+            for acceleration_per_newton in accelerances(model.rig, model.responses, rig.forces, record.sensor_places)[
                 : len(rig.forces)
             ]
         ],
@@ -240,9 +238,9 @@ def capped_noise_variance(record: Record) -> Float[np.ndarray, "sensors lines"]:
     """Noise power of each sensor at each line, at most that of rig.json: a force that acts before the excitation
     is no noise."""
     noise_variance = record.noise_variance.copy()
-    for variance, sensor in zip(noise_variance, record.sensors, strict=True):
+    for variance, sensor, factor in zip(noise_variance, record.sensors, record.signal_factors, strict=True):
         if sensor.noise_density > 0:
-            line_density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            line_density = factor * sensor.noise_density * record.omega ** (2 - sensor.measures.order)
             variance[:] = np.minimum(variance, record.sample_count * line_density**2 * record.sample_rate_hz / 2)
     return noise_variance
 
@@ -261,12 +259,13 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
 
 
 def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
-    """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
-    sensor_indices = [index for index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name]
+    """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor of
+    motion."""
+    sensor_indices = record.motion_sensors_on(response.body.name)
     mode_count = min(len(sensor_indices), response.mode_count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
-        shapes = response.shapes([record.sensors[index].station for index in sensor_indices])[:, :mode_count]
+        shapes = response.shapes([record.sensor_places[index] for index in sensor_indices])[:, :mode_count]
         inverse_shapes[:, sensor_indices] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
     return inverse_shapes
 
@@ -280,7 +279,7 @@ def _measured_accelerations(
     unexplained = (
         record.acceleration_signals / model.sensor_response
         - model.base_at_sensors
-        - response.shapes([sensor.station for sensor in record.sensors]) @ modelled
+        - response.shapes(record.sensor_places) @ modelled
     )
     return np.concatenate([modelled[:observed_count] + inverse_shapes @ unexplained, modelled[observed_count:]])
 
