@@ -8,11 +8,11 @@ the sensors of motion alone.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.contacts.gauges import GaugeErrors, truncation_of
-from identify.gaps.residual.extent import RecordBeginning
+from identify.gaps.residual.extent import SIGNAL_TO_NOISE_RATIO, RecordBeginning
 from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.unfolding import IN_Z
@@ -48,6 +48,18 @@ def zeros_of(
     signals = np.array([recording.values_of(gauge) for gauge in gauges]).reshape(len(gauges), recording.samples)
     quiet = signals[:, : beginning.quiet_sample_count or None]
     return quiet.mean(axis=1), quiet.std(axis=1) / np.sqrt(max(1, beginning.quiet_sample_count))
+
+
+def without_noise_lines(
+    record: Record, body_name: str, accelerations: Complex[np.ndarray, "sensors lines"]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """Accelerations of which the modal ones of a body follow; in a record with gauges zero on the lines where a sensor
+    of motion on the body shows much noise, which would be as large as the slow bending that gauges show."""
+    sensor_indices = record.motion_sensors_on(body_name)
+    if not sensor_indices or len(record.sensors) == len(record.motion_sensors):
+        return accelerations
+    noise_ratio = record.noise_variance[sensor_indices] / np.maximum(record.smoothed_power[sensor_indices], 1e-300)
+    return accelerations * (noise_ratio.max(axis=0) < 1 / SIGNAL_TO_NOISE_RATIO)
 
 
 def gauge_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:

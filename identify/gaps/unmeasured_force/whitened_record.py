@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from identify.gaps.residual.gauges import without_noise_lines
 from identify.gaps.residual.linear import LinearModel, linear_model
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, accelerances
@@ -281,6 +282,7 @@ def _measured_accelerations(
         - model.base_at_sensors
         - response.shapes(record.sensor_places) @ modelled
     )
+    unexplained = without_noise_lines(record, response.body.name, unexplained)
     return np.concatenate([modelled[:observed_count] + inverse_shapes @ unexplained, modelled[observed_count:]])
 
 
