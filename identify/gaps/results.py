@@ -208,6 +208,7 @@ Analysis = Literal[
     "attribution",
     "rollout",
     "ring_friction",
+    "strain_gauges",
 ]
 
 

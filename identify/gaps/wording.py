@@ -40,6 +40,7 @@ ANALYSIS_WORDS = {
     "attribution": "where the difference lies",
     "rollout": "prediction from measured states",
     "ring_friction": "whether the friction of rings is as in rig.json",
+    "strain_gauges": "what the strain gauges show",
 }
 """Side analyses that a note may name."""
 PREDICTION_WORDS = {

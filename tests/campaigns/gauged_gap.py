@@ -3,6 +3,7 @@ their accelerometers alone: python -m tests.campaigns.gauged_gap --out out/gauge
 
 import argparse
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from msgspec.structs import replace as with_fields
 from scipy.linalg import eigh
 
 import identify
+from identify.gaps.results import Gap
 from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.reference import BarrelCradle
@@ -18,6 +20,7 @@ from tests.campaigns.fifteen_rigs.bodies import ModalBody, uniform_beam
 from tests.campaigns.fifteen_rigs.field_rig import ACCELERATION, NOISE, STRAIN
 from tests.campaigns.fifteen_rigs.laboratory import Assembly, Grid, Instrument, TrueContact, built, gaussian, recorded
 from tests.campaigns.fifteen_rigs.rigs_pairs import BAND_HZ, GAUGES, MODES, RATIO, REFERENCE, stations
+from tests.campaigns.fifteen_rigs.session import COVERED
 
 GRID = Grid(2048.0, 15.0, 16)
 FORCE_RMS_N = 14.0
@@ -25,7 +28,12 @@ FIBRE_M, CLEARANCE_M, STIFFNESS_N_PER_M = 0.005, 5e-3, 1e5
 CLEARANCE_TOLERANCE, STIFFNESS_TOLERANCE, DAMPING_TOLERANCE_S = 0.01, 0.01, 1e-5
 MASS_KG, MASS_AT_M, STIFFNESS_FACTOR, GAUGE_GAIN = 0.15, 0.8, 1.4, 1.1
 WRONG_GAUGE = f"barrel_0500mm_{STRAIN}"
-EFFECTS = ("none", "added_mass", "contact_stiffness", "sensor_gain")
+TRUE_VALUES = {
+    "none": {},
+    "added_mass": {"added_mass.mass_kg": MASS_KG, "added_mass.relative_position": MASS_AT_M},
+    "contact_stiffness": {"contact_stiffness.factor": STIFFNESS_FACTOR},
+    "sensor_gain": {"sensor_gain.factor": GAUGE_GAIN},
+}
 ACCELEROMETERS = stations((0.45, 1.0), (0.0, 0.55))
 
 
@@ -98,11 +106,22 @@ def recordings(effect: str, seed: int, rig: Rig) -> list[Recording]:
     return records
 
 
+def named_values(report: Gap, effect: str) -> Iterator[str]:
+    """Numbers of the named effects with half their 95 % intervals, beside what is true."""
+    if not report.criteria.named:
+        return
+    cause = report.causes[0]
+    for name, estimate in cause.parameters.items():
+        true = TRUE_VALUES[effect].get(name)
+        half = COVERED * estimate.standard_error
+        yield f"{', '.join(cause.effects)}: {name} {estimate.value:.4g} +- {half:.2g} (true: {true})"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns.gauged_gap", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/gauged_gap"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--effects", nargs="+", choices=EFFECTS, default=list(EFFECTS))
+    parser.add_argument("--effects", nargs="+", choices=list(TRUE_VALUES), default=list(TRUE_VALUES))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     for effect in asked.effects:
@@ -112,7 +131,7 @@ def main() -> None:
                 answer = identify.gap(recordings(effect, seed, rig), null_reference=asked.out)
                 answer.save(asked.out / f"{effect}_{seed}_{rig.name}")
                 print(f"{effect} {seed} {rig.name}: {answer.report.verdict}, {time.monotonic() - begin:.0f} s")
-                print(f"    {answer.report.sentence}", flush=True)
+                print("\n".join(f"    {line}" for line in named_values(answer.report, effect)), flush=True)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,18 @@ from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare, search
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, WeightedHypothesis
+from identify.gaps.residual.gauges import reason_against_gauges
 from identify.gaps.residual.likelihood import Misfit
-from identify.gaps.results import Attribution, Criteria, Diagnosis, Gap, Matters, NextExperiment, RecordDifferences
+from identify.gaps.results import (
+    Attribution,
+    Criteria,
+    Diagnosis,
+    FailedAnalysis,
+    Gap,
+    Matters,
+    NextExperiment,
+    RecordDifferences,
+)
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described_force
 from identify.linear.joined import group_rig_of
@@ -118,9 +128,15 @@ def describe(
         attribution=attributed.result or Attribution(),
         between=differences_attempt.result,
         channel_faults=prepared.channel_faults,
-        notes=tuple(note for analysis in side_analyses for note in analysis.notes),
+        notes=(*(note for analysis in side_analyses for note in analysis.notes), *_gauge_notes(prepared)),
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
+
+
+def _gauge_notes(prepared: PreparedRecordings) -> list[FailedAnalysis]:
+    """Note that strain gauges are not read, where they are there."""
+    reasons = dict.fromkeys(reason_against_gauges(observation.recording) for observation in prepared.observations)
+    return [FailedAnalysis("strain_gauges", reason) for reason in reasons if reason]
 
 
 def _record_differences(

@@ -12,32 +12,53 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.contacts.gauges import GaugeErrors, truncation_of
-from identify.gaps.residual.extent import SIGNAL_TO_NOISE_RATIO, RecordBeginning
+from identify.gaps.residual.extent import RecordBeginning, read_sensors
 from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.unfolding import IN_Z
+from identify.linear.joined import group_rig_of
+from identify.linear.model import Response, ResponseCache, responses_of
 from identify.linear.nuisance import Change
-from rig.model.description import Sensor
+from rig.model.description import Rig, Sensor
 from rig.recording import Recording
 
-
-def reason_against_gauges(recording: Recording) -> str:
-    """Reason why the diagnosis does not read the strain gauges of a recording; empty if it does."""
-    if not np.any(recording.forces_n):
-        return "identify gap reads strain gauges in records of a measured force alone"
-    if recording.rig.base_sensors:
-        return "identify gap reads no strain gauges on a shaken base"
-    if any(body.name.endswith(IN_Z) for body in recording.rig.bodies):
-        return "identify gap reads strain gauges of rigs that move in one direction alone"
-    return ""
+SLOW_BENDING_SHARE = 1 / 4
+"""Share of a body's lowest natural frequency below which sensors of motion do not correct its bending. Set by hand: an
+error of 0.1 % in a rigid acceleration is one of 2 % in the bending there, and 0.2 % of that is no more than noise."""
 
 
 def gauge_sensors(recording: Recording) -> tuple[Sensor, ...]:
     """Strain gauges that the diagnosis reads, each with its fibre_m."""
-    if reason_against_gauges(recording):
-        return ()
-    rig = recording.rig
-    return tuple(replace(s, fibre_m=rig.fibre_m(s)) for s in rig.sensors if not s.measures.translates)
+    rig, gauges = recording.rig, _gauges_of(recording.rig)
+    return () if reason_against_gauges(recording) else tuple(replace(s, fibre_m=rig.fibre_m(s)) for s in gauges)
+
+
+def reason_against_gauges(recording: Recording) -> str:
+    """Reason why the diagnosis leaves the strain gauges of a recording out; empty if it reads them, or has none."""
+    if not _gauges_of(recording.rig):
+        return ""
+    if not np.any(recording.forces_n):
+        return "they are read in records of a measured force"
+    if recording.rig.base_sensors:
+        return "they are not read on a shaken base"
+    if any(body.name.endswith(IN_Z) for body in recording.rig.bodies):
+        return "they are read of rigs that move in one direction"
+    if floating := _bodies_without_slow_bending(recording):
+        return f"accelerometers lose where {floating} rests between its stops; add a displacement sensor there"
+    return ""
+
+
+def _bodies_without_slow_bending(recording: Recording) -> str:
+    """Bodies with gauges whose bending the linear model lets float, as the sensors of motion lose where it rests."""
+    rig, zero_known = group_rig_of(recording.rig), all(s.measures.order == 0 for s in read_sensors(recording))
+    gauged = {gauge.station.body for gauge in _gauges_of(rig)}
+    responses = [r for r in responses_of(rig, ResponseCache(np.ones(1), 0), zero_known) if r.body.name in gauged]
+    bends = [r for r in responses if any(mode >= r.body.rigid_modes for mode in r.dynamics.high_passed_modes)]
+    return " and ".join(r.body.name for r in bends)
+
+
+def _gauges_of(rig: Rig) -> list[Sensor]:
+    return [sensor for sensor in rig.sensors if not sensor.measures.translates]
 
 
 def zeros_of(
@@ -50,16 +71,17 @@ def zeros_of(
     return quiet.mean(axis=1), quiet.std(axis=1) / np.sqrt(max(1, beginning.quiet_sample_count))
 
 
-def without_noise_lines(
-    record: Record, body_name: str, accelerations: Complex[np.ndarray, "sensors lines"]
-) -> Complex[np.ndarray, "sensors lines"]:
-    """Accelerations of which the modal ones of a body follow; in a record with gauges zero on the lines where a sensor
-    of motion on the body shows much noise, which would be as large as the slow bending that gauges show."""
-    sensor_indices = record.motion_sensors_on(body_name)
-    if not sensor_indices or len(record.sensors) == len(record.motion_sensors):
-        return accelerations
-    noise_ratio = record.noise_variance[sensor_indices] / np.maximum(record.smoothed_power[sensor_indices], 1e-300)
-    return accelerations * (noise_ratio.max(axis=0) < 1 / SIGNAL_TO_NOISE_RATIO)
+def without_slow_bending(
+    record: Record, response: Response, correction: Complex[np.ndarray, "modes lines"]
+) -> Complex[np.ndarray, "modes lines"]:
+    """Correction of a body's modal accelerations by its sensors of motion; in a record with gauges none of bending far
+    below its first frequency, where errors of those sensors exceed the bending that gauges show and the model knows."""
+    if len(record.sensors) == len(record.motion_sensors):
+        return correction
+    natural_hz = response.dynamics.natural_hz[: len(correction)]
+    first_hz = np.min(response.dynamics.natural_hz, where=response.dynamics.natural_hz > 0, initial=np.inf)
+    is_slow = record.omega < 2 * np.pi * SLOW_BENDING_SHARE * first_hz
+    return np.where(np.outer(natural_hz > 0, is_slow), 0.0, correction)
 
 
 def gauge_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
-from identify.gaps.residual.gauges import gauge_changes, without_noise_lines
+from identify.gaps.residual.gauges import gauge_changes, without_slow_bending
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.unfolding import transverse_index
@@ -200,8 +200,8 @@ def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np
         if sensor_indices:
             sensed_mode_count = min(len(sensor_indices), response.mode_count)
             shapes = _shapes_at(record, response, sensor_indices)[:, :sensed_mode_count]
-            clear = without_noise_lines(record, response.body.name, unexplained)
-            body_accelerations[:sensed_mode_count] += np.linalg.pinv(shapes) @ clear[sensor_indices]
+            correction = np.linalg.pinv(shapes) @ unexplained[sensor_indices]
+            body_accelerations[:sensed_mode_count] += without_slow_bending(record, response, correction)
     return accelerations
 
 

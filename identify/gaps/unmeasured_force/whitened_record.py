@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.gaps.residual.gauges import without_noise_lines
+from identify.gaps.residual.gauges import without_slow_bending
 from identify.gaps.residual.linear import LinearModel, linear_model
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response, accelerances
@@ -282,8 +282,8 @@ def _measured_accelerations(
         - model.base_at_sensors
         - response.shapes(record.sensor_places) @ modelled
     )
-    unexplained = without_noise_lines(record, response.body.name, unexplained)
-    return np.concatenate([modelled[:observed_count] + inverse_shapes @ unexplained, modelled[observed_count:]])
+    correction = without_slow_bending(record, response, inverse_shapes @ unexplained)
+    return np.concatenate([modelled[:observed_count] + correction, modelled[observed_count:]])
 
 
 def _band_first_lines(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
