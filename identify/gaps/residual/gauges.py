@@ -44,7 +44,7 @@ def reason_against_gauges(recording: Recording) -> str:
     if any(body.name.endswith(IN_Z) for body in recording.rig.bodies):
         return "they are read of rigs that move in one direction"
     if floating := _bodies_without_slow_bending(recording):
-        return f"accelerometers lose where {floating} rests between its stops; add a displacement sensor there"
+        return f"the other sensors do not show where {floating} rests between its stops; identify contact reads them"
     return ""
 
 
