@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix, diags
 
 KNOT_STEP_S = 0.1
-"""Distance of the spline's knots, s."""
+"""Distance of the spline's knots, s, unless the prior has its own."""
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,20 @@ class DriftPrior:
     noise_density: float
     spring_n_per_m: float
     damper_n_s_per_m: float = 0.0
+    knot_spacing_s: float = KNOT_STEP_S
+
+    @property
+    def highest_hz(self) -> float:
+        """Highest frequency that the knots can follow."""
+        return 0.5 / self.knot_spacing_s
 
     @property
     def unfollowed_noise_m(self) -> float:
         """Standard deviation of the twice integrated noise above the frequency that the knots can follow.
 
-        The integral of (s / (2 pi f)^2)^2 from f = 1 / (2 KNOT_STEP_S) on is s^2 / (16 pi^4 3 f^3).
+        The integral of (s / (2 pi f)^2)^2 from f = `highest_hz` on is s^2 / (16 pi^4 3 f^3).
         """
-        return float(self.noise_density / (4 * np.pi**2 * np.sqrt(3 * (0.5 / KNOT_STEP_S) ** 3)))
+        return float(self.noise_density / (4 * np.pi**2 * np.sqrt(3 * self.highest_hz**3)))
 
 
 @dataclass(frozen=True)
@@ -51,8 +57,8 @@ class Spline:
         return int(self.value.shape[1])
 
 
-def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None, knot_spacing_s: float = KNOT_STEP_S) -> Spline:
-    """Cubic spline over a record with a knot every `knot_spacing_s`; without a drift, one without knots, which is zero.
+def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Spline:
+    """Cubic spline over a record, with the knots of `drift`; without a drift, one without knots, which is zero.
 
     White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h.
     """
@@ -60,7 +66,7 @@ def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None, knot_spa
         empty_matrix = csr_matrix((sample_count, 0))
         return Spline(empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
     times_s = np.arange(sample_count) / rate_hz
-    inner_knots_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_spacing_s))) + 1)
+    inner_knots_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / drift.knot_spacing_s))) + 1)
     spacing_s = inner_knots_s[1]
     knots_before_s, knots_after_s = -spacing_s * np.arange(3, 0, -1), inner_knots_s[-1] + spacing_s * np.arange(1, 4)
     knots_s = np.concatenate([knots_before_s, inner_knots_s, knots_after_s])

@@ -135,7 +135,8 @@ def score_set(
     groups = _assigned([t for t in truths if t.library], named)
     answered = list(zip(named, groups, strict=True))
     spread = [t for t in truths if t.library and not _among(t, groups) and _at_every_contact(t, named, contacts)]
-    right = (*groups, tuple(spread))
+    within_laws = tuple(t for t in truths if t.library and any(_within_power_law(t, n, g) for n, g in answered))
+    right = (*groups, tuple(spread), within_laws)
     found = tuple(_among(t, right) for t in truths)
     names_right = tuple(bool(g) or _part_of(n, spread) or _stands_in(n, truths) for n, g in answered)
     recalled = sum(t.above for t, is_found in zip(truths, found, strict=True) if is_found)
@@ -276,6 +277,23 @@ def _at_every_contact(true: TrueOne, named: Sequence[Sequence[Named]], contacts:
         return False
     there = {n.place.get("contact") for look_alikes in named for n in look_alikes if n.name == true.name}
     return set(contacts) <= there
+
+
+def _within_power_law(true: TrueOne, look_alikes: Sequence[Named], group: Group) -> bool:
+    """Whether a stiffness is part of the power law that was named at its contact.
+
+    A law F = R (k d / R)^n of f times the stiffness is one of the same stiffness and of the reference force
+    R f^(n / (1 - n)): the two are one law, and only that force tells them apart.
+    """
+    law = group[0] if group else None
+    if law is None or law.name != "hertz_stop" or true.name != "contact_stiffness":
+        return False
+    reference = _meant(look_alikes, group).values.get("reference_force_n")
+    if reference is None or true.place.get("contact") != law.place.get("contact"):
+        return False
+    exponent = law.whole["exponent"]
+    true_n = law.whole["reference_force_n"] * true.whole["factor"] ** (exponent / (1 - exponent))
+    return abs(reference.value - true_n) <= 3 * reference.standard_error
 
 
 def _part_of(look_alikes: Sequence[Named], spread: Iterable[TrueOne]) -> bool:

@@ -71,6 +71,19 @@ def test_a_weak_cable_need_not_be_named_and_may_be():
     assert (named.recalled, named.false_names, named.named_of_all) == (1, 0, 2)
 
 
+def test_a_stiffness_beside_a_power_law_is_part_of_it_if_the_reference_force_says_so():
+    """1.3 times the stiffness under the exponent 1.5 is a reference force of 20 N / 1.3^3 = 9.1 N."""
+    hertz = law("hertz_stop", exponent=1.5, reference_force_n=20.0)
+
+    def score(reference_n, contact="contact_1"):
+        named = a_law("hertz_stop", exponent=(1.49, 0.02), reference_force_n=(reference_n, 2.0))
+        return score_set([hertz, law("contact_stiffness", contact, factor=1.3)], [(named,)], "explained")
+
+    assert (score(10.0).recalled, score(10.0).verdict_right) == (2, True)
+    assert (score(20.0).recalled, score(20.0).verdict_right) == (1, False)
+    assert score(10.0, "contact_2").recalled == 1
+
+
 def test_the_wrong_contact_body_or_side_is_a_false_name():
     wrong = (a_law("contact_clearance", "contact_2", factor=(1.06, 0.01)),)
     score = score_set([CLEARANCE], [wrong], "explained")

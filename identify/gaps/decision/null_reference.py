@@ -11,7 +11,8 @@ Notes for maintainers
 3. A further part enters the combination: chi-squared of the contact parameters' distance from rig.json (not where the
    rest is certain of a difference that is not bounded). The split likelihood ratio has its own share of the level
    (`with_bound`): it bounds a p-value, is 1 for most machines, and would pull Cauchy's mean towards 1.
-4. The key of a file holds rig, tolerances, simulator, level of force, length and version of the program.
+4. The key of a file holds rig, tolerances, simulator, level of force, length, and the versions of program and
+   statistic.
 """
 
 import hashlib
@@ -55,6 +56,8 @@ MAX_STORED_REFERENCES = 8
 MAX_COMBINED_P_VALUE = 0.99
 """Upper limit of p-values in a combination, as Cauchy's tail near one would cancel small p-values."""
 
+STATISTIC_EDITION = 2
+"""Number of the misfit's definition within a version of the program: null references of another are made anew."""
 BOUND_WEIGHT = 0.05
 """Share of the level of a test that is given to a bound of a p-value, which is small by orders where it is small."""
 
@@ -271,11 +274,12 @@ def null_key(
     level_number = round(float(np.log(max(np.std(level_signal), 1e-300)) / np.log(LEVEL_FACTOR)))
     extent_words = f"{measured_recording.samples} {counted_part.decimation} {round(2 * counted_part.end_s)}"
     program_version = importlib.metadata.version("rig-identify")
+    definition_words = f"{program_version} {STATISTIC_EDITION}"
     blow_words = " blows" * any(is_impulsive(force_n) for force_n in forces_n)
     key_parts = (
         to_json(replace(rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator_name} {level_number} {extent_words} {simulation_count} {program_version}{blow_words}".encode(),
+        f"{simulator_name} {level_number} {extent_words} {simulation_count} {definition_words}{blow_words}".encode(),
     )
     return hashlib.sha256(b"\n".join(key_parts)).hexdigest()
 

@@ -48,7 +48,9 @@ INITIAL_SAMPLE_COUNT = 10
 """Samples from which the first state of a decay is read. Set by hand."""
 SMOOTHING_BANDWIDTH_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
-
+DRIFT_KNOT_SPACING_S = 0.05
+"""Distance of the drift's knots, s: the drift follows what is lost, and what accelerometers show of motion across their
+axes, up to 10 Hz. A stiff stop makes broad forces of such errors of a relative displacement. Set by hand."""
 
 UNSETTLED_FREQUENCY_SHARE = 1 / 3
 """Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
@@ -144,7 +146,7 @@ def _signal_factors(
     """Factors of `Record.signal_factors`, of the power beyond noise."""
     power = np.maximum(np.mean(np.abs(accelerations) ** 2 - noise_variance, axis=1), 0.0)
     signal_factors = np.ones(len(power))
-    if np.any(power[motion_count:]):
+    if np.any(power[:motion_count]) and np.any(power[motion_count:]):
         signal_factors[motion_count:] = np.sqrt(power[:motion_count].mean() / power[motion_count:].mean())
     return signal_factors
 
@@ -168,7 +170,16 @@ def _drifts(
     sensor_kinematics = kinematics(recording, sensors[0].quantity, least_order=2)
     noise_deviations = acceleration_noise(sensor_kinematics, recording.rig)
     return tuple(
-        drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples)
+        drift_of(
+            joined_rig,
+            sensor_kinematics,
+            contact_index,
+            noise_deviations,
+            tolerances,
+            recording.samples,
+            DRIFT_KNOT_SPACING_S,
+            tolerances.lateral_motion,
+        )
         for contact_index in range(len(joined_rig.contacts))
     )
 
