@@ -181,8 +181,9 @@ class Record:
 
     @property
     def oversampling(self) -> float:
-        """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
-        return max(1.0, len(self.sensors) * self.residual_rate_hz / INDEPENDENT_RATE_HZ)
+        """Samples per independent sample, the weight of priors: model errors last longer than a sample, and are shared
+        by the sensors of motion; strain gauges beside them do not lower the weight of the contact forces."""
+        return max(1.0, len(self.motion_sensors) * self.residual_rate_hz / INDEPENDENT_RATE_HZ)
 
     @property
     def slope_rate_multiple(self) -> int:
