@@ -1,6 +1,6 @@
 """Sentences of a diagnosis, made from the content of gap.json alone."""
 
-from identify.gaps.decision_table import USUAL_P_VALUE, Bounded, Verdict
+from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
     MIN_DESCRIPTION_SHARE,
@@ -184,7 +184,13 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
     """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
     if gap.causes and gap.causes[0].probability > 0.5:
         likeliest = f"the likeliest is {joined(gap.causes[0].words)} ({probability(gap.causes[0].probability)})"
-        return f"No effect of the library is certain enough to be named; {likeliest}."
+        intervals = [
+            f"from {number(s.interval_95[0], 3)} to {number(s.interval_95[1], 3)}, where {s.neutral:g} is no effect"
+            for s in gap.causes[0].strengths
+            if s.inclusion_probability >= NAMED_PROBABILITY and not s.is_named
+        ]
+        uncertain_size = f", of uncertain size: {joined(intervals)} (95 %)" if intervals else ""
+        return f"No effect of the library is certain enough to be named; {likeliest}{uncertain_size}."
     return "No effect of the library is named for it."
 
 
