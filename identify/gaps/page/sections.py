@@ -25,13 +25,12 @@ from identify.gaps.wording import (
     cause_name,
     interval,
     is_effective,
-    p_value_words,
     probability,
     remaining_probabilities,
     removed_share_words,
 )
 from identify.pages import page
-from identify.pages.wording import number, percent
+from identify.pages.wording import number, p_value_words, percent
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 MAX_CAUSES = 5
@@ -109,7 +108,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Is there a difference?",
             _yes_no(criteria.differs),
-            f"{p_value_words(evidence.p_value)}: yes below {DIFFERENCE_P_VALUE:g}",
+            f"{p_value_words(evidence.p_value)}. Yes below {DIFFERENCE_P_VALUE:g}",
         ),
         (
             "Is it certainly too small to matter?",
@@ -124,7 +123,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Does it explain enough?",
             _yes_no(criteria.enough) if criteria.named else "",
-            f"what is left has {p_value_words(evidence.p_value_after)}: yes from {USUAL_P_VALUE:g} on, or if it is "
+            f"what is left has {p_value_words(evidence.p_value_after)}. Yes from {USUAL_P_VALUE:g} on, or if it is "
             "certainly too small to matter",
         ),
     ]
@@ -189,7 +188,8 @@ def record_differences_html(between: RecordDifferences) -> str:
         )
     if between.cause_p_value is not None:
         agree = "agree" if between.cause_p_value >= USUAL_P_VALUE else "do not agree"
-        html += f"<p>The records {agree} on the likeliest cause (p-value {percent(between.cause_p_value)}).</p>"
+        p_words = escape(p_value_words(between.cause_p_value))
+        html += f"<p>The records {agree} on the likeliest cause ({p_words}).</p>"
     return html
 
 
