@@ -24,7 +24,7 @@ from identify.gaps.page.sections import (
 from identify.gaps.results import Gap
 from identify.gaps.wording import capitalised, findings_heading, parameter_words, verdict_words
 from identify.pages import page
-from identify.pages.machine import rig_drawing
+from identify.pages.drawing import drawing_html
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
@@ -69,7 +69,7 @@ def write_all(
     caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
     caption += _instead_sentence(gap)
     drawing = (
-        f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
+        f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
     )
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")

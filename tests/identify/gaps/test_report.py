@@ -29,7 +29,8 @@ from identify.gaps.wording import (
     removed_share_words,
     unexplained_words,
 )
-from identify.pages.machine import HELD_WORDS, rig_drawing
+from identify.pages.drawing import drawing_html
+from identify.pages.machine import HELD_WORDS
 from identify.pages.page import unbroken_html
 from identify.pages.wording import number, p_value_words, percent
 from rig.errors import RigError
@@ -78,7 +79,7 @@ def html_of(gap, folder, figures=(), title="title", **options):
 def written(drawn_diagnosis, rig_of, tmp_path_factory):
     """A diagnosis, its pictures, and its page as parsed, with the drawing of the rig."""
     figures, folder, rig = pictures(drawn_diagnosis), tmp_path_factory.mktemp("page"), rig_of(drawn_diagnosis)
-    drawing = rig_drawing(rig, {}, marks(drawn_diagnosis, rig))
+    drawing = drawing_html(rig, {}, marks(drawn_diagnosis, rig))
     page = Page(html_of(drawn_diagnosis, folder, figures, "Gap of one & two", drawing=drawing))
     return drawn_diagnosis, figures, page, folder / "gap.html"
 
@@ -391,7 +392,7 @@ def test_the_page_of_a_structure_is_accessible(inaccessible, gaps, rig_of, tmp_p
     rig = as_data(rig_of(gaps["partly_explained"]))
     write_all(gaps["partly_explained"], rig, "a structure", tmp_path)
     html = (tmp_path / "gap.html").read_text(encoding="utf-8")
-    assert html.count(HELD_WORDS) == sum(body.rigid_modes == 0 for body in rig.bodies) == 1
+    assert html.count(HELD_WORDS) == 2 * sum(body.rigid_modes == 0 for body in rig.bodies) == 2  # wide and narrow
     assert inaccessible(tmp_path / "gap.html", PHONE_PX) == []
 
 

@@ -7,7 +7,9 @@ import pytest
 from identify.pages.wording import length_words, p_value_words
 
 
-@pytest.mark.parametrize("p_value", [0.0, 1e-14, 3e-9, 9e-4, 0.0099, 0.02, 0.0501, 0.19, 0.21, 0.5, 0.79, 0.8, 0.99, 1.0])
+@pytest.mark.parametrize(
+    "p_value", [0.0, 1e-14, 3e-9, 9e-4, 0.0099, 0.02, 0.0501, 0.19, 0.21, 0.5, 0.79, 0.8, 0.99, 1.0]
+)
 def test_the_words_beside_a_p_value_hold_for_it(p_value):
     number, _, words = p_value_words(p_value).partition(": ")
     if number.startswith("p < "):
