@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
+from identify.pages import page
 from identify.pages.drawing import drawing_html
 from identify.pages.drawing_texts import (
     BOLD_LETTER_WIDTH,
@@ -176,3 +177,35 @@ def test_no_name_is_broken_in_the_words_of_a_mark():
     for x_px in (5.0, WIDTH / 2, WIDTH - 5.0):
         text = mark_text(x_px, words, TextSpans(), [x_px, x_px + 40.0])
         assert " ".join(text.lines).replace("\N{NO-BREAK SPACE}", " ") == words
+
+
+_TEXTS = """
+const page = this.contentDocument;
+const texts = [...page.querySelectorAll("svg text")].filter(text => text.getClientRects().length);
+const boxes = texts.map(text => text.getBoundingClientRect());
+const heights = texts.map(text => parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a);
+const overlaps = [];
+boxes.forEach((a, i) => boxes.slice(i + 1).forEach((b, k) => {
+  const wide = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+  const high = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+  if (wide > 1 && high > 4) overlaps.push(texts[i].textContent + " / " + texts[i + 1 + k].textContent);
+}));
+this.title = JSON.stringify([texts.length, Math.min(...heights), Math.max(...boxes.map(box => box.right)), overlaps]);
+"""
+
+
+@pytest.mark.parametrize("width_px", [390, 1280])
+@pytest.mark.parametrize("name", ["beams", "mass", "three masses in a chain", "two beams, two stops at one place"])
+def test_a_browser_draws_texts_that_can_be_read(framed, tmp_path, name, width_px):
+    """Letters of 11 px at least, none beyond the window and none over another, as the browser's own font makes them."""
+    rig = DRAWN[name]
+    words = "an added mass of 0.1498 ± 0.0026 kg on the barrel at 0.7999 ± 0.0014 m"
+    mark = DrawnMark(Station(rig.bodies[-1].name, 0.8 * rig.bodies[-1].length_m), words)
+    html = f"<figure>{drawing_html(rig, {c.name: WORDS for c in rig.contacts}, (mark,))}</figure>"
+    answer = page.Answer("green", "so", "")
+    page.write(tmp_path / "p.html", title="", answer=answer, sections=[], foot_text="", top_blocks=[html, "beside"])
+    (count, least_px, right_px, overlaps), _ = framed((tmp_path / "p.html").read_text(), width_px, _TEXTS)
+    assert count >= 4 + 3 * len(rig.contacts)
+    assert least_px >= 11
+    assert right_px <= width_px - 10
+    assert overlaps == []
