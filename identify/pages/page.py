@@ -179,5 +179,5 @@ def table(headings: Sequence[str], rows: Rows) -> str:
 
 def _cell(text: str) -> str:
     class_attribute = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
-    cell_html = escape(text).replace(" %", "\u00a0%")
+    cell_html = re.sub(r" (?=%)|(?<=^&[lg]t;) ", "\u00a0", escape(text))
     return f"<td{class_attribute}>{cell_html}</td>"
