@@ -95,4 +95,11 @@ def test_a_force_in_contact_shows_while_one_is_closed_and_as_strong_as_it_is_the
     assert set(np.round(drawn[acts & (times < 2)], 3)) == {round(14 * 0.65, 3)}
     assert set(np.round(drawn[acts & (times > 2)], 3)) == {14.0}
     assert static(tmp_path / "r.rrd", "/diagnosis", "TextDocument:text") == ["words"]
+    assert static(tmp_path / "r.rrd", "/model/gap/share_0", "Points3D:labels") == ["100 % of the gap"]
+    write_rrd(recording, truth, tmp_path / "without.rrd")
+    with_gap, without = (
+        [static(tmp_path / name, f"/key/{i}", "Points2D:labels") for i in range(7)] for name in ("r.rrd", "without.rrd")
+    )
+    assert [words for words in with_gap if words not in without] == [["where and when the gap acts"]]
+    assert ["found: identified or corrected"] not in with_gap
     np.testing.assert_allclose(series(tmp_path / "r.rrd", "/gap_over_time")[1][0], [25, 25, 75, 75])
