@@ -207,7 +207,8 @@ def unknown_force_html(unknown: UnmeasuredForce) -> str:
         rows.append((f"stiffness of the {body_name}, change", interval(growth_percent)))
     force_unit = "m/s²" if unknown.kind == "sensor" else "N"
     if unknown.frequency_hz is not None:
-        rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
+        frequency = unknown.law_parameters.get("f", Value(unknown.frequency_hz, 0.0, "Hz"))
+        rows.append(("frequency", interval(frequency)))
     low_hz, high_hz = unknown.band_hz
     rows.append(("90 % of its power lies from", f"{low_hz:.3g} to {high_hz:.3g} Hz"))
     rows.append(("size", f"{number(unknown.rms_n, 3)} {force_unit} rms"))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unmeasured_force.time_history import ForceHistory
+from identify.gaps.unmeasured_force.time_history import LAW_ERROR_SHARE, ForceHistory
 from identify.pages.wording import estimate_words
 from rig.model.contact_laws import penetration_m
 from rig.model.unmeasured_force import Against, Value
@@ -71,10 +71,17 @@ class ForceLaw:
     share_of_free_gain: float
 
     @property
+    def stated_errors(self) -> list[float]:
+        """Standard errors of the coefficients with the share of the force that even the true law may miss, taken as
+        common to all of it; of a tone, whose force follows no motion, those of the fit."""
+        law_error_share = 0.0 if self.form.is_tone else LAW_ERROR_SHARE
+        return np.hypot(self.coefficient_errors, np.multiply(law_error_share, self.coefficients)).tolist()
+
+    @property
     def formula(self) -> str:
         """Formula of the force against the motion, N, of w in m and v in m/s, each value with interval and unit."""
         form, scale = self.form, 1e3 if self.form.parameter_unit == "m" else 1.0
-        coefficients = map(estimate_words, self.coefficients, self.coefficient_errors, form.coefficient_units)
+        coefficients = map(estimate_words, self.coefficients, self.stated_errors, form.coefficient_units)
         unit = "mm" if form.parameter_unit == "m" else form.parameter_unit
         parameter = estimate_words(scale * self.parameter_value, scale * self.parameter_error, unit)
         return form.formula_template.format(*coefficients, p=parameter)
@@ -83,7 +90,7 @@ class ForceLaw:
     def parameters(self) -> dict[str, Value]:
         form = self.form
         names = ("amplitude of cosine", "amplitude of sine") if form.is_tone else ("coefficient", "cubic")
-        coefficients = zip(names, self.coefficients, self.coefficient_errors, form.coefficient_units, strict=False)
+        coefficients = zip(names, self.coefficients, self.stated_errors, form.coefficient_units, strict=False)
         values = {name: Value(value, error, unit) for name, value, error, unit in coefficients}
         if form.parameter_name:
             values[form.parameter_name] = Value(self.parameter_value, self.parameter_error, form.parameter_unit)
