@@ -182,12 +182,14 @@ def _without_start(
     skipped_samples = round(skipped_s * rate_hz / forces.decimation)
     if (sample_count - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
         remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+        at_end_s = recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz
         raise refused(
             RefusalCode.TOO_SHORT,
             RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else remedy,
             duration_s=recording.duration_s,
             at_start_s=skipped_s,
-            at_end_s=recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz,
+            at_end_s=at_end_s,
+            length_ratio=(skipped_s + LEAST_RECORD_S + at_end_s) / recording.duration_s,
         )
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
 

@@ -11,12 +11,11 @@ from identify.gaps.wording import (
     capitalised,
     joined,
     look_alikes_of,
-    p_value_words,
     probability,
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import number, percent
+from identify.pages.wording import number, p_value_words, percent
 
 UNSCALED = (
     "No force was measured, so that all forces rest on the mass in rig.json: an error that scales mass and stiffnesses "
