@@ -183,13 +183,12 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
     """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
     if gap.causes and gap.causes[0].probability > 0.5:
         likeliest = f"the likeliest is {joined(gap.causes[0].words)} ({probability(gap.causes[0].probability)})"
-        intervals = [
-            f"from {number(s.interval_95[0], 3)} to {number(s.interval_95[1], 3)}, where {s.neutral:g} is no effect"
-            for s in gap.causes[0].strengths
-            if s.inclusion_probability >= NAMED_PROBABILITY and not s.is_named
-        ]
-        uncertain_size = f", of uncertain size: {joined(intervals)} (95 %)" if intervals else ""
-        return f"No effect of the library is certain enough to be named; {likeliest}{uncertain_size}."
+        is_size_uncertain = any(
+            strength.inclusion_probability >= NAMED_PROBABILITY and not strength.is_named
+            for strength in gap.causes[0].strengths
+        )
+        interval_words = ", whose interval does not exclude that it is nothing" if is_size_uncertain else ""
+        return f"No effect of the library is certain enough to be named; {likeliest}{interval_words}."
     return "No effect of the library is named for it."
 
 

@@ -70,15 +70,20 @@ def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
 def test_a_small_difference_without_a_name_is_described(gaps):
     drag = gaps["unexplained"].unknown
     assert drag is not None
-    for chance, reason in (
-        (0.4, "named for it"),
-        (0.8, f"the likeliest is {gaps['small'].causes[0].words[0]} (80.0 %)"),
+    likeliest = f"the likeliest is {gaps['small'].causes[0].words[0]}"
+    uncertain = "whose interval does not exclude that it is nothing"
+    for chance, lower, reason in (
+        (0.4, 0.1, "named for it"),
+        (0.8, 0.1, f"{likeliest} (80.0 %)"),
+        (0.99, -0.1, f"{likeliest} (99.0 %), {uncertain}"),
     ):
         causes = tuple(
             replace(
                 cause,
                 probability=chance if rank == 0 else 0.0,
-                strengths=tuple(replace(one, inclusion_probability=chance) for one in cause.strengths),
+                strengths=tuple(
+                    replace(one, inclusion_probability=chance, interval_95=(lower, 0.2)) for one in cause.strengths
+                ),
             )
             for rank, cause in enumerate(gaps["small"].causes)
         )
