@@ -35,11 +35,20 @@ def check_certain(estimate: JointEstimate, lacks_slow_motion: bool) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted.
     Displacement sensors would help where the record lacks the contact's slow motion."""
     estimate_without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
-    quantities = [("stiffness", estimate.stiffness_n_per_m, estimate_without_misfit.error(STIFFNESS_GRADIENT))]
+    quantities = [("stiffness", STIFFNESS_GRADIENT)]
     if not estimate.is_spring:
-        quantities.insert(0, ("clearance", estimate.clearance_m, estimate_without_misfit.clearance_error_m))
-    for quantity, value, error in quantities:
+        quantities.insert(0, ("clearance", estimate.clearance_gradient))
+    for quantity, gradient in quantities:
+        value, error = float(gradient @ estimate.values), estimate_without_misfit.error(gradient)
         if not error < UNCERTAIN_SHARE * value:
             error_percent = min(100 * error / max(value, 1e-12), 100)
             remedy = None if lacks_slow_motion else RemedyCode.RECORD_LONGER_OR_EXCITE_MORE
-            raise refused(RefusalCode.UNCERTAIN, remedy, quantity=quantity, uncertain_percent=error_percent)
+            ratio = length_ratio(float(gradient @ estimate.covariances["scatter"] @ gradient), error**2, value)
+            raise refused(RefusalCode.UNCERTAIN, remedy, ratio, quantity=quantity, uncertain_percent=error_percent)
+
+
+def length_ratio(scatter_variance: float, variance: float, value: float) -> float | None:
+    """Length over that of this record from which a value is certain enough: a longer record makes the scatter's part of
+    the variance smaller, as 1 / length, and leaves the rest. None where the rest alone is too large."""
+    excess = max(UNCERTAIN_SHARE * value, 0.0) ** 2 - (variance - scatter_variance)
+    return scatter_variance / excess if excess > 0 else None

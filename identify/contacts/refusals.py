@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from identify.pages.wording import length_words
 from rig.errors import RigError
 
 Evidence = Mapping[str, float | int | str]
@@ -191,18 +192,20 @@ PERHAPS_UNRECORDED = "the exciting force is zero throughout: unless this is a fr
 class Refusal:
     """Refusal to determine a contact, or all contacts of a record.
 
-    unforced: the record's force is zero throughout, which may be the cause.
+    unforced: the record's force is zero throughout, which may be the cause. length_ratio is the length over that of
+    this record from which it determines the contact, where that is known.
     """
 
     code: RefusalCode
     evidence: Evidence
     remedy: RemedyCode
     unforced: bool = field(default=False, kw_only=True)
+    length_ratio: float | None = field(default=None, kw_only=True)
 
     @property
     def advice(self) -> str:
         """Remedy as a part of a sentence."""
-        return REMEDIES[self.remedy]
+        return REMEDIES[self.remedy].replace("record longer", f"record {length_words(self.length_ratio)}")
 
     @property
     def cause(self) -> str:
@@ -227,6 +230,11 @@ class ContactRefusedError(RigError):
         return ContactRefusedError(self.refusal, note)
 
 
-def refused(code: RefusalCode, remedy: RemedyCode | None = None, **evidence: float | int | str) -> ContactRefusedError:
+def refused(
+    code: RefusalCode,
+    remedy: RemedyCode | None = None,
+    length_ratio: float | None = None,
+    **evidence: float | int | str,
+) -> ContactRefusedError:
     """Error to raise for a code, with its usual remedy if none is given."""
-    return ContactRefusedError(Refusal(code, evidence, remedy or CAUSES[code][1]))
+    return ContactRefusedError(Refusal(code, evidence, remedy or CAUSES[code][1], length_ratio=length_ratio))

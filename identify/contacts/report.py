@@ -13,7 +13,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
-from identify.pages.machine import rig_drawing
+from identify.pages.drawing import drawing_html as rig_drawing_html
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
@@ -121,7 +121,7 @@ def drawing_html(rig: Rig, report: ContactReport) -> str:
     lines_by_contact |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
     interval_words = "; clearance and stiffness with 95 % intervals" if report.contacts else ""
     caption = f"<figcaption>The rig, to scale along the bodies{interval_words}.</figcaption>"
-    return f"<figure>{rig_drawing(rig, lines_by_contact)}{caption}</figure>"
+    return f"<figure>{rig_drawing_html(rig, lines_by_contact)}{caption}</figure>"
 
 
 def _shares_by_quantity(result: Identification) -> dict[str, Mapping[str, float]]:

@@ -32,6 +32,8 @@ FORCE_BAND_RATIO = 4.0
 LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
+HIGHEST_DRIFT_HZ = 0.5 / KNOT_STEP_S
+"""Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 LEAST_RECORD_S = 1.0
@@ -180,12 +182,14 @@ def _without_start(
     skipped_samples = round(skipped_s * rate_hz / forces.decimation)
     if (sample_count - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
         remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+        at_end_s = recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz
         raise refused(
             RefusalCode.TOO_SHORT,
             RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else remedy,
             duration_s=recording.duration_s,
             at_start_s=skipped_s,
-            at_end_s=recording.duration_s - sample_count * forces.decimation / recording.rig.sample_rate_hz,
+            at_end_s=at_end_s,
+            length_ratio=(skipped_s + LEAST_RECORD_S + at_end_s) / recording.duration_s,
         )
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
 
@@ -272,12 +276,8 @@ def drift_of(
     noise_m_per_s2: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
     sample_count: int,
-    knot_spacing_s: float = KNOT_STEP_S,
-    lateral_share: float = 0.0,
 ) -> DriftPrior | None:
     """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
-
-    lateral_share is the tolerance of motion across the axes of the accelerometers, relative to that along them.
 
     Raises ContactRefusedError if no sensor stands at the contact.
     """
@@ -291,57 +291,45 @@ def drift_of(
                 RefusalCode.NO_ACCELEROMETER, contact=contact.name, position_m=station.position_m, body=station.body
             )
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
-    share, highest_hz = float(np.hypot(tolerances.gain, lateral_share)), 0.5 / knot_spacing_s
-    error_densities = [_error_density(motion, s, noise_m_per_s2, tolerances, share, highest_hz) for s in stations]
+    error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
-        error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion, highest_hz)
-        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / highest_hz)))
+        error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / HIGHEST_DRIFT_HZ)))
     return DriftPrior(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
-        knot_spacing_s=knot_spacing_s,
     )
 
 
 def _error_density(
-    motion: Kinematics,
-    station: Station,
-    noise_m_per_s2: Float[np.ndarray, " stations"],
-    tolerances: Tolerances,
-    error_share: float,
-    highest_hz: float,
+    motion: Kinematics, station: Station, noise_m_per_s2: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> float:
     """One-sided density of a station's acceleration error in the band of the drift, m/s^2/sqrt(Hz).
 
-    It is the sensor's noise, and the errors of the slow acceleration: its `error_share`, and those by the tolerances of
-    position and the share of the other direction.
+    It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
+    of the other direction.
     """
     station_row = motion.stations.index(station)
     body_rows = [k for k, place in enumerate(motion.stations) if place.body == station.body]
     body_rows.sort(key=lambda k: motion.stations[k].position_m)
-    body_m_per_s2 = [motion.acceleration_m_per_s2[k] for k in body_rows]
-    slow_m_per_s2 = np.stack([_slow_acceleration(row, motion, highest_hz) for row in body_m_per_s2])
+    slow_m_per_s2 = np.stack([_slow_acceleration(motion.acceleration_m_per_s2[k], motion) for k in body_rows])
     row_on_body = body_rows.index(station_row)
     absolute_slow_m_per_s2 = slow_m_per_s2[row_on_body]
     if motion.base:
-        base_m_per_s2 = motion.base.acceleration_m_per_s2
-        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _slow_acceleration(base_m_per_s2, motion, highest_hz)
-    error_power = error_share**2 * np.mean(absolute_slow_m_per_s2**2)
+        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+    error_power = tolerances.gain**2 * np.mean(absolute_slow_m_per_s2**2)
     if len(body_rows) > 1:
         positions_m = [motion.stations[k].position_m for k in body_rows]
         acceleration_slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[row_on_body]
         error_power += tolerances.position_m**2 * np.mean(acceleration_slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
-        across_m_per_s2 = motion.transverse.acceleration_m_per_s2[transverse_row]
-        across_slow_m_per_s2 = _slow_acceleration(across_m_per_s2, motion, highest_hz)
-        error_power += tolerances.cross_axis**2 * np.mean(across_slow_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / highest_hz))
+        transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
+        error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
+    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / HIGHEST_DRIFT_HZ))
 
 
-def _slow_acceleration(
-    acceleration: Float[np.ndarray, " samples"], motion: Kinematics, highest_hz: float
-) -> Float[np.ndarray, " fewer"]:
+def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
     """Acceleration in the band of the drift."""
-    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * highest_hz))))
+    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * HIGHEST_DRIFT_HZ))))

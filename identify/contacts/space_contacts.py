@@ -15,7 +15,7 @@ from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.annular_record import AnnularRecord, annular_record
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.determination import determine
-from identify.contacts.outcomes import NO_OUTCOMES, UNCERTAIN_SHARE, Outcomes
+from identify.contacts.outcomes import NO_OUTCOMES, UNCERTAIN_SHARE, Outcomes, length_ratio
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, separate_planes
 from identify.linear.nuisance import Nuisance, NuisanceKind
@@ -179,9 +179,11 @@ def _with_whole_band(
 def _check_certain(estimate: AnnularEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
     for quantity, parameter_index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
-        error_share = float(estimate.errors[parameter_index] / estimate.values[parameter_index])
-        if not error_share < UNCERTAIN_SHARE:
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * error_share, 100.0))
+        value, error = float(estimate.values[parameter_index]), float(estimate.errors[parameter_index])
+        if not error / value < UNCERTAIN_SHARE:
+            scatter_variance = float(estimate.covariances["scatter"][parameter_index, parameter_index])
+            ratio, error_percent = length_ratio(scatter_variance, error**2, value), min(100 * error / value, 100.0)
+            raise refused(RefusalCode.UNCERTAIN, None, ratio, quantity=quantity, uncertain_percent=error_percent)
 
 
 def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tuple[Outcomes, tuple[Finding, ...]]:

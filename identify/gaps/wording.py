@@ -68,8 +68,6 @@ SMALLEST_SHARE = 1e-9
 """Smallest share in words, "< 0.1 %": no record bounds a share by zero. Display."""
 NOMINAL_WORDS = {Verdict.CONSISTENT: "rig.json as it is", Verdict.CANNOT_TELL: "no effect that stands out"}
 """Words for no cause at all by the verdict, where no difference is certain."""
-SMALLEST_P_VALUE = 1e-12
-"""Smallest p-value that is written as a number: the tails of no distribution are known further out."""
 SMALLEST_FREQUENCY_CHANGE = 5e-4
 """Relative change of a frequency below which a mode neither softens nor stiffens."""
 
@@ -90,11 +88,6 @@ def reservation_words(gap: Gap) -> str:
 
 def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def p_value_words(p_value: float) -> str:
-    """P-value in words: "p = 0.43", "p < 1e-12"."""
-    return f"p < {SMALLEST_P_VALUE:g}" if p_value < SMALLEST_P_VALUE else f"p = {number(p_value, 2)}"
 
 
 def bound_words(bound: Bounded) -> str:
@@ -254,11 +247,10 @@ def level_words(change: LevelDependence) -> str:
 
 
 def difference_words(comparison: ParameterByRecord) -> str:
-    """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    values = ", ".join(number(value.value) for value in comparison.values)
-    unit = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
+    """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006 ± 0.004, 1.087 ± 0.004)"."""
+    values = ", ".join(map(interval, comparison.values))
     place = f" ({comparison.place})" if comparison.place else ""
-    return f"{comparison.parameter}{place} {comparison.trend} ({values}{unit})"
+    return f"{comparison.parameter}{place} {comparison.trend} ({values})"
 
 
 def failed_analysis_sentences(gap: Gap) -> list[str]:

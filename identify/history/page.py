@@ -13,7 +13,7 @@ from jaxtyping import Float
 from identify.history.changes import MIN_TREND_COUNT, SIGNIFICANCE_LEVEL, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
-from identify.pages.wording import COVERED, interval, number
+from identify.pages.wording import COVERED, interval, number, p_value_words
 
 ORDER_LABEL = "recording, in order"
 TIME_UNITS_S = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
@@ -40,8 +40,8 @@ def quantity_name(quantity: QuantityHistory) -> str:
 def _change_predicate(quantity: QuantityHistory) -> str:
     """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
     if quantity.p_trend is not None and quantity.p_trend < SIGNIFICANCE_LEVEL:
-        return f"drifts by {drift_text(quantity)} from the first to the last (p = {quantity.p_trend:.2g})"
-    return f"differs between recordings (p = {quantity.p_different:.2g})"
+        return f"drifts by {drift_text(quantity)} from the first to the last ({p_value_words(quantity.p_trend)})"
+    return f"differs between recordings ({p_value_words(quantity.p_different or 0.0)})"
 
 
 def drift_text(quantity: QuantityHistory) -> str:

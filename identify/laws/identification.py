@@ -41,6 +41,7 @@ from identify.laws.results import (
 )
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.linear.joined import ContactGroup
+from identify.pages.wording import length_words
 from identify.signals.kinematics import MotionQuantity
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
@@ -241,8 +242,9 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
     start = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     stop = record.force_n.size - EDGE_SAMPLE_COUNT
     if stop - start < MIN_SAMPLE_COUNT:
+        words = length_words((start + MIN_SAMPLE_COUNT + EDGE_SAMPLE_COUNT) / max(record.force_n.size, 1))
         raise RigError(
-            f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record longer"
+            f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record {words}"
         )
     middle = (start + stop) // 2
     return _ContactSamples(record, velocity_m_per_s, estimates, slice(start, middle), slice(middle, stop))

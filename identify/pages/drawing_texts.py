@@ -2,17 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import count, product
 from textwrap import wrap
 
 from identify.pages.page import unbroken_html
 
 WIDTH = 540.0
 """Width of the drawing, px."""
-LINE_HEIGHT, LETTER_WIDTH, BOLD_LETTER_WIDTH = 17.0, 8.2, 9.0
+NARROW_WIDTH = 356.0
+"""Width of the drawing on a narrow screen, px: letters keep their size on one of 390 px, less the page's margins."""
+RULER_LETTER_WIDTH, RULER_STEP = 7.0, 42.0
+"""Mean width of a letter of a ruler, and distance of its numbers at least, px."""
+LINE_HEIGHT, LETTER_WIDTH, BOLD_LETTER_WIDTH = 17.0, 8.4, 9.0
 """Height of a line of text, and mean width of a letter and of a bold one, px."""
 STOP_DISTANCE, STOP_HALF_WIDTH = 11.0, 15.0
 """Distance of a stop from its body, and half its width, px."""
+RING_RADIUS = 9.0
+"""Radius of the ring of a mark, px."""
 MAX_LINE_LETTERS = 38
 """Letters in a line of a mark at most."""
 MARK_GAP = 8.0
@@ -49,26 +55,32 @@ class DrawnText:
     first_line: int
 
 
-def contact_text(x_px: float, text_lines: Sequence[str], text_spans: TextSpans, posts_px: Sequence[float]) -> DrawnText:
-    """Lines of text beside a contact, on the side without posts of others, the right one if both or none is free."""
+def contact_text(
+    x_px: float, text_lines: Sequence[str], text_spans: TextSpans, posts_px: Sequence[float], drawing_px: float = WIDTH
+) -> DrawnText:
+    """Lines of text beside a contact, on the side without posts of others, the right one if both or none is free; over
+    it, from the left edge on, where neither side has room."""
     offset_px, width_px = STOP_HALF_WIDTH + 8, LETTER_WIDTH * max(map(len, text_lines))
     left_px, right_px = x_px - offset_px - width_px, x_px + offset_px + width_px
     is_right_free = not any(x_px < post_px < right_px for post_px in posts_px)
     is_left_free = left_px >= 0 and not any(left_px < post_px < x_px for post_px in posts_px)
-    if right_px <= WIDTH and (is_right_free or not is_left_free):
+    if right_px <= drawing_px and (is_right_free or not is_left_free):
         first_line = text_spans.line_for(x_px - STOP_HALF_WIDTH, right_px, len(text_lines))
         return DrawnText(x_px + offset_px, "start", text_lines, first_line)
-    first_line = text_spans.line_for(left_px, x_px + STOP_HALF_WIDTH, len(text_lines))
-    return DrawnText(x_px - offset_px, "end", text_lines, first_line)
+    end_px = max(x_px - offset_px, width_px)
+    first_line = text_spans.line_for(end_px - width_px, max(end_px, x_px + STOP_HALF_WIDTH), len(text_lines))
+    return DrawnText(end_px, "end", text_lines, first_line)
 
 
-def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence[float]) -> DrawnText:
+def mark_text(
+    x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence[float], drawing_px: float = WIDTH
+) -> DrawnText:
     """Even lines of text centred about x, as far as the drawing's edges and the line of the next mark allow."""
     words = unbroken_html(words)
     line_count = len(wrap(words, MAX_LINE_LETTERS))
-    next_mark_px = min([mark_px - MARK_GAP for mark_px in marks_px if mark_px > x_px + 1], default=WIDTH - 4)
-    for right_px, count in product((next_mark_px, WIDTH - 4), (line_count, line_count + 1)):
-        lines = _even_lines(words, count)
+    next_mark_px = min([mark_px - MARK_GAP for mark_px in marks_px if mark_px > x_px + 1], default=drawing_px - 4)
+    for right_px, most_lines in product((next_mark_px, drawing_px - 4), (line_count, line_count + 1)):
+        lines = _even_lines(words, most_lines)
         half_px = BOLD_LETTER_WIDTH * max(map(len, lines)) / 2
         if 4 + 2 * half_px <= right_px:
             break
@@ -76,6 +88,28 @@ def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence
     return DrawnText(
         middle_px, "middle", lines, text_spans.line_for(middle_px - half_px, middle_px + half_px, len(lines))
     )
+
+
+def ruler_numbers(
+    length_m: float, left_px: float, length_px: float, rings_px: Sequence[float]
+) -> list[tuple[float, float, str]]:
+    """Numbers of a ruler along a body from its left end, each as place and middle of its text, px, and the text: the
+    length with its unit, then even steps, as far as none lies over another or a ring."""
+    steps_m = (digit * 10.0**power for power in count(-6) for digit in (1, 2, 5))
+    step_m = next(step_m for step_m in steps_m if step_m * length_px >= RULER_STEP * length_m)
+    numbers: list[tuple[float, float, str]] = []
+    taken = [(ring_px - RING_RADIUS - 2, ring_px + RING_RADIUS + 2) for ring_px in rings_px]
+    for place_m in (length_m, *(step_m * k for k in range(int(length_m / step_m) + 1))):
+        text = f"{place_m:.6g}" + " m" * (place_m == length_m)
+        half_px, place_px = RULER_LETTER_WIDTH * len(text) / 2, left_px + length_px * place_m / length_m
+        middle_px = max(min(place_px, left_px + length_px - 3 - half_px), left_px + 6 + half_px)
+        left, right = middle_px - half_px - 2, middle_px + half_px + 2
+        if right <= left_px + length_px and all(
+            right <= taken_left or taken_right <= left for taken_left, taken_right in taken
+        ):
+            taken.append((left, right))
+            numbers.append((place_px, middle_px, text))
+    return numbers
 
 
 def _even_lines(words: str, line_count: int) -> list[str]:

@@ -2,7 +2,8 @@
 
 Notes for maintainers
 1. Bodies lie in rows, the first one lowest, to scale along x, so that stations in contact stand one above the other. A
-   mass is a block. Heights, thicknesses and clearances are not to scale.
+   mass is a block. Heights, thicknesses and clearances are not to scale. Each body but a mass is a ruler from its left
+   end, where its stations are counted from.
 2. Between two rows there is room for the lines of the contacts (below the upper body) and for those of the marks (above
    a body, but below the lowest one, on which the contacts of the others stand); texts that would overlap stand one
    below the other.
@@ -14,8 +15,10 @@ from dataclasses import dataclass, field
 from html import escape
 
 from identify.pages.drawing_texts import (
+    BOLD_LETTER_WIDTH,
     LETTER_WIDTH,
     LINE_HEIGHT,
+    RING_RADIUS,
     STOP_DISTANCE,
     STOP_HALF_WIDTH,
     WIDTH,
@@ -23,12 +26,13 @@ from identify.pages.drawing_texts import (
     TextSpans,
     contact_text,
     mark_text,
+    ruler_numbers,
 )
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 
-LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 84.0, 15.0, (120.0, 46.0)
-"""Left and right margin, thickness of a beam, width and height of a mass, px."""
+LEFT_MARGIN, NAME_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 30.0, 20.0, (120.0, 46.0)
+"""Left margin, right margin beside the longest name, thickness of a beam, width and height of a mass, px."""
 ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
 HELD_WORDS = "held: no rigid-body mode"
@@ -53,6 +57,7 @@ class _Layout:
     """Places of bodies, stations and contacts, px."""
 
     rig: Rig
+    width_px: float
     left_ends_m: Mapping[str, float]
     px_per_m: float
     tops_px: dict[str, float] = field(default_factory=dict)
@@ -60,7 +65,7 @@ class _Layout:
     def x_px(self, station: Station) -> float:
         """Place along x; of masses alone, the middle."""
         if not self.px_per_m:
-            return WIDTH / 2
+            return self.width_px / 2
         x_m = self.left_ends_m[station.body] + station.position_m - min(self.left_ends_m.values())
         return LEFT_MARGIN + self.px_per_m * x_m
 
@@ -69,7 +74,9 @@ class _Layout:
         body = self.upper_body(contact)
         if not body.is_mass:
             return self.x_px(contact.at)
-        return self.x_px(Station(body.name)) + 0.5 * MASS_SIZE[0] * self.contacts_of(body).index(contact)
+        contacts, x_px = self.contacts_of(body), self.x_px(Station(body.name))
+        step_px = min(0.5 * MASS_SIZE[0], (self.width_px - x_px - STOP_HALF_WIDTH) / len(contacts))
+        return x_px + step_px * contacts.index(contact)
 
     def contacts_of(self, body: Body) -> list[Contact]:
         """Contacts of which a body is the upper one."""
@@ -102,11 +109,16 @@ class _Layout:
         return self.tops_px[body.name] + _height_px(body)
 
 
-def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark] = ()) -> str:
+def rig_drawing(
+    rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark] = (), width_px: float = WIDTH
+) -> str:
     """SVG of a rig: bodies, sensors, forces, contacts with their lines of text, and marks with theirs."""
     left_ends_m = left_ends(rig)
     extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
-    layout = _Layout(rig, left_ends_m, (WIDTH - LEFT_MARGIN - RIGHT_MARGIN) / extent_m if extent_m > 0 else 0.0)
+    name_px = BOLD_LETTER_WIDTH * max([len(body.name) for body in rig.bodies if not body.is_mass], default=0)
+    right_margin_px = NAME_MARGIN + min(name_px, width_px / 3)
+    px_per_m = (width_px - LEFT_MARGIN - right_margin_px) / extent_m if extent_m > 0 else 0.0
+    layout = _Layout(rig, width_px, left_ends_m, px_per_m)
     spans_below, spans_above = ({body.name: TextSpans() for body in rig.bodies} for _ in range(2))
     for station in layout.drawn_forces:
         spans_below[station.body].line_for(*layout.force_span_px(station))
@@ -115,7 +127,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         lines, body = [contact.name, *contact_lines.get(contact.name, ())], layout.upper_body(contact)
         neighbours = [neighbour for neighbour in layout.contacts_of(body) if neighbour != contact]
         posts_px = [layout.contact_x_px(neighbour) + STOP_HALF_WIDTH for neighbour in neighbours]
-        text = contact_text(layout.contact_x_px(contact), lines, spans_below[body.name], posts_px)
+        text = contact_text(layout.contact_x_px(contact), lines, spans_below[body.name], posts_px, width_px)
         contact_texts.append((contact, text))
     held_bodies = [body.name for body in rig.bodies if _is_held_somewhere(body)]
     held_lines = {name: spans_below[name].line_for(*_held_span_px(layout, name)) for name in held_bodies}
@@ -124,8 +136,9 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         body = rig.body(mark.station.body)
         spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
         marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
-        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, spans, marks_px)))
+        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, spans, marks_px, width_px)))
     places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in mark_texts]
+    rings_px = {body.name: [float(x_px) for name, x_px in places if name == body.name] for body in rig.bodies}
     ringed = dict(zip(places[::-1], mark_texts[::-1], strict=True))  # the first mark of each place
     y_px = 0.0
     for body in reversed(rig.bodies):
@@ -134,7 +147,8 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     svg_elements = [
         *(element for body in rig.bodies for element in _clamp_or_spring(layout, body)),
         *(element for contact, text in contact_texts for element in _contact(layout, contact, text)),
-        *(element for body in rig.bodies for element in _body(layout, body)),
+        *(element for contact, text in contact_texts for element in _contact_words(layout, contact, text)),
+        *(element for body in rig.bodies for element in _body(layout, body, rings_px[body.name])),
         *_supports(layout),
         *(element for body_name, line in held_lines.items() for element in _held_words(layout, body_name, line)),
         *_sensors(layout),
@@ -144,7 +158,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         *(element for mark, text in mark_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
-        f'<svg viewBox="0 0 {WIDTH:g} {y_px + FOOT_HEIGHT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
+        f'<svg viewBox="0 0 {width_px:g} {y_px + FOOT_HEIGHT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
         f'class="machine">{"".join(svg_elements)}</svg>'
     )
 
@@ -172,7 +186,8 @@ def _ground(x_px: float, y_px: float) -> Iterator[str]:
     yield _path_element("thin", "".join(f"M{x_px - 16 + 8 * k:g},{y_px:g}l-6,8" for k in range(5)))
 
 
-def _body(layout: _Layout, body: Body) -> Iterator[str]:
+def _body(layout: _Layout, body: Body, rings_px: Sequence[float]) -> Iterator[str]:
+    """Block of a mass with its name; beam with its ruler, from a dot at its left end, and its name beside it."""
     x_px, top_px, height_px = layout.x_px(Station(body.name)), layout.tops_px[body.name], _height_px(body)
     width_px = MASS_SIZE[0] if body.is_mass else layout.px_per_m * body.length_m
     left_px = x_px - width_px / 2 if body.is_mass else x_px
@@ -180,14 +195,17 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
     if body.is_mass:
         yield _text_element(x_px, top_px + height_px / 2 + 5, "middle", body.name, "name")
     else:
+        for place_px, middle_px, text in ruler_numbers(body.length_m, left_px, width_px, rings_px):
+            yield _path_element("thin", f"M{place_px:g},{top_px:g}v3M{place_px:g},{top_px + height_px:g}v-3")
+            yield _text_element(middle_px, top_px + height_px - 6, "middle", text, "ruler")
+        yield f'<circle class="origin" cx="{left_px:g}" cy="{top_px + height_px / 2:g}" r="3"/>'
         contacts_px = map(layout.contact_x_px, layout.contacts_of(body))
         end_px = max(left_px + width_px, *(x_px + STOP_HALF_WIDTH for x_px in contacts_px), 0.0)
-        yield _text_element(end_px + 12, top_px + height_px, "start", body.name, "name")
+        yield _text_element(end_px + 12, top_px + height_px - 4, "start", body.name, "name")
 
 
 def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
-    """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground, and its lines
-    of text."""
+    """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground."""
     body = layout.upper_body(contact)
     left_px, post_px = layout.contact_x_px(contact) - STOP_HALF_WIDTH, layout.contact_x_px(contact) + STOP_HALF_WIDTH
     top_px, bottom_px = layout.tops_px[body.name], layout.bottom_px(body)
@@ -206,8 +224,12 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
         yield _path_element(css_class, f"M{post_px:g},{bottom_px:g}v{step_px:g}l-8,{step_px / 2:g}{coil}V{foot_px:g}")
     if not carriers:
         yield from _ground(post_px, foot_px)
+
+
+def _contact_words(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
+    """Lines of text of a contact, above all posts."""
     for k, line in enumerate(text.lines):
-        y_px = bottom_px + 30 + LINE_HEIGHT * (text.first_line + k)
+        y_px = layout.bottom_px(layout.upper_body(contact)) + 30 + LINE_HEIGHT * (text.first_line + k)
         yield _text_element(text.x_px, y_px, text.anchor, line, "value" if k else "name")
 
 
@@ -271,11 +293,11 @@ def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[st
     body = layout.rig.body(mark.station.body)
     x_px, middle_px = layout.corner_x_px(mark.station, 0.38), layout.tops_px[body.name] + _height_px(body) / 2
     words_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * (len(text.lines) - 1) + 5
-    ends_px = (middle_px - 9, words_px)
+    ends_px = (middle_px - RING_RADIUS, words_px)
     if layout.is_marked_below(body):
-        ends_px = (middle_px + 9, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
+        ends_px = (middle_px + RING_RADIUS, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
     yield _path_element(mark.css_class, f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
-    yield f'<circle class="{mark.css_class}" cx="{x_px:g}" cy="{middle_px:g}" r="9"/>'
+    yield f'<circle class="{mark.css_class}" cx="{x_px:g}" cy="{middle_px:g}" r="{RING_RADIUS:g}"/>'
 
 
 def _mark_words(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:

@@ -57,9 +57,12 @@ summary{cursor:pointer;color:var(--dim)}
 .folded h2{display:inline;border:0}
 .first{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:0 1.6rem}
 .first figure{margin:.2rem 0}.first h2{margin-top:1rem}.first figure img{min-width:0}
-.machine{width:100%;height:auto;max-height:25rem}
+.machine{width:100%;height:auto;max-height:25rem}.narrow{display:none}.narrow .machine{max-height:none}
+.key{display:flex;flex-wrap:wrap;gap:0 1rem;list-style:none;padding:0;color:var(--dim);font-size:.9rem}
+.key li{display:flex;align-items:center;gap:.3rem}.key .machine{width:2.2rem;flex:none}
 .machine text{font-size:14px;fill:var(--ink);paint-order:stroke;stroke:var(--page);stroke-width:4px}
 .machine .name{font-weight:600}.machine .value{fill:var(--found)}
+.machine .ruler{font-size:12px;stroke:none}.machine .origin{fill:var(--ink)}
 .machine .dim{fill:var(--dim)}.machine path{fill:none;stroke:var(--ink);stroke-width:1.8}
 .machine .thin{stroke-width:1}
 .machine .fork,.machine .found{stroke-width:2.4}.machine .found{stroke:var(--found)}
@@ -71,7 +74,7 @@ summary{cursor:pointer;color:var(--dim)}
 .machine .mark-words{fill:var(--cause);font-weight:600}
 @media print{body{max-width:none}h2,h3,summary{break-after:avoid}.plot,figure,tr{break-inside:avoid}
 .plot{zoom:var(--shrink,1)}.first{grid-template-columns:repeat(2,minmax(0,1fr))}table{font-size:.8rem}td.number{white-space:normal}}
-@media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}
+@media(max-width:40rem){.narrow{display:block}.broad{display:none}table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
@@ -176,5 +179,5 @@ def table(headings: Sequence[str], rows: Rows) -> str:
 
 def _cell(text: str) -> str:
     class_attribute = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
-    cell_html = escape(text).replace(" %", "\u00a0%")
+    cell_html = re.sub(r" (?=%)|(?<=^&[lg]t;) ", "\u00a0", escape(text))
     return f"<td{class_attribute}>{cell_html}</td>"

@@ -6,6 +6,21 @@ from rig.model.quantities import printed_unit
 
 COVERED = 1.96
 """Half-width of the 95 % interval of a normal distribution in standard errors."""
+PLAIN_DIGITS = 3
+"""Significant digits of a value in a sentence that has no interval. Display."""
+P_VALUE_WORDS = (
+    (0.001, "chance alone would do this in fewer than 1 of 1000 machines"),
+    (0.01, "chance alone would do this in fewer than 1 of 100 machines"),
+    (0.05, "chance alone would do this in fewer than 1 of 20 machines"),
+    (0.2, "chance alone would do this in fewer than 1 of 5 machines"),
+    (0.8, "as likely by chance as not"),
+    (math.inf, "chance alone mostly leaves more"),
+)
+"""Words for a p-value below each of these."""
+SMALLEST_P_VALUE = 1e-12
+"""Smallest p-value that is written as a number: the tails of no distribution are known further out."""
+LARGEST_LENGTH_RATIO = 100.0
+"""Ratio of record lengths above which none is advised. Display."""
 
 
 def number(value: float, significant_digits: int = 4) -> str:
@@ -34,8 +49,7 @@ def percent(share: float) -> str:
 
 def interval(value: float, standard_error: float, unit: str) -> str:
     """Value ± 1.96 standard errors, to two digits of these; the unit "1" is not written."""
-    half_width = COVERED * standard_error
-    unit_text = "" if unit == "1" else f" {printed_unit(unit)}"
+    half_width, unit_text = COVERED * standard_error, _unit_text(unit)
     if not math.isfinite(half_width) or half_width <= 0:
         return f"{number(value)}{unit_text} (no interval)"
     half_width = float(f"{half_width:.1e}")
@@ -47,6 +61,40 @@ def interval(value: float, standard_error: float, unit: str) -> str:
         )
     decimals = max(0, -last_power)
     return f"{round(value, -last_power) + 0.0:.{decimals}f} ± {half_width:.{decimals}f}{unit_text}"
+
+
+def estimate_words(value: float, standard_error: float, unit: str, plain_words: str = "") -> str:
+    """Value in a sentence with its 95 % interval; where it has none the plain words, or the value to three digits."""
+    if math.isfinite(standard_error) and standard_error > 0:
+        return interval(value, standard_error, unit)
+    return plain_words or f"{number(value, PLAIN_DIGITS)}{_unit_text(unit)}"
+
+
+def change_words(change: float, standard_error: float) -> str:
+    """Relative change in per cent with its sign and 95 % interval: "+3.10 ± 0.40 %"."""
+    return "+" * (change > 0) + estimate_words(100 * change, 100 * standard_error, "%", f"{100 * change:.2g} %")
+
+
+def _unit_text(unit: str) -> str:
+    return "" if unit == "1" else f" {printed_unit(unit)}"
+
+
+def p_value_words(p_value: float) -> str:
+    """P-value with its meaning: "p = 0.43: as likely by chance as not", "p < 1e-12: chance alone would do this ..."."""
+    size = f"p < {SMALLEST_P_VALUE:g}" if p_value < SMALLEST_P_VALUE else f"p = {number(p_value, 2)}"
+    return f"{size}: {next(words for limit, words in P_VALUE_WORDS if p_value < limit)}"
+
+
+def length_words(length_ratio: float | None) -> str:
+    """Length of a further record over that of this one, rounded up: "about twice as long"; "longer" if it is unknown or
+    too large to be advised."""
+    if length_ratio is None or not 1 < length_ratio <= LARGEST_LENGTH_RATIO:
+        return "longer"
+    if length_ratio <= 1.5:
+        return "about half as long again"
+    step = 1 if length_ratio <= 10 else 10
+    times = step * math.ceil(length_ratio / step - 0.05)
+    return "about twice as long" if times == 2 else f"about {times} times as long"
 
 
 def _power_of_ten(value: float) -> int:

@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 
 from identify.pages import page
-from identify.pages.machine import rig_drawing
+from identify.pages.drawing import drawing_html
 from identify.pages.wording import COVERED, interval, number, percent
 from identify.planning.detectable import DetectableEffect
 from identify.planning.expectation import QUANTITIES, ExpectedQuantity
@@ -191,7 +191,7 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         path,
         title=f"{plan.rig}: plan of a test",
         answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
-        top_blocks=[f"<figure>{rig_drawing(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice_html}"],
+        top_blocks=[f"<figure>{drawing_html(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice_html}"],
         sections=_sections(plan),
         folded_sections=_folded_sections(plan),
         foot_text="Made by identify plan; the numbers are in plan.json.",

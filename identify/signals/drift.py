@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix, diags, vstack
 
 KNOT_STEP_S = 0.1
 """Distance of the spline's knots, s, unless the prior has its own."""
@@ -16,8 +16,9 @@ class DriftPrior:
     """Prior of the drift b(t) by the accelerometers.
 
     acceleration_m_per_s2 is the measured b'' below the corner of the integration, with the one-sided noise_density
-    (m/s^2/sqrt(Hz)). spring_n_per_m is a spring to the ground under the contact, which fixes the zero, and
-    damper_n_s_per_m a damper beside it.
+    (m/s^2/sqrt(Hz)); slow_noise_density is that of the lower half of the band that the knots follow, if it differs.
+    spring_n_per_m is a spring to the ground under the contact, which fixes the zero, and damper_n_s_per_m a damper
+    beside it.
     """
 
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
@@ -25,6 +26,7 @@ class DriftPrior:
     spring_n_per_m: float
     damper_n_s_per_m: float = 0.0
     knot_spacing_s: float = KNOT_STEP_S
+    slow_noise_density: float | None = None
 
     @property
     def highest_hz(self) -> float:
@@ -60,7 +62,8 @@ class Spline:
 def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Spline:
     """Cubic spline over a record, with the knots of `drift`; without a drift, one without knots, which is zero.
 
-    White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h.
+    White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h, and
+    slow noise s_0^2 / 4h in the mean of two.
     """
     if drift is None:
         empty_matrix = csr_matrix((sample_count, 0))
@@ -71,12 +74,16 @@ def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Splin
     knots_before_s, knots_after_s = -spacing_s * np.arange(3, 0, -1), inner_knots_s[-1] + spacing_s * np.arange(1, 4)
     knots_s = np.concatenate([knots_before_s, inner_knots_s, knots_after_s])
     second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(inner_knots_s.size, knots_s.size - 4)) / spacing_s**2
-    curvature_deviation = drift.noise_density / np.sqrt(2 * spacing_s)
+    weights = diags([np.sqrt(2 * spacing_s) / drift.noise_density], [0], shape=(inner_knots_s.size,) * 2)
+    if drift.slow_noise_density is not None:
+        slow_weight = np.sqrt(4 * spacing_s) / drift.slow_noise_density
+        pair_means = diags([0.5, 0.5], [0, 1], shape=(inner_knots_s.size - 1, inner_knots_s.size))
+        weights = vstack([weights, slow_weight * pair_means.tocsr()[::2]])
     return Spline(
         value=csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)),
         rate=_rate_matrix(times_s, knots_s),
-        curvature=csr_matrix(second_difference / curvature_deviation),
-        curvature_target=np.interp(inner_knots_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
+        curvature=csr_matrix(weights @ second_difference),
+        curvature_target=weights @ np.interp(inner_knots_s, times_s, drift.acceleration_m_per_s2),
     )
 
 

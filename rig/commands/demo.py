@@ -27,7 +27,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from rig.commands.command_line import Force, refuse_existing, say
+from rig.commands.command_line import Force, fitted, refuse_existing, say
 from rig.errors import RigError
 
 MASS_KG, POSITION_M = 0.15, 0.8
@@ -157,6 +157,6 @@ def _print_diagnosis(commands: tuple[tuple[object, ...], ...], folder: Path) -> 
     _print_commands(commands)
     gap_json = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
     answer_text = f"{gap_json['verdict'].replace('_', ' ')}: {gap_json['sentence']}"
-    for line in wrap(answer_text, get_terminal_size().columns - 2):
-        say(f"  {line}")
+    for line in fitted(f"  {answer_text}", get_terminal_size().columns).splitlines():
+        say(line)
     say(f"  (true: a mass of {MASS_KG:g} kg on the barrel at {POSITION_M:g} m)")

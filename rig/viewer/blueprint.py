@@ -12,7 +12,7 @@ from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
 from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROW_COUNT, PREDICTION, TIMELINE, entity, legend_of
-from rig.viewer.palette import MEANINGS
+from rig.viewer.palette import Meaning
 from rig.viewer.spectra import ShownSpectra
 
 HALF_WINDOW_S = 0.5
@@ -44,6 +44,8 @@ class Layout:
     """Half width of the views of each contact, mm."""
     spectra: tuple[ShownSpectra, ...]
     has_diagnosis: bool
+    meanings: tuple[Meaning, ...]
+    """Meanings of the colours that are shown."""
     masses_alone: bool = False
     predicted_station_name: str | None = None
     """Name of the station whose predicted displacement is shown, if a prediction is."""
@@ -66,7 +68,7 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     motion_view = rrb.Horizontal(
         left_column, rrb.Vertical(*_plot_views(layout), row_shares=row_shares), column_shares=[3, 2]
     )
-    tabs = [rrb.Vertical(_key_view(), motion_view, row_shares=[1, 14], name="Motion")]
+    tabs = [rrb.Vertical(_key_view(layout), motion_view, row_shares=[1, 14], name="Motion")]
     if layout.predicted_station_name is not None:
         tabs.append(_prediction_tab(layout, layout.predicted_station_name))
     tabs.append(rrb.Grid(*(axes_view(spectra.origin, spectra.title) for spectra in layout.spectra), name="Spectra"))
@@ -81,8 +83,8 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     )
 
 
-def _key_view() -> rrb.Spatial2DView:
-    visual_bounds = rrb.VisualBounds2D(x_range=[0.0, len(MEANINGS)], y_range=[-0.02, 0.12])
+def _key_view(layout: Layout) -> rrb.Spatial2DView:
+    visual_bounds = rrb.VisualBounds2D(x_range=[0.0, len(layout.meanings)], y_range=[-0.02, 0.12])
     return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=visual_bounds)
 
 
@@ -122,7 +124,7 @@ def _prediction_tab(layout: Layout, station_name: str) -> rrb.Vertical:
     )
     model_view = rrb.Vertical(_model_view(layout, view_name, "model/gap", 1.2), words_view, row_shares=[4, 1])
     motion_view = rrb.Horizontal(model_view, rrb.Vertical(*plot_views), column_shares=[3, 2])
-    return rrb.Vertical(_key_view(), motion_view, row_shares=[1, 14], name="Prediction")
+    return rrb.Vertical(_key_view(layout), motion_view, row_shares=[1, 14], name="Prediction")
 
 
 def _close_up_view(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DView:

@@ -1,6 +1,7 @@
 """A diagnosis in the viewer: marks on the moving bodies, the gap over time, and the verdict in words."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 import rerun as rr
@@ -14,6 +15,8 @@ from rig.viewer.stage import Stage
 
 MIN_LABELLED_SHARE = 0.1
 """Least share of the mismatch at a station that is labelled."""
+MAX_LINE_LETTERS = 40
+"""Letters in a line of the words of a mark, which have to fit beside the end of a body."""
 
 
 def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_motions: Sequence[ContactMotion]) -> None:
@@ -23,7 +26,7 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
     """
     send_static(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
     for index, (station, mismatch_share) in enumerate(gap.share_by_station.items()):
-        share_labels = [f"{100 * mismatch_share:.0f} %"] if mismatch_share >= MIN_LABELLED_SHARE else None
+        share_labels = [f"{100 * mismatch_share:.0f} % of the gap"] if mismatch_share >= MIN_LABELLED_SHARE else None
         radius_px = 2.0 + 6.0 * float(np.sqrt(mismatch_share / max(gap.share_by_station.values(), default=1.0)))
         entity_path = f"model/gap/share_{index}"
         dot_style = rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius_px)], labels=share_labels)
@@ -37,7 +40,7 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
         send(stream, entity_path, scene.time_s, rr.Points3D, positions=positions, radii=negative_radii_px)
         send_static(stream, f"{entity_path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
         text_points = positions + np.array([0, 0, (0.12 + 0.07 * index) * scene.extent_m])
-        mark_words = np.where(strengths > 0, mark.words, "")
+        mark_words = np.where(strengths > 0, fill(mark.words, MAX_LINE_LETTERS), "")
         send(stream, f"{entity_path}/words", scene.time_s, rr.Points3D, positions=text_points, labels=mark_words)
     interval_edges_s = np.array([edge_s for start_s, end_s, _ in gap.share_spans for edge_s in (start_s, end_s - 1e-6)])
     share_percent = np.array([100 * mismatch_share for _, _, mismatch_share in gap.share_spans for _ in range(2)])

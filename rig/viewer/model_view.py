@@ -9,16 +9,16 @@ from rig.model.description import Body
 from rig.recording import Recording
 from rig.viewer.contact_view import ContactMotion
 from rig.viewer.drawing import KEY, entity, pixels, send, send_labels, send_static
-from rig.viewer.palette import FAINT, FORCE, MACHINE, MEANINGS, SOURCES, STEEL, Colour, shades
+from rig.viewer.palette import FAINT, FORCE, MACHINE, SOURCES, STEEL, Colour, Meaning, shades
 from rig.viewer.stage import Stage
 
 UPWARDS, OUTWARDS = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
 """Directions of y and of z of the rig on the stage."""
 
 
-def send_key(stream: rr.RecordingStream) -> None:
-    """Send the meanings of the colours, side by side."""
-    for index, meaning in enumerate(MEANINGS.values()):
+def send_key(stream: rr.RecordingStream, meanings: Sequence[Meaning]) -> None:
+    """Send the meanings of the colours that are shown, side by side."""
+    for index, meaning in enumerate(meanings):
         send_labels(stream, f"{KEY}/{index}", [[index + 0.5, 0.0]], [meaning.words], meaning.on_dark)
 
 

@@ -28,7 +28,7 @@ from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
 from rig.viewer.orbit import Orbit
-from rig.viewer.palette import FORCE, SENSOR, Colour, shades
+from rig.viewer.palette import FORCE, MEANINGS, SENSOR, Colour, Meaning, shades
 from rig.viewer.phase_view import send_histogram, send_phase
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
@@ -84,6 +84,7 @@ def write_rrd(
         reach_by_contact_mm={contact.contact.name: contact.reach_mm for contact in contact_motions},
         spectra=tuple(spectra_of(recording, forces_n)),
         has_diagnosis=gap is not None,
+        meanings=_shown_meanings(contact_motions, gap is not None, prediction is not None),
         masses_alone=scene.masses_alone,
         predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_station_row])
         if prediction
@@ -92,7 +93,7 @@ def write_rrd(
     with rr.RecordingStream("rig") as stream, _drained_stream(stream) as encoded_stream:
         stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-        send_key(stream)
+        send_key(stream, layout.meanings)
         send_model(stream, scene, recording, contact_motions)
         progress(0.3)
         for contact_number, contact_motion in enumerate(contact_motions, start=1):
@@ -110,6 +111,20 @@ def write_rrd(
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
         write_bytes(encoded_stream.read() or b"", path)
+
+
+def _shown_meanings(
+    contact_motions: Sequence[ContactMotion], has_gap: bool, has_prediction: bool
+) -> tuple[Meaning, ...]:
+    """Meanings of the colours that occur, in the order of the key."""
+    sources = {source for motion in contact_motions for source in (motion.wall_source, *motion.overlaid_laws)}
+    is_shown = {
+        "believed": "believed" in sources or has_prediction,
+        "found": "identified" in sources or has_prediction,
+        "closed": bool(contact_motions),
+        "gap": has_gap,
+    }
+    return tuple(meaning for name, meaning in MEANINGS.items() if is_shown.get(name, True))
 
 
 @contextmanager

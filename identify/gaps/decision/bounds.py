@@ -23,7 +23,7 @@ from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, law_outcomes, pooled_estimate
-from identify.pages.wording import COVERED
+from identify.pages.wording import COVERED, length_words
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -40,8 +40,8 @@ LAW_FAR_OFF_AND_REMEDY = (
     "run identify contact, and give the rig.json that it writes with --rig",
 )
 """Reason why a share above the whole bounds nothing, and the remedy."""
-TOO_SHORT_AND_REMEDY = "the record held back leaves less than two seconds", "record longer"
-"""Reason why a share without a scatter over seconds has no bound, and the remedy."""
+TOO_SHORT_AND_REMEDY = "the record held back leaves less than two seconds", f"record {length_words(2.0)}"
+"""Reason why a share of a single second, without a scatter over seconds, has no bound, and the remedy."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""Causes in gap.json: effects in words ("an added mass of 0.150 kg on the barrel at 1.00 m"), parameters, shares."""
+"""Causes in gap.json: effects in words ("an added mass of 0.150 ± 0.012 kg on the barrel at 1.000 ± 0.013 m"), with
+parameters and shares."""
 
 from collections.abc import Sequence
 
@@ -16,56 +17,64 @@ from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, label
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.linear.joined import group_rig_of
-from identify.pages.wording import number
+from identify.pages.wording import estimate_words
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
-from rig.model.quantities import printed_unit
 from rig.model.unmeasured_force import Value
 
 LEAST_MULTIPLE = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
-STRENGTH_DIGITS = 3
-"""Significant digits of a phrase. Display."""
 UNKNOWN_STRENGTH_WORDS = "unknown strength"
 
 
 def phrase(
-    candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True
+    candidate: Candidate,
+    effect_values: Float[np.ndarray, " parameters"],
+    rig: Rig,
+    with_strength: bool = True,
+    standard_errors: Float[np.ndarray, " parameters"] | None = None,
 ) -> str:
-    """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
+    """Phrase for an effect with its values in a rig, without its strength where that is not determined; with 95 %
+    intervals where standard errors are given."""
+    errors = np.zeros(len(effect_values)) if standard_errors is None else standard_errors
     words_by_field = {
-        parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
-        for parameter, value in zip(candidate.parameters, effect_values, strict=True)
+        parameter.name: _strength_words(candidate, parameter, value, error, with_strength or parameter.neutral is None)
+        for parameter, value, error in zip(candidate.parameters, effect_values.tolist(), errors.tolist(), strict=True)
     }
     words_by_field |= {field: _place_words(field, place, rig) for field, place in candidate.place.items()}
     for field in candidate.typical_effect.__struct_fields__:
         words_by_field.setdefault(field, str(getattr(candidate.typical_effect, field)))
     words_by_field["at"] = ""
     if "relative_position" in candidate.parameters.names:
-        relative_position = float(effect_values[candidate.parameters.names.index("relative_position")])
+        index = candidate.parameters.names.index("relative_position")
         length_m = rig.body(candidate.place.get("body") or rig.first_driven_body).length_m
-        words_by_field["at"] = f" at {relative_position * length_m:.2f} m"
+        position_m, position_error_m = length_m * float(effect_values[index]), length_m * float(errors[index])
+        words_by_field["at"] = f" at {estimate_words(position_m, position_error_m, 'm', f'{position_m:.2f} m')}"
     return candidate.kind.words.format_map(words_by_field)
 
 
-def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is_known: bool) -> str:
+def _strength_words(
+    candidate: Candidate, parameter: Parameter, value: float, standard_error: float, is_known: bool
+) -> str:
     """Value of a parameter, with its direction in words where it has one."""
     if parameter.name not in candidate.kind.signed_words:
-        return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH_WORDS
+        return _value_words(parameter, value, standard_error) if is_known else UNKNOWN_STRENGTH_WORDS
     negative, positive, undetermined = candidate.kind.signed_words[parameter.name]
-    return f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}" if is_known else undetermined
+    direction = negative if value < 0 else positive
+    return f"{_value_words(parameter, abs(value), standard_error)} {direction}" if is_known else undetermined
 
 
-def _value_words(parameter: Parameter, value: float) -> str:
+def _value_words(parameter: Parameter, value: float, standard_error: float) -> str:
     if parameter.neutral == 1.0 and parameter.name == "factor":
         if not 1 / LEAST_MULTIPLE <= value <= LEAST_MULTIPLE:
-            return f"{number(value, STRENGTH_DIGITS)} times as large"
-        return f"{number(100 * abs(value - 1), STRENGTH_DIGITS)} % {'larger' if value > 1 else 'smaller'}"
+            return f"{estimate_words(value, standard_error, '1')} times as large"
+        change_words = estimate_words(100 * abs(value - 1), 100 * standard_error, "%")
+        return f"{change_words} {'larger' if value > 1 else 'smaller'}"
     if parameter.unit == "1/min":
-        return f"{number(100 * value, STRENGTH_DIGITS)} % a minute"
+        return f"{estimate_words(100 * value, 100 * standard_error, '%')} a minute"
     if parameter.unit in MILLI_UNITS and 0 < abs(value) < 1:
-        return f"{number(1e3 * value, STRENGTH_DIGITS)} m{parameter.unit}"
-    return number(value, STRENGTH_DIGITS) + ("" if parameter.unit == "1" else f" {printed_unit(parameter.unit)}")
+        return estimate_words(1e3 * value, 1e3 * standard_error, f"m{parameter.unit}")
+    return estimate_words(value, standard_error, parameter.unit)
 
 
 MILLI_UNITS = ("m", "s")
@@ -131,9 +140,10 @@ def cause_of(
         column_slice = slice(stop, stop := stop + len(candidate.parameters))
         values, covariance = hypothesis.values[column_slice], hypothesis.covariance[column_slice, column_slice]
         change_words = identifiable_change_words(record.rig, candidate, values, covariance, record.highest_hz)
-        words.append(phrase(candidate, values, record.rig, with_strength=not change_words))
+        errors = standard_errors[column_slice]
+        words.append(phrase(candidate, values, record.rig, not change_words, errors))
         for parameter, value, standard_error in zip(
-            candidate.parameters, values.tolist(), standard_errors[column_slice].tolist(), strict=True
+            candidate.parameters, values.tolist(), errors.tolist(), strict=True
         ):
             parameters[f"{label}.{parameter.name}"] = Value(
                 value,

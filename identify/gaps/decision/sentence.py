@@ -1,6 +1,6 @@
 """Sentences of a diagnosis, made from the content of gap.json alone."""
 
-from identify.gaps.decision_table import USUAL_P_VALUE, Bounded, Verdict
+from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
     MIN_DESCRIPTION_SHARE,
@@ -11,12 +11,11 @@ from identify.gaps.wording import (
     capitalised,
     joined,
     look_alikes_of,
-    p_value_words,
     probability,
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import number, percent
+from identify.pages.wording import number, p_value_words, percent
 
 UNSCALED = (
     "No force was measured, so that all forces rest on the mass in rig.json: an error that scales mass and stiffnesses "
@@ -184,7 +183,12 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
     """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
     if gap.causes and gap.causes[0].probability > 0.5:
         likeliest = f"the likeliest is {joined(gap.causes[0].words)} ({probability(gap.causes[0].probability)})"
-        return f"No effect of the library is certain enough to be named; {likeliest}."
+        is_size_uncertain = any(
+            strength.inclusion_probability >= NAMED_PROBABILITY and not strength.is_named
+            for strength in gap.causes[0].strengths
+        )
+        interval_words = ", whose interval does not exclude that it is nothing" if is_size_uncertain else ""
+        return f"No effect of the library is certain enough to be named; {likeliest}{interval_words}."
     return "No effect of the library is named for it."
 
 

@@ -15,7 +15,7 @@ from identify.gaps.wording import (
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import number, percent
+from identify.pages.wording import length_words, number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
 MAX_RANGES = 3
@@ -109,9 +109,25 @@ def _cannot_tell_steps(gap: Gap) -> list[str]:
     steps = [f"{remedy}, and diagnose again." for remedy in remedies]
     return [
         "Do not rely on rig.json yet.",
-        *(steps or ["Record for longer or excite more strongly, and diagnose again."]),
+        *(steps or [f"Record {length_words(_length_ratio(gap))} or excite more strongly, and diagnose again."]),
         *_experiment_steps(gap),
     ]
+
+
+def _length_ratio(gap: Gap) -> float | None:
+    """Length over that of these records at which every bound would hold if nothing else changed; None if unknown.
+
+    The bound u of a share v holds below its threshold t, and u^2 - v^2, some standard errors of a mean over the
+    seconds, falls as 1 / sqrt(length): the ratio is ((u^2 - v^2) / (t^2 - v^2))^2. Bounds of other quantities rest on
+    tolerances, too.
+    """
+    ratios = [0.0]
+    for bound in (quantity for quantity in gap.evidence.quantities if not quantity.holds):
+        value, upper, limit = bound.value, bound.upper, bound.threshold
+        if bound.unit != "1" or value is None or upper is None or value >= limit:
+            return None
+        ratios.append(((upper**2 - value**2) / (limit**2 - value**2)) ** 2)
+    return max(ratios)
 
 
 def _small_steps(gap: Gap) -> list[str]:

@@ -7,7 +7,7 @@ from identify.gaps.residual.unfolding import IN_Z
 from identify.gaps.results import Gap
 from identify.gaps.wording import MIN_DESCRIPTION_SHARE, MIN_HINT_SHARE
 from identify.pages.machine import DrawnMark
-from identify.pages.wording import percent
+from identify.pages.wording import change_words, estimate_words, percent
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
 
@@ -67,14 +67,18 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
         fault = "clearance that swings" if unknown.contact else "fault of the sensor"
         yield DrawnMark(station, f"{hint}{name}: {fault}", is_hint)
     for body_name, growth in unknown.growth.items():
+        change = change_words(growth.value, growth.standard_error)
         middle = Station(body_name, rig.body(body_name).length_m / 2)
-        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %", is_hint)
+        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {change}", is_hint)
     against = None
     if unknown.against_body is not None and unknown.against_position_m is not None:
         against = Station(unknown.against_body, unknown.against_position_m)
     if unknown.body is not None and unknown.position_m is not None:
         force_words = "unmeasured pair of forces" if against else "unmeasured force"
-        place_words = "" if rig.body(unknown.body).is_mass else f", near {unknown.position_m:.2f} m"
+        position_words = estimate_words(
+            unknown.position_m, unknown.position_error_m or 0.0, "m", f"{unknown.position_m:.2f} m"
+        )
+        place_words = "" if rig.body(unknown.body).is_mass else f", near {position_words}"
         size_words = f"{hint}{force_words}, {unknown.rms_n:.3g} N rms{place_words}"
         yield DrawnMark(Station(unknown.body, unknown.position_m), size_words, is_hint)
     if against:

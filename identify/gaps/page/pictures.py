@@ -128,7 +128,7 @@ def _draw_probabilities(figure: Any, gap: Gap) -> None:
     names, probabilities = zip(*rows, strict=True)
     labels = [probability(p) for p in probabilities]
     axes = _bar_axes(figure, names, [100 * p for p in probabilities], labels, colours)
-    axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
+    axes.set(xlim=(0, 150), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
 
@@ -137,12 +137,11 @@ def _draw_removed_shares(figure: Any, gap: Gap) -> None:
     causes = gap.causes[:MAX_CAUSES]
     removed = [100 * min(max(cause.explained, 0.0), 1.0) for cause in causes]
     intervals = 100 * np.clip([cause.interval_95 for cause in causes], 0, 1)
-    axes = _bar_axes(figure, [_cause_lines(cause_name(cause)) for cause in causes], removed, [""] * len(causes), BLUE)
-    for row, (cause, (lower, upper)) in enumerate(zip(causes, intervals, strict=True)):
+    names = [f"{_cause_lines(cause_name(cause))}\n{removed_share_words(cause)}" for cause in causes]
+    axes = _bar_axes(figure, names, removed, [""] * len(causes), BLUE)
+    for row, (lower, upper) in enumerate(intervals):
         axes.plot([lower, upper], [row, row], color=INK, lw=2.0, marker="|", ms=8)
-        bar_end = (max(upper, removed[row]), row)
-        axes.annotate(removed_share_words(cause), bar_end, (6, 0), textcoords="offset points", va="center")
-    axes.set(xlim=(0, 210), xticks=range(0, 101, 25), xlabel="share of the difference that it closes, %")
+    axes.set(xlim=(0, 105), xticks=range(0, 101, 25), xlabel="share of the difference that it closes, %")
     axes.set_ylim(len(causes) - 0.4, -0.6)
     figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
 

@@ -22,9 +22,9 @@ from identify.gaps.page.sections import (
     unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import findings_heading, interval, parameter_words, verdict_words
+from identify.gaps.wording import capitalised, findings_heading, parameter_words, verdict_words
 from identify.pages import page
-from identify.pages.machine import rig_drawing
+from identify.pages.drawing import drawing_html
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
@@ -67,9 +67,9 @@ def write_all(
     make_folder(folder)
     drawn_marks = marks(gap, corrected_rig)
     caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
-    caption += _intervals_sentence(gap)
+    caption += _instead_sentence(gap)
     drawing = (
-        f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
+        f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
     )
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")
@@ -146,12 +146,13 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     return DECISIVE_FIGURES[gap.verdict]
 
 
-def _intervals_sentence(gap: Gap) -> str:
-    """Sentence " 95 % intervals: added_mass mass 0.150 ± 0.019 kg." of the likeliest cause, if it is named."""
+def _instead_sentence(gap: Gap) -> str:
+    """Sentence on what the records determine in place of a strength of the likeliest cause, if that is named."""
     if not (gap.causes and gap.causes[0].named):
         return ""
-    intervals = (f"{parameter_words(name)} {interval(value)}" for name, value in gap.causes[0].parameters.items())
-    return f" 95 % intervals: {', '.join(intervals)}."
+    parameters = gap.causes[0].parameters.items()
+    words = [f"{parameter_words(name)}: {value.instead}" for name, value in parameters if value.instead]
+    return f" {capitalised('; '.join(words))}." if words else ""
 
 
 def _findings_html(gap: Gap, findings: Sequence[str]) -> str:

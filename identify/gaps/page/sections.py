@@ -25,13 +25,12 @@ from identify.gaps.wording import (
     cause_name,
     interval,
     is_effective,
-    p_value_words,
     probability,
     remaining_probabilities,
     removed_share_words,
 )
 from identify.pages import page
-from identify.pages.wording import number, percent
+from identify.pages.wording import number, p_value_words, percent
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 MAX_CAUSES = 5
@@ -109,7 +108,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Is there a difference?",
             _yes_no(criteria.differs),
-            f"{p_value_words(evidence.p_value)}: yes below {DIFFERENCE_P_VALUE:g}",
+            f"{p_value_words(evidence.p_value)}. Yes below {DIFFERENCE_P_VALUE:g}",
         ),
         (
             "Is it certainly too small to matter?",
@@ -124,7 +123,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Does it explain enough?",
             _yes_no(criteria.enough) if criteria.named else "",
-            f"what is left has {p_value_words(evidence.p_value_after)}: yes from {USUAL_P_VALUE:g} on, or if it is "
+            f"what is left has {p_value_words(evidence.p_value_after)}. Yes from {USUAL_P_VALUE:g} on, or if it is "
             "certainly too small to matter",
         ),
     ]
@@ -189,7 +188,8 @@ def record_differences_html(between: RecordDifferences) -> str:
         )
     if between.cause_p_value is not None:
         agree = "agree" if between.cause_p_value >= USUAL_P_VALUE else "do not agree"
-        html += f"<p>The records {agree} on the likeliest cause (p-value {percent(between.cause_p_value)}).</p>"
+        p_words = escape(p_value_words(between.cause_p_value))
+        html += f"<p>The records {agree} on the likeliest cause ({p_words}).</p>"
     return html
 
 
@@ -207,7 +207,8 @@ def unknown_force_html(unknown: UnmeasuredForce) -> str:
         rows.append((f"stiffness of the {body_name}, change", interval(growth_percent)))
     force_unit = "m/s²" if unknown.kind == "sensor" else "N"
     if unknown.frequency_hz is not None:
-        rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
+        frequency = unknown.law_parameters.get("f", Value(unknown.frequency_hz, 0.0, "Hz"))
+        rows.append(("frequency", interval(frequency)))
     low_hz, high_hz = unknown.band_hz
     rows.append(("90 % of its power lies from", f"{low_hz:.3g} to {high_hz:.3g} Hz"))
     rows.append(("size", f"{number(unknown.rms_n, 3)} {force_unit} rms"))

@@ -16,7 +16,8 @@ Notes for maintainers
    members. A member without which S rises by less than `MIN_GAIN` leaves the set. Then members leave one after the
    other, the least important first, so that the record that was not fitted may demand fewer.
 5. Exchange (`_look_alike_fit`): about the set without a member, the candidate that then lowers S most is fitted in its
-   place, so that look-alikes are compared on the record that was not fitted.
+   place, so that look-alikes are compared on the record that was not fitted. A look-alike that makes others
+   superfluous is fitted without them too, and is the best set if S then rises by less than `MIN_GAIN`.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,6 +44,7 @@ from identify.gaps.search.hypothesis import (
 )
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
 from identify.gaps.search.singles import single_effect_fits
+from identify.pages.wording import COVERED
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 
@@ -64,12 +66,10 @@ third of `MIN_GAIN`."""
 DOMINANT_MISFIT_SHARE = 0.5
 """Share of the mismatch above which a set is compared with one that starts from a single effect. Derived: more is left
 than removed."""
-
 DOUBTFUL_SET_SIZE = 3
 """Number of effects in a set from which single effects are compared with it. Set by hand: a supported beam that was
 10 % softer was taken for two masses, a gain and a base motion."""
 
-Progress = Callable[[float], None]
 EffectValues = Float[np.ndarray, " _"]
 """Parameters of one effect, whose number differs among effects."""
 
@@ -83,7 +83,7 @@ class Selection:
     hint_candidates: tuple[tuple[Candidate, EffectValues], ...] = ()
 
 
-def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
+def ranked_hypotheses(search: Search, progress: Callable[[float], None] = lambda _: None) -> list[Hypothesis]:
     """Hypotheses by their -2 ln p on this record, least first.
 
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
@@ -222,11 +222,8 @@ def best_selection(model: LocalModel, present_set: Hypothesis) -> Selection:
         chosen_terms, solution = _without_superfluous_terms(model, [*chosen_terms, term], best_solution)
         if is_dominant:  # the local model does not hold that far: fit first, then select further
             break
-    return Selection(
-        tuple(term.candidate for term in chosen_terms),
-        tuple(term.values_at(solution.theta) for term in chosen_terms),
-        hint_candidates,
-    )
+    values_by_candidate = tuple(term.values_at(solution.theta) for term in chosen_terms)
+    return Selection(tuple(term.candidate for term in chosen_terms), values_by_candidate, hint_candidates)
 
 
 def _hint_candidates(
@@ -285,8 +282,7 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     if not candidates or is_stochastic(best_set.hypothesis):
         return best_set, []
     member_indices = range(len(candidates))
-    costs_without_member: list[float] = []
-    variants: list[Hypothesis] = []
+    costs_without_member, variants = list[float](), list[Hypothesis]()
     for member_index in member_indices:
         reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
@@ -295,11 +291,29 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
         variants.append(reduced_fit.hypothesis)
         if (look_alike_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
             variants.append(look_alike_fit.hypothesis)
+            strong_indices = _strong_members(look_alike_fit.hypothesis)
+            if 0 < len(strong_indices) < len(candidates):
+                smaller_fit = _subset_fit(search, look_alike_fit, strong_indices)
+                if smaller_fit.cost - best_set.cost < MIN_GAIN:
+                    return reduced_sets(search, smaller_fit)
+                variants.append(smaller_fit.hypothesis)
     indices_by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
         retained_indices = sorted(indices_by_importance[dropped_count:].tolist())
         variants.append(_subset_fit(search, best_set, retained_indices).hypothesis)
     return best_set, variants
+
+
+def _strong_members(hypothesis: Hypothesis) -> list[int]:
+    """Indices of the members that have a strength whose 95 % interval excludes its neutral value."""
+    neutral_values = [parameter.neutral for member in hypothesis.candidates for parameter in member.parameters]
+    half_widths = COVERED * np.sqrt(np.diag(hypothesis.covariance))
+    is_strong = [
+        neutral is not None and abs(value - neutral) > half_width
+        for neutral, value, half_width in zip(neutral_values, hypothesis.values, half_widths, strict=True)
+    ]
+    ends = np.cumsum([len(member.parameters) for member in hypothesis.candidates])
+    return [index for index, strengths in enumerate(np.split(is_strong, ends[:-1])) if np.any(strengths)]
 
 
 def _look_alike_fit(

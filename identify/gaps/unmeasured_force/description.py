@@ -13,6 +13,7 @@ from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceHistory, explained_share, force_history
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
+from identify.pages.wording import change_words, estimate_words
 from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 
@@ -50,7 +51,8 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     tone = law if law and law.form.is_tone else None
     timing = _force_timing(history)
     station, opposite_station = place.stations[0], place.stations[1] if len(place.stations) > 1 else None
-    near_text = f"the {station.body} near {station.position_m:.2f} m"
+    position_words = estimate_words(station.position_m, located.position_error_m, "m", f"{station.position_m:.2f} m")
+    near_text = f"the {station.body} near {position_words}"
     place_text = f"on {near_text}"
     if opposite_station:
         place_text = f"between {near_text} and the {opposite_station.body} near {opposite_station.position_m:.2f} m"
@@ -66,7 +68,7 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         frequency_hz=tone.parameter_value if tone else None,
         band_hz=size.band_hz,
         rms_n=size.rms_value,
-        amplitude_n=_amplitude_n(tone) if tone else None,
+        amplitude_n=_amplitude_and_error_n(tone)[0] if tone else None,
         when="always" if law else timing.pattern,
         before_excitation=timing.before_excitation_ratio,
         by_time=timing.rms_by_interval,
@@ -104,9 +106,11 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         located.force_place.body_names, located.modulus_growth, located.modulus_growth_errors, strict=True
     )
     growth = {body: Value(change, error, "1") for body, change, error in growth_and_errors}
-    change_words = " and ".join(f"that of the {body} by {100 * change.value:+.2g} %" for body, change in growth.items())
+    growth_words = " and ".join(
+        f"that of the {body} by {change_words(change.value, change.standard_error)}" for body, change in growth.items()
+    )
     return UnmeasuredForce(
-        sentence=f"a stiffness that changes over the record: {change_words}",
+        sentence=f"a stiffness that changes over the record: {growth_words}",
         kind="distributed",
         growth=growth,
         same_place=force_fit.same_place,
@@ -217,12 +221,14 @@ def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
     return MeanForce(tuple(edges_m.tolist()), tuple(edges_m_per_s.tolist()), tuple(map(tuple, mean_forces_n)))
 
 
-def _amplitude_n(tone: ForceLaw) -> float:
-    return math.hypot(*tone.coefficients)
+def _amplitude_and_error_n(tone: ForceLaw) -> tuple[float, float]:
+    """Amplitude A = sqrt(c^2 + s^2) of a tone with the coefficients c and s, and its standard error to first order."""
+    amplitude_n = math.hypot(*tone.coefficients)
+    return amplitude_n, math.hypot(*np.multiply(tone.coefficients, tone.coefficient_errors)) / max(amplitude_n, 1e-300)
 
 
 def _sentence(law: ForceLaw | None, size: _ForceSize, timing: _ForceTiming, place_text: str) -> str:
-    """Phrase such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
+    """Phrase such as "a force at 50.02 ± 0.01 Hz, 1.40 ± 0.05 N, on the cradle near 0.800 ± 0.008 m"."""
     if law is None:
         low_hz, high_hz = size.band_hz
         timing_texts = {
@@ -237,5 +243,7 @@ def _sentence(law: ForceLaw | None, size: _ForceSize, timing: _ForceTiming, plac
             f"{place_text}{timing_texts[timing.pattern]}"
         )
     if law.form.is_tone:
-        return f"a force at {law.parameter_value:.1f} Hz, {_amplitude_n(law):.2g} N, {place_text}"
+        frequency_words = estimate_words(law.parameter_value, law.parameter_error, "Hz")
+        amplitude_words = estimate_words(*_amplitude_and_error_n(law), "N")
+        return f"a force at {frequency_words}, {amplitude_words}, {place_text}"
     return f"{law.form.phrase_template.format(where=place_text)}, {law.formula}"

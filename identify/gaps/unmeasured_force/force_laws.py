@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unmeasured_force.time_history import ForceHistory
+from identify.gaps.unmeasured_force.time_history import LAW_ERROR_SHARE, ForceHistory
+from identify.pages.wording import estimate_words
 from rig.model.contact_laws import penetration_m
-from rig.model.quantities import printed_unit
 from rig.model.unmeasured_force import Against, Value
 
 Series = Float[np.ndarray, " fine"]
@@ -71,23 +71,26 @@ class ForceLaw:
     share_of_free_gain: float
 
     @property
+    def stated_errors(self) -> list[float]:
+        """Standard errors of the coefficients with the share of the force that even the true law may miss, taken as
+        common to all of it; of a tone, whose force follows no motion, those of the fit."""
+        law_error_share = 0.0 if self.form.is_tone else LAW_ERROR_SHARE
+        return np.hypot(self.coefficient_errors, np.multiply(law_error_share, self.coefficients)).tolist()
+
+    @property
     def formula(self) -> str:
-        """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
-        form, value, unit = self.form, self.parameter_value, self.form.parameter_unit
-        coefficients = [
-            f"{coefficient:.4g} {printed_unit(coefficient_unit)}"
-            for coefficient, coefficient_unit in zip(self.coefficients, form.coefficient_units, strict=True)
-        ]
-        parameter = f"{value:.3g}" if unit in ("", "1") else f"{value:.4g} {unit}"
-        if unit == "m":
-            parameter = f"{1e3 * value:.4g} mm"
+        """Formula of the force against the motion, N, of w in m and v in m/s, each value with interval and unit."""
+        form, scale = self.form, 1e3 if self.form.parameter_unit == "m" else 1.0
+        coefficients = map(estimate_words, self.coefficients, self.stated_errors, form.coefficient_units)
+        unit = "mm" if form.parameter_unit == "m" else form.parameter_unit
+        parameter = estimate_words(scale * self.parameter_value, scale * self.parameter_error, unit)
         return form.formula_template.format(*coefficients, p=parameter)
 
     @property
     def parameters(self) -> dict[str, Value]:
         form = self.form
         names = ("amplitude of cosine", "amplitude of sine") if form.is_tone else ("coefficient", "cubic")
-        coefficients = zip(names, self.coefficients, self.coefficient_errors, form.coefficient_units, strict=False)
+        coefficients = zip(names, self.coefficients, self.stated_errors, form.coefficient_units, strict=False)
         values = {name: Value(value, error, unit) for name, value, error, unit in coefficients}
         if form.parameter_name:
             values[form.parameter_name] = Value(self.parameter_value, self.parameter_error, form.parameter_unit)
@@ -106,7 +109,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "Coulomb friction",
         "friction {where}",
         "velocity",
-        "{0} sign(v)",
+        "F sign(v), F = {0}",
         ("N",),
         lambda _, v, __: [np.tanh(v / creep_m_per_s(v))],
     ),
@@ -114,7 +117,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "viscous damping",
         "a force {where} that grows with the velocity",
         "velocity",
-        "{0} v",
+        "c v, c = {0}",
         ("N s/m",),
         lambda _, v, __: [v],
     ),
@@ -122,7 +125,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "quadratic drag",
         "a force {where} that grows with the square of the velocity",
         "velocity squared",
-        "{0} |v| v",
+        "c |v| v, c = {0}",
         ("N s^2/m^2",),
         lambda _, v, __: [np.abs(v) * v],
     ),
@@ -130,16 +133,16 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "cubic damping",
         "a force {where} that grows with the cube of the velocity",
         "velocity",
-        "{0} v^3",
+        "c v^3, c = {0}",
         ("N s^3/m^3",),
         lambda _, v, __: [v**3],
     ),
-    ForceLawForm("linear spring", "a spring {where}", "displacement", "{0} w", ("N/m",), lambda w, _, __: [w]),
+    ForceLawForm("linear spring", "a spring {where}", "displacement", "k w, k = {0}", ("N/m",), lambda w, _, __: [w]),
     ForceLawForm(
         "power of the velocity",
         "a force {where} that grows with a power of the velocity",
         "velocity",
-        "{0} |v|^{p} sign(v)",
+        "c |v|^p sign(v), c = {0}, p = {p}",
         ("N (s/m)^p",),
         lambda _, v, p: [np.abs(v) ** p * np.sign(v)],
         "p",
@@ -150,7 +153,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "cubic spring",
         "a spring {where} whose stiffness changes with the displacement",
         "displacement",
-        "{0} w + {1} w^3",
+        "k w + k3 w^3, k = {0}, k3 = {1}",
         ("N/m", "N/m^3"),
         lambda w, _, __: [w, w**3],
         needs_slow_motion=True,
@@ -171,7 +174,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "stop",
         "a stop {where}",
         "clearance",
-        "{0} (|w| - d) sign(w) beyond d = {p}",
+        "k (|w| - d) sign(w) beyond d, k = {0}, d = {p}",
         ("N/m",),
         lambda w, _, p: [penetration_m(w, p, p)],
         "d",
@@ -183,7 +186,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "stop on one side",
         "a stop on one side {where}",
         "clearance",
-        "{0} (w - d) beyond d = {p}",
+        "k (w - d) beyond d, k = {0}, d = {p}",
         ("N/m",),
         lambda w, _, p: [np.maximum(w - p, 0.0) if p > 0 else np.minimum(w - p, 0.0)],
         "d",
@@ -201,5 +204,5 @@ def tone_form(history: ForceHistory) -> ForceLawForm:
         phase_rad = 2 * np.pi * frequency_hz * history.fine_times_s
         return [np.cos(phase_rad), np.sin(phase_rad)]
 
-    formula_template = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
+    formula_template = "A cos(2 pi f t) + B sin(2 pi f t), A = {0}, B = {1}, f = {p}"
     return ForceLawForm(TONE, "", "time", formula_template, ("N", "N"), unit_forces, "f", "Hz")

@@ -75,9 +75,10 @@ def fit_form(
     history: ForceHistory, form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
-    error follows from the curvature of the gain."""
+    error follows from the curvature of the gain. Errors of the coefficients hold that of the parameter, unless it is
+    the frequency of a tone, which turns them into one another."""
     low, high = parameter_bounds or form.parameter_range
-    parameter, parameter_error = 0.0, 0.0
+    parameter, parameter_error, parameter_step = 0.0, 0.0, 1e-3 * (high - low)
 
     def gain_at(parameter: float) -> float:
         return solve_form(history, form, parameter)[1]
@@ -86,11 +87,13 @@ def fit_form(
         parameter = low
     elif form.parameter_name:
         parameter = float(minimize_scalar(lambda p: -gain_at(p), bounds=(low, high), method="bounded").x)
-        parameter_step = 1e-3 * (high - low)
         gain_before, gain_at_optimum, gain_after = (gain_at(parameter + count * parameter_step) for count in (-1, 0, 1))
         curvature = (2 * gain_at_optimum - gain_before - gain_after) / parameter_step**2
         parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
     coefficients, gain, coefficient_errors = solve_form(history, form, parameter)
+    if parameter_error and not form.is_tone:
+        changes = np.subtract(*(solve_form(history, form, parameter + sign * parameter_step)[0] for sign in (1, -1)))
+        coefficient_errors = np.hypot(coefficient_errors, changes / (2 * parameter_step) * parameter_error)
     return ForceLaw(
         form,
         tuple((-coefficients).tolist()),

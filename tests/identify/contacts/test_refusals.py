@@ -10,6 +10,7 @@ import pytest
 from identify import contacts
 from identify.checks import naming_first_finding
 from identify.checks.findings import Finding
+from identify.contacts.outcomes import length_ratio
 from identify.contacts.refusals import CAUSES, REMEDIES, ContactRefusedError, RefusalCode, RemedyCode, refused
 from identify.contacts.results import Unanswered, unanswered
 
@@ -23,7 +24,7 @@ def places() -> list[tuple[RefusalCode, set[str]]]:
         for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "refused"
     ]
-    return [(RefusalCode[call.args[0].attr], {k.arg for k in call.keywords}) for call in calls]
+    return [(RefusalCode[call.args[0].attr], {k.arg for k in call.keywords} - {"length_ratio"}) for call in calls]
 
 
 def evidence_of(code):
@@ -49,6 +50,18 @@ def test_a_refusal_says_cause_and_remedy_with_its_numbers():
         "more strongly"
     )
     assert error.refusal.advice == "excite the rig more strongly"
+
+
+@pytest.mark.parametrize(
+    ("scatter", "rest", "words"),
+    [(3.0, 0.25, "record about 4 times as long, "), (0.25, 3.0, "record longer, "), (1.2e4, 0.25, "record longer, ")],
+)
+def test_a_record_that_scatters_too_much_says_how_long_it_should_be(scatter, rest, words):
+    """scatter / length + rest = the square of a tenth of the value, here 1; not where the rest alone is as much."""
+    ratio = length_ratio(scatter, scatter + rest, 10.0)
+    assert ratio is None or scatter / ratio + rest == pytest.approx(1.0)
+    refusal = refused(RefusalCode.UNCERTAIN, None, ratio, quantity="stiffness", uncertain_percent=18.0).refusal
+    assert refusal.advice.startswith(words)
 
 
 def test_a_finding_beside_does_not_lose_the_code():

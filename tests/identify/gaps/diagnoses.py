@@ -103,7 +103,7 @@ SMALL = left(4e-4, 4e-3, 0.0, p_value=0.31)
 REST = left(0.0123, 0.041, 0.0, p_value=2e-7)
 MASS = cause(
     ("added_mass",),
-    ("an added mass of 0.141 kg on the barrel at 0.99 m",),
+    ("an added mass of 0.1414 ± 0.0021 kg on the barrel at 0.9899 ± 0.0041 m",),
     0.964,
     0.977,
     (0.961, 0.988),
@@ -114,7 +114,7 @@ MASS = cause(
 )
 CLAMP = cause(
     ("clamp_compliance",),
-    ("a clamp of the cradle that gives way (compliance 0.0173)",),
+    ("a clamp of the cradle that gives way (compliance 0.0173 ± 0.0018)",),
     0.031,
     0.12,
     (0.08, 0.17),
@@ -123,7 +123,10 @@ CLAMP = cause(
 )
 PAIR = cause(
     ("coulomb_friction", "sensor_delay"),
-    ("a dry friction of 0.764 N in contact_2", "a signal of sensor barrel_4 that comes 0.183 ms too late"),
+    (
+        "a dry friction of 0.764 ± 0.061 N in contact_2",
+        "a signal of sensor barrel_4 that comes 0.1830 ± 0.0078 ms too late",
+    ),
     0.96,
     0.94,
     (0.91, 0.96),
@@ -134,7 +137,10 @@ PAIR = cause(
 )
 CABLES = cause(
     ("added_mass", "added_mass"),
-    ("an added mass of 0.0120 kg on the barrel at 0.91 m", "an added mass of 0.0093 kg on the barrel at 0.49 m"),
+    (
+        "an added mass of 0.01200 ± 0.00020 kg on the barrel at 0.9110 ± 0.0039 m",
+        "an added mass of 0.00930 ± 0.00020 kg on the barrel at 0.4880 ± 0.0039 m",
+    ),
     0.97,
     0.98,
     (0.97, 0.99),
@@ -150,7 +156,7 @@ CABLES = cause(
 )
 CUBIC = cause(
     ("hardening_spring",),
-    ("a cubic spring of 2.96e+10 N/m³ between the barrel at 1.00 m and the ground",),
+    ("a cubic spring of (2.960 ± 0.080)e10 N/m³ between the barrel at 1.00 m and the ground",),
     0.012,
     -0.02,
     (-0.05, 0.01),
@@ -167,7 +173,8 @@ def softening():
     force = np.where(visited, 11.0 * np.tanh(middle_w / 2.6e-3)[:, None], 0.0)
     hz = np.arange(1.0, 171.0, 2.0)
     return UnmeasuredForce(
-        sentence="a softening spring on the barrel near 0.89 m, k w0 tanh(w / w0), k = 4240 N/m, w0 = 2.59 mm",
+        sentence="a softening spring on the barrel near 0.89140 ± 0.00027 m, k w0 tanh(w / w0), k = 4240 ± 59 N/m, "
+        "w0 = 2.590 ± 0.039 mm",
         kind="force",
         body="barrel",
         position_m=0.8914,
@@ -178,7 +185,7 @@ def softening():
         by_time=(10.5, 11.3, 11.3, 11.2, 10.1, 9.5, 10.9, 10.5),
         against="displacement",
         law_name="softening spring",
-        law="k w0 tanh(w / w0), k = 4240 N/m, w0 = 2.59 mm",
+        law="k w0 tanh(w / w0), k = 4240 ± 59 N/m, w0 = 2.590 ± 0.039 mm",
         law_parameters={"coefficient": Value(4240.0, 30.0, "N/m"), "w0": Value(2.59e-3, 2e-5, "m")},
         explained=0.992,
         over_motion=MeanForce(*tuples(w, v), tuples(*force)),
@@ -190,7 +197,7 @@ def softening():
 def tone():
     hz = np.arange(1.0, 171.0, 2.0)
     return UnmeasuredForce(
-        sentence="a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m",
+        sentence="a force at 50.02 Hz, 1.40 N, on the cradle near 0.8000 ± 0.0078 m",
         kind="force",
         body="cradle",
         position_m=0.8,
@@ -201,7 +208,7 @@ def tone():
         amplitude_n=1.4,
         by_time=(1.0,) * 8,
         law_name="tone",
-        law="1.2 N cos(2 pi f t) + 0.72 N sin(2 pi f t), f = 50.02 Hz",
+        law="A cos(2 pi f t) + B sin(2 pi f t), A = 1.20 N, B = 0.720 N, f = 50.02 Hz",
         explained=0.81,
         spectrum_hz=tuple(hz.tolist()),
         spectrum=tuple(np.where(np.abs(hz - 50) < 2, 0.25, 0.0).tolist()),

@@ -1,5 +1,7 @@
 """Effects in words: sizes with their directions, never a negative distance."""
 
+import re
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -36,6 +38,31 @@ def worded(name, shift_m, **given):
 )
 def test_a_shift_is_told_with_its_direction(name, shift_m, words):
     assert worded(name, shift_m) == words
+
+
+@pytest.mark.parametrize("name", effects())
+def test_every_value_of_an_effect_has_its_interval_in_its_own_unit(name):
+    """Value ± 1.96 standard errors to two digits of these, of each parameter that the words hold: as it is, in
+    thousandths, per cent, as a change in per cent, or along the body."""
+    kind, scale = effects()[name], Scale(RIG, 14.0, 60.0)
+    (place, *_) = kind.placements(RIG, ["barrel_0000mm_acceleration"])
+    placed = scale.with_place(place)
+    candidate = Candidate(kind, place, kind.parameters(placed), kind.typical(placed))
+    values = np.array([0.3 * parameter.low + 0.7 * parameter.high for parameter in candidate.parameters])
+    errors = np.abs(values) * np.linspace(0.011, 0.017, values.size)
+    words = phrase(candidate, values, RIG, standard_errors=errors)
+    number = r"\(?([0-9.]+) ± ([0-9.]+)(?:\)e(-?[0-9]+))?"
+    stated = [(float(f"{a}e{power or 0}"), float(f"{b}e{power or 0}")) for a, b, power in re.findall(number, words)]
+    shown = [p.name for p in candidate.parameters if f"{{{p.name}}}" in kind.words or p.name == "relative_position"]
+    assert len(stated) == len(shown) > 0, words
+    length_m = RIG.body(place.get("body") or RIG.first_driven_body).length_m
+    for value, half_width in stated:
+        assert any(
+            half_width == pytest.approx(factor * 1.96 * error, rel=0.051)
+            and value == pytest.approx(factor * abs(true - offset), abs=0.051 * half_width)
+            for true, error in zip(values, errors, strict=True)
+            for factor, offset in ((1, 0), (1e3, 0), (100, 0), (100, 1), (length_m, 0))
+        ), (words, value, half_width)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """One mass between stops, simulated in a moment: the whole road from recordings to a verdict."""
 
+import re
 from dataclasses import replace as with_fields
 from typing import Annotated, ClassVar
 
@@ -91,6 +92,10 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     assert gap.notes == ()
     estimate = gap.causes[0].parameters[parameter]
     assert estimate.value == pytest.approx(value, rel=0.05)
+    stated, half_width = map(float, re.search(r"([0-9.]+) ± ([0-9.]+)", gap.sentence).groups())
+    scale, neutral = (100, 1) if parameter.endswith("factor") else (1, 0)  # a change in per cent
+    assert half_width == pytest.approx(scale * 1.96 * estimate.standard_error, rel=0.06)  # to two digits
+    assert stated == pytest.approx(scale * (estimate.value - neutral), abs=0.06 * half_width)
     assert gap.causes[0].explained > 0.9
     assert corrected != RIG
     total = sum(c.probability for c in gap.causes) + gap.probability_nothing + gap.probability_unknown

@@ -1,9 +1,13 @@
 """The words of a diagnosis: sentence, next steps, intervals and probabilities."""
 
+import re
+
 import msgspec
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from identify.gaps.decision.bounds import contact_bound
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision_table import Bounded
 from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
@@ -19,11 +23,12 @@ def test_the_sentence_is_made_of_what_gap_json_says(diagnosis):
 
 
 def test_the_sentence_begins_with_effect_value_and_place(gaps):
-    begin = "An added mass of 0.141 kg on the barrel at 0.99 m"
+    begin = "An added mass of 0.1414 ± 0.0021 kg on the barrel at 0.9899 ± 0.0041 m"
     assert gaps["explained"].sentence.startswith(f"{begin} explains the difference: with it")
     assert gaps["partly_explained"].sentence.startswith(f"{begin} explains the difference in part: it removes 87.0 %")
     assert gaps["small"].sentence.startswith(f"{begin} is there, too small to matter")
-    assert gaps["cables"].sentence.startswith("An added mass of 0.0120 kg on the barrel at 0.91 m and an added mass of")
+    cables = "An added mass of 0.01200 ± 0.00020 kg on the barrel at 0.9110 ± 0.0039 m and an added mass of"
+    assert gaps["cables"].sentence.startswith(cables)
 
 
 def test_a_veto_is_said(gaps):
@@ -65,15 +70,20 @@ def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
 def test_a_small_difference_without_a_name_is_described(gaps):
     drag = gaps["unexplained"].unknown
     assert drag is not None
-    for chance, reason in (
-        (0.4, "named for it"),
-        (0.8, f"the likeliest is {gaps['small'].causes[0].words[0]} (80.0 %)"),
+    likeliest = f"the likeliest is {gaps['small'].causes[0].words[0]}"
+    uncertain = "whose interval does not exclude that it is nothing"
+    for chance, lower, reason in (
+        (0.4, 0.1, "named for it"),
+        (0.8, 0.1, f"{likeliest} (80.0 %)"),
+        (0.99, -0.1, f"{likeliest} (99.0 %), {uncertain}"),
     ):
         causes = tuple(
             replace(
                 cause,
                 probability=chance if rank == 0 else 0.0,
-                strengths=tuple(replace(one, inclusion_probability=chance) for one in cause.strengths),
+                strengths=tuple(
+                    replace(one, inclusion_probability=chance, interval_95=(lower, 0.2)) for one in cause.strengths
+                ),
             )
             for rank, cause in enumerate(gaps["small"].causes)
         )
@@ -106,6 +116,23 @@ def test_what_to_do_depends_on_the_verdict(gaps):
     for word in ("Do not rely on rig.json", "the barrel near 0.89 m", "follows the displacement"):
         assert word in steps["unexplained"]
     assert "corrected" not in steps["unexplained"]
+
+
+@pytest.mark.parametrize(("scatter", "limit"), [(6.4e-4, 0.022), (1.2e-3, 0.022), (1.2e-3, 0.024)])
+def test_a_longer_record_is_asked_for_by_the_length_that_settles_the_matter(gaps, scatter, limit):
+    """As many seconds that scatter as these do bound the force below what matters."""
+    squares = scatter * np.sqrt(np.arange(1, 9) / 8)
+    squares += 4e-4 - squares.mean()
+    bound = contact_bound("force of contact_1", squares, 0.0, limit)
+    assert bound.not_seen
+    evidence = replace(gaps["cannot_tell"].evidence, quantities=(bound,))
+    unsure = replace(gaps["cannot_tell"], evidence=evidence, not_seen=(bound,))
+    times = re.search("Record about (twice|[0-9]+ times) as long", " ".join(next_steps(unsure)))[1].split()[0]
+    assert contact_bound(
+        "force of contact_1", np.tile(squares, 2 if times == "twice" else int(times)), 0.0, limit
+    ).holds
+    hidden = replace(evidence, quantities=(replace(bound, upper=None, why="noise hides it"),))
+    assert "Record longer or excite more strongly" in " ".join(next_steps(replace(unsure, evidence=hidden)))
 
 
 def test_a_rest_in_the_force_of_a_contact_leads_to_it_and_is_named_with_its_limit(gaps):

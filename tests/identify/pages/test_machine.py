@@ -7,40 +7,53 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
-from identify.pages.drawing_texts import BOLD_LETTER_WIDTH, LETTER_WIDTH, WIDTH, TextSpans, mark_text
+from identify.pages import page
+from identify.pages.drawing import drawing_html
+from identify.pages.drawing_texts import (
+    BOLD_LETTER_WIDTH,
+    LETTER_WIDTH,
+    NARROW_WIDTH,
+    RULER_LETTER_WIDTH,
+    WIDTH,
+    TextSpans,
+    mark_text,
+)
 from identify.pages.machine import DrawnMark, rig_drawing
 from rig.model.description import Station, Support
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
 
 DRAWN = {"mass": Sdof().rig(), "beams": BarrelCradle().rig(), **{name: case.rig for name, case in RIGS.items()}}
+NUMBER = "[0-9.]+( m)?"
 WORDS = "5.003 ± 0.024 mm", "100100 ± 1000 N/m"
 
 
-def drawing(rig, *marks):
-    return ElementTree.fromstring(rig_drawing(rig, {c.name: WORDS for c in rig.contacts}, marks))
+def drawing(rig, *marks, width_px=WIDTH):
+    return ElementTree.fromstring(rig_drawing(rig, {c.name: WORDS for c in rig.contacts}, marks, width_px))
 
 
 def boxes(svg):
     """Left, right and baseline of every text but the names of masses, which lie in their blocks."""
     for text in svg.iter("text"):
-        x, y, half = float(text.get("x")), float(text.get("y")), LETTER_WIDTH * len(text.text) / 2
+        letter_px = RULER_LETTER_WIDTH if text.get("class") == "ruler" else LETTER_WIDTH
+        x, y, half = float(text.get("x")), float(text.get("y")), letter_px * len(text.text) / 2
         middle = x + {"start": half, "middle": 0.0, "end": -half}[text.get("text-anchor")]
         yield text.text, middle - half, middle + half, y
 
 
+@pytest.mark.parametrize("width_px", [WIDTH, NARROW_WIDTH])
 @pytest.mark.parametrize("name", DRAWN)
-def test_every_contact_has_its_values_and_no_text_lies_over_another(name):
+def test_every_contact_has_its_values_and_no_text_lies_over_another(name, width_px):
     rig = DRAWN[name]
     last = rig.bodies[-1]
     marks = [DrawnMark(Station(last.name, share * last.length_m), f"effect at {share}") for share in (0.3, 0.4, 0.9)]
-    texts = list(boxes(drawing(rig, *marks)))
+    texts = list(boxes(drawing(rig, *marks, width_px=width_px)))
     written = [text for text, *_ in texts]
     assert {c.name for c in rig.contacts} | {b.name for b in rig.bodies} | {m.words for m in marks} <= set(written)
     assert [written.count(word) for word in WORDS] == [len(rig.contacts)] * 2
     for (one, left, right, y), (other, other_left, other_right, other_y) in combinations(texts, 2):
         assert abs(y - other_y) > 12 or right < other_left + 2 or other_right < left + 2, (one, other)
-    assert all(left > -2 and right < WIDTH + 2 for _, left, right, _ in texts)
+    assert all(left > -2 and right < width_px + 2 for _, left, right, _ in texts)
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -55,8 +68,56 @@ def test_no_text_of_a_contact_lies_on_the_post_of_another(name):
     for post in filter(None, posts):
         x, top, wide, foot = map(float, post.groups())
         for text, left, right, y in boxes(svg):
-            is_name = text in {body.name for body in rig.bodies}  # on its block, with a halo
-            assert is_name or not (left < x + wide < right and top < y < foot), text
+            is_on_body = text in {body.name for body in rig.bodies} or re.fullmatch(
+                NUMBER, text
+            )  # which hides the post
+            assert is_on_body or not (left < x + wide < right and top < y < foot), text
+
+
+@pytest.mark.parametrize("width_px", [WIDTH, NARROW_WIDTH])
+def test_each_body_is_a_ruler_from_its_own_left_end(width_px):
+    """The place of a mark is found by the numbers on its body, none of which lies under the ring."""
+    rig, at_m = BarrelCradle().rig(), 0.8
+    svg = drawing(rig, DrawnMark(Station("barrel", at_m), "a mass"), width_px=width_px)
+    (ring,) = (float(c.get("cx")) for c in svg.iter("circle") if c.get("class") == "mark")
+    dots = {float(c.get("cx")) for c in svg.iter("circle") if c.get("class") == "origin"}
+    for body, block in zip(rig.bodies, svg.iter("rect"), strict=True):
+        left, top, wide = (float(block.get(key)) for key in ("x", "y", "width"))
+        assert left in dots
+        rows = [(t, r) for t, _, r, y in boxes(svg) if top < y < top + 20 and re.fullmatch(NUMBER, t)]
+        ticks = [
+            float(re.match(r"M([-0-9.]+)", p.get("d"))[1])
+            for p in svg.iter("path")
+            if p.get("class") == "thin" and f",{top:g}v3" in p.get("d")
+        ]
+        places_m = [float(text.removesuffix(" m")) for text, _ in rows]
+        assert len(places_m) > 1
+        assert ticks == pytest.approx([left + wide * place_m / body.length_m for place_m in places_m], abs=0.1)
+        if body.name == "barrel":
+            assert ring == pytest.approx(left + wide * at_m, abs=0.1)
+            half_px = RULER_LETTER_WIDTH / 2
+            assert all(abs(right - half_px * len(text) - ring) > 9 + half_px * len(text) for text, right in rows)
+        else:
+            assert "1 m" in [text for text, _ in rows]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_the_key_has_each_symbol_that_occurs_and_no_other(name):
+    rig = DRAWN[name]
+    station = rig.forces[0] if rig.forces else Station(rig.bodies[0].name)
+    for marks in ((), (DrawnMark(station, "a mass"),), (DrawnMark(station, "?", True),)):
+        lines = {c.name: WORDS for c in rig.contacts[:1]}
+        html = ElementTree.fromstring(f"<div>{drawing_html(rig, lines, marks)}</div>")
+        drawn, key = (
+            {element.get("class") for element in part.iter() if element.tag in ("path", "rect", "circle")}
+            for part in (html.find(".//div/svg"), html.find(".//ul"))
+        )
+        assert key | {"thin", "ink"} == drawn | {"thin", "ink"}  # hatches, springs and ticks
+        words = [item.find("svg").tail for item in html.find(".//ul")]
+        assert len(set(words)) == len(words)
+        assert ("mass" in words) == any(body.is_mass for body in rig.bodies)
+        assert ("clamp" in words) == any(body.clamped for body in rig.bodies)
+        assert ("contact, two stops, with its values" in words) == rig.contacts[0].law.has_stops
 
 
 def test_the_words_of_a_mark_end_before_the_line_of_the_next():
@@ -116,3 +177,35 @@ def test_no_name_is_broken_in_the_words_of_a_mark():
     for x_px in (5.0, WIDTH / 2, WIDTH - 5.0):
         text = mark_text(x_px, words, TextSpans(), [x_px, x_px + 40.0])
         assert " ".join(text.lines).replace("\N{NO-BREAK SPACE}", " ") == words
+
+
+_TEXTS = """
+const page = this.contentDocument;
+const texts = [...page.querySelectorAll("svg text")].filter(text => text.getClientRects().length);
+const boxes = texts.map(text => text.getBoundingClientRect());
+const heights = texts.map(text => parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a);
+const overlaps = [];
+boxes.forEach((a, i) => boxes.slice(i + 1).forEach((b, k) => {
+  const wide = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+  const high = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+  if (wide > 1 && high > 4) overlaps.push(texts[i].textContent + " / " + texts[i + 1 + k].textContent);
+}));
+this.title = JSON.stringify([texts.length, Math.min(...heights), Math.max(...boxes.map(box => box.right)), overlaps]);
+"""
+
+
+@pytest.mark.parametrize("width_px", [390, 1280])
+@pytest.mark.parametrize("name", ["beams", "mass", "three masses in a chain", "two beams, two stops at one place"])
+def test_a_browser_draws_texts_that_can_be_read(framed, tmp_path, name, width_px):
+    """Letters of 11 px at least, none beyond the window and none over another, as the browser's own font makes them."""
+    rig = DRAWN[name]
+    words = "an added mass of 0.1498 ± 0.0026 kg on the barrel at 0.7999 ± 0.0014 m"
+    mark = DrawnMark(Station(rig.bodies[-1].name, 0.8 * rig.bodies[-1].length_m), words)
+    html = f"<figure>{drawing_html(rig, {c.name: WORDS for c in rig.contacts}, (mark,))}</figure>"
+    answer = page.Answer("green", "so", "")
+    page.write(tmp_path / "p.html", title="", answer=answer, sections=[], foot_text="", top_blocks=[html, "beside"])
+    (count, least_px, right_px, overlaps), _ = framed((tmp_path / "p.html").read_text(), width_px, _TEXTS)
+    assert count >= 4 + 3 * len(rig.contacts)
+    assert least_px >= 11
+    assert right_px <= width_px - 10
+    assert overlaps == []

@@ -18,14 +18,14 @@ from rig.viewer.viewing import write_rrd
 from tests.identify.gaps.diagnoses import GAPS, ONE_MASS, RIGS
 from tests.rig.viewer.test_viewing import column, series, static
 
-MASS = (Station("barrel", 0.9899), "an added mass of 0.141 kg on the barrel at 0.99 m")
+MASS = (Station("barrel", 0.9899), "an added mass of 0.1414 ± 0.0021 kg on the barrel at 0.9899 ± 0.0041 m")
 MARKS = {
     "explained": [MASS],
     "small": [MASS],
-    "pair": [(RIGS["pair"].contacts[1].at, "a dry friction of 0.764 N in contact_2")],
+    "pair": [(RIGS["pair"].contacts[1].at, "a dry friction of 0.764 ± 0.061 N in contact_2")],
     "cables": [
-        (Station("barrel", 0.911), "an added mass of 0.0120 kg on the barrel at 0.91 m"),
-        (Station("barrel", 0.488), "an added mass of 0.0093 kg on the barrel at 0.49 m"),
+        (Station("barrel", 0.911), "an added mass of 0.01200 ± 0.00020 kg on the barrel at 0.9110 ± 0.0039 m"),
+        (Station("barrel", 0.488), "an added mass of 0.00930 ± 0.00020 kg on the barrel at 0.4880 ± 0.0039 m"),
     ],
     "partly_explained": [MASS, (Station("cradle", 0.8), "unmeasured force, 0.99 N rms, always")],
     "vetoed": [],
@@ -95,4 +95,11 @@ def test_a_force_in_contact_shows_while_one_is_closed_and_as_strong_as_it_is_the
     assert set(np.round(drawn[acts & (times < 2)], 3)) == {round(14 * 0.65, 3)}
     assert set(np.round(drawn[acts & (times > 2)], 3)) == {14.0}
     assert static(tmp_path / "r.rrd", "/diagnosis", "TextDocument:text") == ["words"]
+    assert static(tmp_path / "r.rrd", "/model/gap/share_0", "Points3D:labels") == ["100 % of the gap"]
+    write_rrd(recording, truth, tmp_path / "without.rrd")
+    with_gap, without = (
+        [static(tmp_path / name, f"/key/{i}", "Points2D:labels") for i in range(7)] for name in ("r.rrd", "without.rrd")
+    )
+    assert [words for words in with_gap if words not in without] == [["where and when the gap acts"]]
+    assert ["found: identified or corrected"] not in with_gap
     np.testing.assert_allclose(series(tmp_path / "r.rrd", "/gap_over_time")[1][0], [25, 25, 75, 75])

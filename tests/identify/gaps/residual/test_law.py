@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from identify.gaps.decision.channel_errors import with_lateral_motion
 from identify.gaps.decision.null_simulations import draw_rig, standard_normals
 from identify.gaps.residual.likelihood import misfit, nominal_variances_of
 from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
+from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.replay import modal
 from tests.identify.gaps.residual.simulated_records import simulated_record
 
 
@@ -41,3 +45,12 @@ def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
     assert misfits[1] > 100
     drawn = draw_rig(believed, replace(LABORATORY, clearance=3.0), standard_normals(believed, 8)[0])
     assert drawn.contacts[0].law.sides == (1,)
+
+
+def test_motion_across_the_axes_is_no_force_of_a_stiff_stop():
+    settings = BarrelCradle(duration_s=10.0, noise_density=1e-3, stiffness_1_n_per_m=5e5, stiffness_2_n_per_m=5e5)
+    rig = settings.rig()
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    record = record_of(with_lateral_motion(modal(rig, rig, force_n, 1), 3e-3, 0, np.random.default_rng(3)))
+    reference = nominal_variances_of(linearized(record, rig))
+    assert max(misfit(record, reference, fit_nuisance(record, rig)[1]).contact_mean_squares) < 1

@@ -1,5 +1,6 @@
 """A known force that nobody measured is found: its place, its time history and its law."""
 
+import re
 from dataclasses import replace
 
 import msgspec
@@ -43,8 +44,12 @@ def test_drag_is_found_with_its_place_and_law(damped):
     assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert force.against == "velocity squared"
     assert force.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
-    place = f"a force on the beam near {force.position_m:.2f} m"
-    assert force.sentence.startswith(f"{place} that grows with the square of the velocity")
+    words = r"a force on the beam near ([0-9.]+) ± ([0-9.]+) m that grows with the square of the velocity, "
+    numbers = re.match(words + r"c \|v\| v, c = ([0-9.]+) ± ([0-9.]+) N s²/m²", force.sentence).groups()
+    stated_m, width_m, stated, width = map(float, numbers)
+    assert (stated_m, stated) == pytest.approx((force.position_m, force.law_parameters["coefficient"].value), rel=0.01)
+    assert abs(stated_m - place_m) < 1.5 * width_m < WITHIN_M
+    assert abs(stated - drag) < width < 0.1 * drag
 
 
 def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
@@ -64,7 +69,11 @@ def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):
     assert force.frequency_hz == pytest.approx(hz, abs=0.01)
     assert force.amplitude_n == pytest.approx(amplitude_n, rel=0.05)
     assert force.against == "none"
-    assert f"at {hz:.1f} Hz" in force.sentence
+    numbers = re.search(r"at ([0-9.]+) ± ([0-9.]+) Hz, ([0-9.]+) ± ([0-9.]+) N", force.sentence).groups()
+    stated_hz, width_hz, stated_n, width_n = map(float, numbers)
+    assert width_hz == pytest.approx(1.96 * force.law_parameters["f"].standard_error, rel=0.06)
+    assert (stated_hz, stated_n) == pytest.approx((force.frequency_hz, force.amplitude_n), rel=1e-3, abs=0.0)
+    assert abs(stated_n - amplitude_n) < 2 * width_n < 0.2 * amplitude_n
 
 
 def test_a_random_force_has_a_band_and_no_law(world):
@@ -87,6 +96,8 @@ def test_a_support_that_yields_is_told_from_other_springs(damped):
     assert force.law_name == "softening spring"
     assert force.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
     assert force.law_parameters["w0"].value == pytest.approx(yield_m, rel=0.05)
+    for name, true in (("coefficient", stiffness), ("w0", yield_m)):
+        assert abs(force.law_parameters[name].value - true) < 1.96 * force.law_parameters[name].standard_error
 
 
 def test_a_pair_pushes_both_bodies(two):
@@ -97,6 +108,8 @@ def test_a_pair_pushes_both_bodies(two):
     assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert force.law_name == "viscous damping"
     assert force.law_parameters["coefficient"].value == pytest.approx(damping, rel=0.05)
+    estimate = force.law_parameters["coefficient"]
+    assert abs(estimate.value - damping) < 1.96 * estimate.standard_error
 
 
 def test_a_sensor_that_clips_is_a_sensor(world):
