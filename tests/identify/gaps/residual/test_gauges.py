@@ -111,6 +111,6 @@ def test_a_gauge_that_reads_too_much_is_named(tmp_path):
     report = identify.gap(recordings("sensor_gain", 1, nominal_rig(True)), null_reference=tmp_path).report
     (cause, *_) = report.causes
     assert report.verdict == "explained"
-    assert cause.effects == (f"sensor_gain:{WRONG_GAUGE}",)
+    assert (cause.effects, cause.places) == (("sensor_gain",), {"sensor_gain.sensor": WRONG_GAUGE})
     factor = cause.parameters["sensor_gain.factor"]
     assert abs(factor.value - GAUGE_GAIN) < COVERED * factor.standard_error
