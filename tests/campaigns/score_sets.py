@@ -21,6 +21,8 @@ OVERLAP = 0.5
 WHERE = ("contact", "body", "beam", "sensor", "side")
 NOT_REPORTED = ("reference_force_n", "reference_depth_m", "seed")
 EVERYWHERE = "all"
+STOPS = ("contact_stiffness", "one_stop")
+OTHER_SIDE = {"lower": "upper", "upper": "lower"}
 
 
 class Estimate(msgspec.Struct, frozen=True):
@@ -132,6 +134,7 @@ def score_set(
     contacts: Sequence[str] = (),
 ) -> SetScore:
     """The score of one answer. `contacts`: all of the rig's, for effects that act at all of them."""
+    truths, named = [_by_stop(t, truths) for t in truths], _named_by_stop(named)
     groups = _assigned([t for t in truths if t.library], named)
     answered = list(zip(named, groups, strict=True))
     spread = [t for t in truths if t.library and not _among(t, groups) and _at_every_contact(t, named, contacts)]
@@ -147,6 +150,38 @@ def score_set(
         errors=tuple(error for n, g in answered for error in _errors(n, g)),
         verdict_right=verdict_right(truths, recalled, len(named), names_right.count(False), verdict),
     )
+
+
+def _by_stop(true: TrueOne, truths: Sequence[TrueOne]) -> TrueOne:
+    """An effect; of a stiffness of both stops and one of a single stop beside it, which are the stiffnesses of two
+    stops in other numbers, the stiffness of one of the two."""
+    beside = [t for t in truths if t.name in STOPS and t.place.get("contact") == true.place.get("contact")]
+    if true.name not in STOPS or sorted(t.name for t in beside) != sorted(STOPS):
+        return true
+    both, one = sorted(beside, key=lambda t: t.name)
+    if true is one:
+        return msgspec.structs.replace(one, whole={"factor": both.whole["factor"] * one.whole["factor"]})
+    side = OTHER_SIDE[str(one.place["side"])]
+    return msgspec.structs.replace(both, name=one.name, place={**both.place, "side": side})
+
+
+def _named_by_stop(named: Sequence[Sequence[Named]]) -> list[Sequence[Named]]:
+    """Classes of what is named, as `_by_stop` has truths; relative errors of the two are added as independent ones."""
+    classes = list(named)
+    for contact in {n.place.get("contact") for look_alikes in classes for n in look_alikes if n.name in STOPS}:
+        at = {
+            c[0].name: k for k, c in enumerate(classes) if c[0].name in STOPS and c[0].place.get("contact") == contact
+        }
+        if len(at) < len(STOPS):
+            continue
+        both, one = (classes[at[name]][0] for name in STOPS)
+        factors = [n.values["factor"] for n in (both, one)]
+        value = factors[0].value * factors[1].value
+        error = value * sum((f.standard_error / f.value) ** 2 for f in factors) ** 0.5
+        classes[at[STOPS[1]]] = (msgspec.structs.replace(one, values={"factor": Estimate(value, error)}),)
+        place = {**both.place, "side": OTHER_SIDE[one.place["side"]]}
+        classes[at[STOPS[0]]] = (msgspec.structs.replace(both, name=one.name, place=place),)
+    return classes
 
 
 def not_answered(truths: Sequence[TrueOne]) -> SetScore:

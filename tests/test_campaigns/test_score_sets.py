@@ -84,6 +84,24 @@ def test_a_stiffness_beside_a_power_law_is_part_of_it_if_the_reference_force_say
     assert score(10.0, "contact_2").recalled == 1
 
 
+def test_two_stops_are_the_same_in_either_numbers():
+    """1.7 times both and 2.0 times the lower one are 3.4 times the lower and 1.7 times the upper one."""
+    both = law("contact_stiffness", factor=1.7)
+    lower = TrueOne(name="one_stop", place={"contact": "contact_1", "side": "lower"}, whole={"factor": 2.0}, above=True)
+
+    def stop(side, *factor):
+        place = {"contact": "contact_1", "side": side}
+        return (Named(name="one_stop", place=place, values={"factor": Estimate(*factor)}),)
+
+    by_stop = score_set([both, lower], [stop("lower", 3.42, 0.05), stop("upper", 1.71, 0.05)], "explained")
+    together = [(a_law("contact_stiffness", factor=(1.71, 0.05)),), stop("lower", 2.01, 0.05)]
+    as_drawn = score_set([both, lower], together, "explained")
+    for score in (by_stop, as_drawn):
+        assert (score.recalled, score.false_names, score.verdict_right, score.covered) == (2, 0, True, 2)
+    wrong = score_set([both, lower], [stop("lower", 2.0, 0.05), stop("upper", 1.71, 0.05)], "explained")
+    assert (wrong.recalled, wrong.covered) == (2, 1)
+
+
 def test_the_wrong_contact_body_or_side_is_a_false_name():
     wrong = (a_law("contact_clearance", "contact_2", factor=(1.06, 0.01)),)
     score = score_set([CLEARANCE], [wrong], "explained")

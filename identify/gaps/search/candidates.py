@@ -1,5 +1,6 @@
 """Candidates: every effect of the library at every place where it can act, and its derivative of the residuals."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -28,6 +29,8 @@ STEP_SHARE = 0.05
 """Step for derivatives, as a share of what the typical effect adds. Set by hand."""
 ATTACHED_FIELDS = ("springs", "dampers", "masses", "tones")
 """Fields of a rig for what is attached to, or acts at, a point of a body."""
+STOP_STIFFNESSES = ("contact_stiffness", "one_stop")
+"""Effects on the stiffness of both stops of a contact, and of one."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,20 @@ class Candidate:
 def contains(container: Candidate, contained: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
     return contained.kind.name in container.kind.contains and contained.place == container.place
+
+
+def model_names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Names of effects, the same for sets that span the same rigs: any two of the stiffnesses of both stops of a
+    contact, of its lower and of its upper one do."""
+    stops = Counter(c.place["contact"] for c in candidates if c.kind.name in STOP_STIFFNESSES)
+    return tuple(
+        sorted(
+            f"stops:{c.place['contact']}"
+            if c.kind.name in STOP_STIFFNESSES and stops[c.place["contact"]] == len(STOP_STIFFNESSES)
+            else c.name
+            for c in candidates
+        )
+    )
 
 
 def _has_logarithmic_range(parameter: Parameter) -> bool:

@@ -29,7 +29,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.search.beside_set import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
-from identify.gaps.search.candidates import Candidate, contains, is_possible
+from identify.gaps.search.candidates import Candidate, contains, is_possible, model_names
 from identify.gaps.search.far_sets import far_fits
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
@@ -96,7 +96,7 @@ def ranked_hypotheses(search: Search, progress: Callable[[float], None] = lambda
     likeliest, variants = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest)))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, likeliest.hypothesis, *variants, *rivals)
-    by_effects = {hypothesis.effect_names: hypothesis for hypothesis in reversed(hypotheses)}
+    by_effects = {model_names(hypothesis.candidates): hypothesis for hypothesis in reversed(hypotheses)}
     return sorted(by_effects.values(), key=attrgetter("cost"))
 
 
