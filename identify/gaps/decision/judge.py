@@ -23,7 +23,7 @@ from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import NullReference, combined_p_value, p_value, p_values, with_bound
 from identify.gaps.decision.predicted import PredictedDecision, predicted_decision, predicted_rollout
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
-from identify.gaps.decision.verdict import Decision, ForceRivals, acts_at_effects, decide
+from identify.gaps.decision.verdict import Decision, ForceRivals, acts_at_effects, decide, strengths_exclude_neutral
 from identify.gaps.decision_table import (
     DIFFERENCE_P_VALUE,
     PARTLY_EXPLAINED_SHARE,
@@ -95,7 +95,8 @@ def judge(
     ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, nominal_residual, progress)
     ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual)
     difference = difference_of(prepared, search_result.nominal_misfit, nominal_residual, matters, split_p_value(ranked))
-    ranked = with_rival_spread(with_contact_evidence(prepared, candidates, ranked, difference, nominal_residual))
+    ranked = with_contact_evidence(prepared, candidates, ranked, difference, nominal_residual)
+    ranked = with_rival_spread(_with_laws_of_all_records(prepared, ranked, nominal_residual))
     basis = _DecisionBasis(prepared, difference, nominal_residual, matters)
     prediction = predicted_decision(
         ranked,
@@ -228,6 +229,25 @@ def _refit_likeliest_contact_laws(
     validated_refits = validate_hypotheses(record, variances, nominal_residual, [refit], log_prior_by_effects)
     kept_refits = [validated for validated in validated_refits if validated.misfit.minus_two_log < highest_cost]
     return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
+
+
+def _with_laws_of_all_records(
+    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], nominal_residual: Residual
+) -> list[ValidatedHypothesis]:
+    """Give the likeliest hypothesis the contact laws of the contact fit of all records, where those of the fitted ones
+    are too uncertain to name an effect."""
+    likeliest, *lower_ranked = ranked
+    if not likeliest.hypothesis.candidates or strengths_exclude_neutral(likeliest.hypothesis):
+        return ranked
+    validation, recordings = prepared.validation_recording, [o.recording for o in prepared.observations]
+    refit = with_contact_fit(likeliest.hypothesis, recordings, validation.record.tolerances)
+    if refit is likeliest.hypothesis:
+        return ranked
+    record, variances = validation.record, validation.nominal_variances
+    log_prior_by_effects = {refit.effect_names: likeliest.log_prior}
+    refits = validate_hypotheses(record, variances, nominal_residual, [refit], log_prior_by_effects)
+    refits = [replace(v, contact_minus_two_log=likeliest.contact_minus_two_log) for v in refits]
+    return sorted([*(refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
 
 
 def _decide_with_force(
