@@ -98,16 +98,14 @@ def ruler_numbers(
     steps_m = (digit * 10.0**power for power in count(-6) for digit in (1, 2, 5))
     step_m = next(step_m for step_m in steps_m if step_m * length_px >= RULER_STEP * length_m)
     numbers: list[tuple[float, float, str]] = []
-    taken = [(ring_px - RING_RADIUS - 2, ring_px + RING_RADIUS + 2) for ring_px in rings_px]
+    taken_px = [(ring_px - RING_RADIUS - 2, ring_px + RING_RADIUS + 2) for ring_px in rings_px]
     for place_m in (length_m, *(step_m * k for k in range(int(length_m / step_m) + 1))):
         text = f"{place_m:.6g}" + " m" * (place_m == length_m)
         half_px, place_px = RULER_LETTER_WIDTH * len(text) / 2, left_px + length_px * place_m / length_m
         middle_px = max(min(place_px, left_px + length_px - 3 - half_px), left_px + 6 + half_px)
-        left, right = middle_px - half_px - 2, middle_px + half_px + 2
-        if right <= left_px + length_px and all(
-            right <= taken_left or taken_right <= left for taken_left, taken_right in taken
-        ):
-            taken.append((left, right))
+        first_px, last_px = middle_px - half_px - 2, middle_px + half_px + 2
+        if last_px <= left_px + length_px and all(last_px <= first or last <= first_px for first, last in taken_px):
+            taken_px.append((first_px, last_px))
             numbers.append((place_px, middle_px, text))
     return numbers
 

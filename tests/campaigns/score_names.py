@@ -4,7 +4,7 @@ from collections import Counter
 
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Cause, Gap
-from tests.campaigns.score_sets import Estimate, Named
+from tests.campaigns.score_effects import Estimate, Named
 
 NAMING = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
 """The verdicts that name effects."""

@@ -10,6 +10,7 @@ import msgspec
 
 from identify.gaps.decision_table import Verdict
 from identify.pages.wording import COVERED
+from tests.campaigns.score_effects import Named, TrueOne, by_stop, within_power_law
 from tests.campaigns.worlds.truth import Case, EffectTruth
 
 WITHIN_M = 0.05
@@ -21,36 +22,6 @@ OVERLAP = 0.5
 WHERE = ("contact", "body", "beam", "sensor", "side")
 NOT_REPORTED = ("reference_force_n", "reference_depth_m", "seed")
 EVERYWHERE = "all"
-STOPS = ("contact_stiffness", "one_stop")
-OTHER_SIDE = {"lower": "upper", "upper": "lower"}
-
-
-class Estimate(msgspec.Struct, frozen=True):
-    """A value with its standard error; none above zero if it was not fitted."""
-
-    value: float
-    standard_error: float
-
-
-class Named(msgspec.Struct, frozen=True, kw_only=True):
-    """An effect as a diagnosis names it; `place` by field (contact, body, beam, sensor, side), "all" of all."""
-
-    name: str
-    place: dict[str, str] = {}
-    values: dict[str, Estimate] = {}
-
-
-class TrueOne(msgspec.Struct, frozen=True, kw_only=True):
-    """A true effect: how the machine differs there, and whether that is above its limit. length_m is of its body."""
-
-    name: str
-    place: dict[str, str | float] = {}
-    whole: dict[str, float] = {}
-    above: bool
-    library: bool = True
-    uncounted: bool = False
-    stand_ins: tuple[str, ...] = ()
-    length_m: float = 0.0
 
 
 class SetScore(msgspec.Struct, frozen=True, kw_only=True):
@@ -134,11 +105,11 @@ def score_set(
     contacts: Sequence[str] = (),
 ) -> SetScore:
     """The score of one answer. `contacts`: all of the rig's, for effects that act at all of them."""
-    truths, named = [_by_stop(t, truths) for t in truths], _named_by_stop(named)
+    truths, named = by_stop(truths, named)
     groups = _assigned([t for t in truths if t.library], named)
     answered = list(zip(named, groups, strict=True))
     spread = [t for t in truths if t.library and not _among(t, groups) and _at_every_contact(t, named, contacts)]
-    within_laws = tuple(t for t in truths if t.library and any(_within_power_law(t, n, g) for n, g in answered))
+    within_laws = tuple(t for t in truths if t.library and any(_within_named_law(t, n, g) for n, g in answered))
     right = (*groups, tuple(spread), within_laws)
     found = tuple(_among(t, right) for t in truths)
     names_right = tuple(bool(g) or _part_of(n, spread) or _stands_in(n, truths) for n, g in answered)
@@ -150,38 +121,6 @@ def score_set(
         errors=tuple(error for n, g in answered for error in _errors(n, g)),
         verdict_right=verdict_right(truths, recalled, len(named), names_right.count(False), verdict),
     )
-
-
-def _by_stop(true: TrueOne, truths: Sequence[TrueOne]) -> TrueOne:
-    """An effect; of a stiffness of both stops and one of a single stop beside it, which are the stiffnesses of two
-    stops in other numbers, the stiffness of one of the two."""
-    beside = [t for t in truths if t.name in STOPS and t.place.get("contact") == true.place.get("contact")]
-    if true.name not in STOPS or sorted(t.name for t in beside) != sorted(STOPS):
-        return true
-    both, one = sorted(beside, key=lambda t: t.name)
-    if true is one:
-        return msgspec.structs.replace(one, whole={"factor": both.whole["factor"] * one.whole["factor"]})
-    side = OTHER_SIDE[str(one.place["side"])]
-    return msgspec.structs.replace(both, name=one.name, place={**both.place, "side": side})
-
-
-def _named_by_stop(named: Sequence[Sequence[Named]]) -> list[Sequence[Named]]:
-    """Classes of what is named, as `_by_stop` has truths; relative errors of the two are added as independent ones."""
-    classes = list(named)
-    for contact in {n.place.get("contact") for look_alikes in classes for n in look_alikes if n.name in STOPS}:
-        at = {
-            c[0].name: k for k, c in enumerate(classes) if c[0].name in STOPS and c[0].place.get("contact") == contact
-        }
-        if len(at) < len(STOPS):
-            continue
-        both, one = (classes[at[name]][0] for name in STOPS)
-        factors = [n.values["factor"] for n in (both, one)]
-        value = factors[0].value * factors[1].value
-        error = value * sum((f.standard_error / f.value) ** 2 for f in factors) ** 0.5
-        classes[at[STOPS[1]]] = (msgspec.structs.replace(one, values={"factor": Estimate(value, error)}),)
-        place = {**both.place, "side": OTHER_SIDE[one.place["side"]]}
-        classes[at[STOPS[0]]] = (msgspec.structs.replace(both, name=one.name, place=place),)
-    return classes
 
 
 def not_answered(truths: Sequence[TrueOne]) -> SetScore:
@@ -314,21 +253,8 @@ def _at_every_contact(true: TrueOne, named: Sequence[Sequence[Named]], contacts:
     return set(contacts) <= there
 
 
-def _within_power_law(true: TrueOne, look_alikes: Sequence[Named], group: Group) -> bool:
-    """Whether a stiffness is part of the power law that was named at its contact.
-
-    A law F = R (k d / R)^n of f times the stiffness is one of the same stiffness and of the reference force
-    R f^(n / (1 - n)): the two are one law, and only that force tells them apart.
-    """
-    law = group[0] if group else None
-    if law is None or law.name != "hertz_stop" or true.name != "contact_stiffness":
-        return False
-    reference = _meant(look_alikes, group).values.get("reference_force_n")
-    if reference is None or true.place.get("contact") != law.place.get("contact"):
-        return False
-    exponent = law.whole["exponent"]
-    true_n = law.whole["reference_force_n"] * true.whole["factor"] ** (exponent / (1 - exponent))
-    return abs(reference.value - true_n) <= 3 * reference.standard_error
+def _within_named_law(true: TrueOne, look_alikes: Sequence[Named], group: Group) -> bool:
+    return bool(group) and within_power_law(true, group[0], _meant(look_alikes, group))
 
 
 def _part_of(look_alikes: Sequence[Named], spread: Iterable[TrueOne]) -> bool:

@@ -14,9 +14,10 @@ from scipy.stats import binomtest, chi2
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Gap
 from tests.campaigns.blind_diagnosis import Found, Refused
+from tests.campaigns.score_effects import TrueOne
 from tests.campaigns.score_names import named_classes
 from tests.campaigns.score_places import description_right
-from tests.campaigns.score_sets import SetScore, TrueOne, not_answered, score_set, true_ones
+from tests.campaigns.score_sets import SetScore, not_answered, score_set, true_ones
 from tests.campaigns.true_effect import Best
 from tests.campaigns.worlds.truth import Case
 

@@ -4,7 +4,8 @@ import itertools
 
 import pytest
 
-from tests.campaigns.score_sets import Estimate, Named, TrueOne, not_answered, score_set, true_ones, verdict_right
+from tests.campaigns.score_effects import Estimate, Named, TrueOne
+from tests.campaigns.score_sets import not_answered, score_set, true_ones, verdict_right
 from tests.test_campaigns.blind_cases import case, effect
 
 VERDICTS = ("consistent", "cannot_tell", "small", "explained", "partly_explained", "unexplained")

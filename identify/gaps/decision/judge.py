@@ -93,10 +93,12 @@ def judge(
     linearization, nominal_residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
     ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, nominal_residual, progress)
-    ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual)
+    ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual, prepared.fitted_recordings)
     difference = difference_of(prepared, search_result.nominal_misfit, nominal_residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, candidates, ranked, difference, nominal_residual)
-    ranked = with_rival_spread(_with_laws_of_all_records(prepared, ranked, nominal_residual))
+    if not strengths_exclude_neutral(ranked[0].hypothesis):  # the fitted records leave it uncertain
+        ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual, prepared.observations)
+    ranked = with_rival_spread(ranked)
     basis = _DecisionBasis(prepared, difference, nominal_residual, matters)
     prediction = predicted_decision(
         ranked,
@@ -211,43 +213,31 @@ def nominal_misfits_of(prepared: PreparedRecordings, searched_misfit: Misfit, re
 
 
 def _refit_likeliest_contact_laws(
-    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], nominal_residual: Residual
+    prepared: PreparedRecordings,
+    ranked: list[ValidatedHypothesis],
+    nominal_residual: Residual,
+    observations: Sequence[PreparedRecording],
 ) -> list[ValidatedHypothesis]:
-    """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
+    """Replace the likeliest hypothesis by one with contact laws fitted to recordings as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `MIN_GAIN` or more, or where it is the nominal
     rig.
     """
     likeliest, *lower_ranked = ranked
     record, variances = prepared.validation_recording.record, prepared.validation_recording.nominal_variances
-    recordings = [observation.recording for observation in prepared.fitted_recordings]
+    recordings = [observation.recording for observation in observations]
     refit = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
     if refit is likeliest.hypothesis:
         return ranked
     log_prior_by_effects = {refit.effect_names: likeliest.log_prior}
     highest_cost = likeliest.misfit.minus_two_log + MIN_GAIN
     validated_refits = validate_hypotheses(record, variances, nominal_residual, [refit], log_prior_by_effects)
-    kept_refits = [validated for validated in validated_refits if validated.misfit.minus_two_log < highest_cost]
+    kept_refits = [
+        replace(validated, contact_minus_two_log=likeliest.contact_minus_two_log)
+        for validated in validated_refits
+        if validated.misfit.minus_two_log < highest_cost
+    ]
     return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
-
-
-def _with_laws_of_all_records(
-    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], nominal_residual: Residual
-) -> list[ValidatedHypothesis]:
-    """Give the likeliest hypothesis the contact laws of the contact fit of all records, where those of the fitted ones
-    are too uncertain to name an effect."""
-    likeliest, *lower_ranked = ranked
-    if not likeliest.hypothesis.candidates or strengths_exclude_neutral(likeliest.hypothesis):
-        return ranked
-    validation, recordings = prepared.validation_recording, [o.recording for o in prepared.observations]
-    refit = with_contact_fit(likeliest.hypothesis, recordings, validation.record.tolerances)
-    if refit is likeliest.hypothesis:
-        return ranked
-    record, variances = validation.record, validation.nominal_variances
-    log_prior_by_effects = {refit.effect_names: likeliest.log_prior}
-    refits = validate_hypotheses(record, variances, nominal_residual, [refit], log_prior_by_effects)
-    refits = [replace(v, contact_minus_two_log=likeliest.contact_minus_two_log) for v in refits]
-    return sorted([*(refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
 
 
 def _decide_with_force(

@@ -312,8 +312,8 @@ def _strong_members(hypothesis: Hypothesis) -> list[int]:
         neutral is not None and abs(value - neutral) > half_width
         for neutral, value, half_width in zip(neutral_values, hypothesis.values, half_widths, strict=True)
     ]
-    ends = np.cumsum([len(member.parameters) for member in hypothesis.candidates])
-    return [index for index, strengths in enumerate(np.split(is_strong, ends[:-1])) if np.any(strengths)]
+    column_stops = np.cumsum([len(member.parameters) for member in hypothesis.candidates])
+    return [index for index, strengths in enumerate(np.split(is_strong, column_stops[:-1])) if np.any(strengths)]
 
 
 def _look_alike_fit(
