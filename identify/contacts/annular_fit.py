@@ -32,7 +32,6 @@ from identify.contacts.annular_law import (
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, annular_guess, interleaved
 from identify.contacts.law_fit import COST_TOLERANCE, MOST_STEPS, WEIGHT_ROUNDS
 from identify.contacts.linearization import (
-    KNOT_BANDWIDTH,
     BorderedEquations,
     Jacobian,
     corrected_motion,
@@ -44,8 +43,6 @@ from identify.signals.law_evaluation import evaluated_law
 from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import decimated
 
-ANNULAR_BANDWIDTH = DIRECTIONS * (KNOT_BANDWIDTH + 1) - 1
-"""Knots of both directions in turn that share a sample."""
 ROUGH_RESIDUAL_SHARE = 0.02
 """Standard deviation of the residual over that of the force, before any is known."""
 FRICTION_SCALE = 0.1
@@ -184,7 +181,7 @@ class AnnularFit:
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
         """Jacobian and normal equations at the state."""
         jacobian, to_law = self.jacobian(), self.free_to_law
-        equations = normal_equations(self.record, self.state, jacobian, to_law, self.weights, ANNULAR_BANDWIDTH)
+        equations = normal_equations(self.record, self.state, jacobian, to_law, self.weights)
         return jacobian, equations
 
     @property

@@ -68,7 +68,8 @@ class AnnularRecord:
         splines = [plane.drift_spline for plane in self.planes]
         empty_columns = csr_matrix((0, sum(spline.knot_count for spline in splines)))
         curvature = vstack([interleaved(spline.curvature, k) for k, spline in enumerate(splines)]).tocsr()
-        return Spline(empty_columns, empty_columns, curvature, np.concatenate([c.curvature_target for c in splines]))
+        curvature_target = np.concatenate([spline.curvature_target for spline in splines])
+        return Spline(empty_columns, empty_columns, empty_columns, curvature, curvature_target)
 
     @property
     def zero_known(self) -> bool:

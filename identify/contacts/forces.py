@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.ndimage import uniform_filter1d
 
 from identify.contacts.nuisance_signals import (
     ForceWeights,
@@ -42,7 +43,8 @@ from identify.linear.modal import force_on_mass
 from identify.linear.model import Response, ResponseCache, accelerances, responses_of
 from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.linear.slow_stiffness import slow_damping, slow_stiffness
-from identify.signals.kinematics import TAPER_S, Kinematics
+from identify.signals.drift import slow_force_density
+from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, omega_power
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -52,6 +54,8 @@ END_TRANSIENT_S = 2.5
 """End of a record in which the separated forces are wrong, as the beams' ringing is cut off."""
 LEAST_INITIAL_SHARE = 1e-4
 """Least force by an initial state over the contact forces; smaller ones are left out."""
+LEAST_SLOW_FORCE = 1e-9
+"""Least density of a slow force, N/s^2/sqrt(Hz): in place of zero."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class ContactForces:
 
     slow_motion is that of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of the
     sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness and damping against slow relative
-    displacements, whose forces accelerations do not show.
+    displacements, whose forces accelerations do not show; slow_force_density is that of `slow_force_densities`.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
@@ -69,6 +73,7 @@ class ContactForces:
     nuisances: NuisanceSignals
     slow_n_per_m: Float[np.ndarray, "contacts contacts"]
     slow_n_s_per_m: Float[np.ndarray, "contacts contacts"]
+    slow_force_density: Float[np.ndarray, " contacts"]
     slow_motion: SlowMotion | None = None
 
     def without_start(self, sample_count: int) -> "ContactForces":
@@ -210,13 +215,15 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         state_forces_n = np.tensordot(start_motion.error_root.T, state_forces_n, 1)
         state_rms_n = np.sqrt(np.mean(state_forces_n[..., settled_sample:] ** 2, axis=(1, 2)))
         nuisances = nuisances.with_initial_states(state_forces_n[state_rms_n > LEAST_INITIAL_SHARE * force_n.std()])
+    slow_n_s_per_m = slow_damping(rig, weighed.responses, slow_n_per_m)
     return ContactForces(
         force_n=force_n,
         decimation=decimation,
         noise_n=_force_noise_n(weights, weighed.noise_power, motion, lines),
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
-        slow_n_s_per_m=slow_damping(rig, weighed.responses, slow_n_per_m),
+        slow_n_s_per_m=slow_n_s_per_m,
+        slow_force_density=_slow_force_densities(record, weighed, slow_n_per_m, slow_n_s_per_m),
         slow_motion=gauged_motion,
     )
 
@@ -228,6 +235,40 @@ def _force_noise_n(
     padded_noise_power = noise_power * lines.padded_samples / motion.sample_count  # over the silence behind, too
     force_noise_spectra = contact_spectra(weights, random_noise(padded_noise_power, 0.0, lines))
     return np.asarray(lines.signals(force_noise_spectra, motion.sample_count // lines.decimation).std(axis=1))
+
+
+def _slow_force_densities(
+    record: SeparationInput,
+    weighed: _WeightedRows,
+    slow_n_per_m: Float[np.ndarray, "contacts contacts"],
+    slow_n_s_per_m: Float[np.ndarray, "contacts contacts"],
+) -> Float[np.ndarray, " contacts"]:
+    """Densities s_z of slow errors of held contacts' forces that no error of the relative displacement makes,
+    N/s^2/sqrt(Hz); zero where no spring holds a contact.
+
+    Noise n of the accelerations, and their motion across the axes, is an error W n of a separated force and
+    -signs n / omega^2 of eta, which a spring k and a damper c beside the contact turn into a force. Of what remains,
+
+        z = (W - (k + i omega c) signs / omega^2) n,
+
+    `slow_force_density` is that of z.
+    """
+    motion, lines, rate_hz = record.motion, record.lines, record.motion.sample_rate_hz
+    station_count, omega = len(motion.stations), lines.omega
+    springs_n_per_m, dampers_n_s_per_m = np.diag(slow_n_per_m), np.diag(slow_n_s_per_m)
+    error_power = weighed.noise_power.copy()
+    station_power = np.abs(weighed.observed.signals[:station_count]) ** 2
+    error_power[:station_count] += record.tolerances.lateral_motion**2 * uniform_filter1d(
+        station_power, lines.correlated_line_count, axis=1
+    )
+    ground_n_per_m = springs_n_per_m[:, None] + 1j * np.outer(dampers_n_s_per_m, omega)
+    force_errors = weighed.force_weights.copy()
+    force_errors[:, :station_count] += (
+        record.eta_signs[:, :, None] * (ground_n_per_m * omega_power(omega, -2, CORNER_HZ))[:, None]
+    )
+    density = 2 / (rate_hz * motion.sample_count) * np.einsum("jsf,sf->jf", np.abs(force_errors) ** 2, error_power)
+    densities = [slow_force_density(contact_density, omega)[0] for contact_density in density]
+    return np.where(springs_n_per_m > 0, np.maximum(densities, LEAST_SLOW_FORCE), 0.0)
 
 
 def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:

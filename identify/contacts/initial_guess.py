@@ -11,7 +11,7 @@ from itertools import combinations
 from operator import itemgetter
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
@@ -62,6 +62,37 @@ def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> La
             drift_ratio = 1 + record.spring_n_per_m * compliance_m_per_n * with_drift
             return np.array([lower_m, upper_m, 1 / compliance_m_per_n, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
+
+
+def _guess_by_open_contact(record: ContactRecord, sides: StopSides) -> list[LawGuess]:
+    """Drift by the open contact, and the law regressed on the closed samples then; none without a spring."""
+    if not record.spring_n_per_m:
+        return []
+    ground_matrix = ground_n_per_m(record)
+    knots = open_contact_knots(record.force_n, ~clearly_closed(record), ground_matrix, record.drift_spline)
+    moved_eta_m, moved_force_n = (
+        record.eta_m + record.drift_spline.value @ knots,
+        record.force_n - ground_matrix @ knots,
+    )
+    try:
+        law_parameters, _ = regressed_guess(replace(record, eta_m=moved_eta_m, force_n=moved_force_n), sides)
+    except ContactRefusedError:
+        return []
+    return [(law_parameters, knots)]
+
+
+def open_contact_knots(
+    force_n: Float[np.ndarray, " fewer"],
+    is_open: Bool[np.ndarray, " fewer"],
+    ground_matrix: csr_matrix,
+    drift_spline: Spline,
+) -> Float[np.ndarray, " knots"]:
+    """Knots of the drift b and the slow force z by the force s b + z = ground_matrix @ knots of an open contact, under
+    their priors; zero of a contact that never opens."""
+    if not np.any(force_n[is_open]):
+        return np.zeros(drift_spline.knot_count)
+    no_law_columns = np.zeros((np.count_nonzero(is_open), 0))
+    return robust_regression(force_n[is_open], ground_matrix[is_open], no_law_columns, drift_spline)[0]
 
 
 def closed_regression(
@@ -115,8 +146,8 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
 
 def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedStops) -> list[LawGuess]:
-    """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
-    beside stops has its nominal stiffness and damping, which `spring_guess` gives.
+    """Initial guesses, each with and without the drift of its regression, and that by the open contact; of a spring
+    alone, by least squares. A spring beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
     For several contacts, the guesses of least misfit among the nominal clearances and the regressions, for some forces
     F_m at the knees, over the closed samples, on
@@ -132,7 +163,8 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
         (spring_law,) = nominal_laws[~are_stops]
         stop_guesses = guesses(without_spring(record, spring_law), nominal_laws[are_stops], touched[are_stops])
         return _guesses_with_spring(record, nominal_laws, form, stop_guesses)
-    law_parameters, knots = regressed_guess(record, (bool(is_side_touched[0]), bool(is_side_touched[1])))
+    sides = bool(is_side_touched[0]), bool(is_side_touched[1])
+    law_parameters, knots = regressed_guess(record, sides)
     candidates = [(law_parameters, knots)]
     if len(nominal_laws) > 1:
         untouched_m = UNTOUCHED_CLEARANCE_RATIO * float(np.max(np.abs(record.eta_m)))
@@ -140,7 +172,7 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
         candidates = [(nominal_laws.ravel(), knots), *_knee_guesses(record, nominal_laws, touched)]
     candidates += [(law_parameters, np.zeros_like(knots)) for law_parameters, knots in candidates if knots.size]
     if len(nominal_laws) == 1:
-        return candidates
+        return [*candidates, *_guess_by_open_contact(record, sides)]
     return _best_guesses(record, candidates, form)
 
 

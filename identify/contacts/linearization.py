@@ -20,8 +20,6 @@ from identify.signals.spectra import decimated
 
 CHUNK_SAMPLES = 1 << 14
 """Samples of single precision that are converted to double at once."""
-KNOT_BANDWIDTH = 3
-"""Knots further apart than this share no sample."""
 
 Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
@@ -175,12 +173,13 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
 
 
 def ground_n_per_m(record: ContactRecord) -> csr_matrix:
-    """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
+    """Force of the spring and the damper to the ground, and the slow force, by the drift's knots, samples x knots."""
     spline = record.drift_spline
+    knot_forces_n = record.at_force_samples(spline.force_n)
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
-        return csr_matrix((record.force_n.size, spline.knot_count))
+        return knot_forces_n
     knot_values, knot_rates = record.at_force_samples(spline.value), record.at_force_samples(spline.rate)
-    return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates
+    return record.spring_n_per_m * knot_values + record.damper_n_s_per_m * knot_rates + knot_forces_n
 
 
 def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " fewer"]:
@@ -220,7 +219,6 @@ def normal_equations(
     derivatives: Jacobian,
     scaled_to_laws: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
-    bandwidth: int = KNOT_BANDWIDTH,
 ) -> BorderedEquations:
     """Normal equations for the knots and for the nuisance and the law's free parameters.
 
@@ -242,7 +240,7 @@ def normal_equations(
     prior_residual = spline.curvature_target - spline.curvature @ state.knots
     knot_gradient = by_knots.T @ weighted_residual + spline.curvature.T @ prior_residual
     try:
-        knot_cholesky = _banded_cholesky(by_knots.T @ by_knots + spline.curvature.T @ spline.curvature, bandwidth)
+        knot_cholesky = _banded_cholesky(by_knots.T @ by_knots + spline.curvature.T @ spline.curvature)
         eliminated_border = cho_solve_banded((knot_cholesky, False), border) if spline.knot_count else border
         schur_inverse = np.linalg.inv(free_block - border.T @ eliminated_border)
     except LinAlgError as error:
@@ -251,10 +249,11 @@ def normal_equations(
     return BorderedEquations(knot_cholesky, border, eliminated_border, schur_inverse, *gradients)
 
 
-def _banded_cholesky(symmetric_matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:
-    """Cholesky factor of a symmetric matrix with `bandwidth` diagonals on either side."""
-    knot_count = symmetric_matrix.shape[0]
+def _banded_cholesky(symmetric_matrix: spmatrix) -> Float[np.ndarray, "band knots"]:
+    """Cholesky factor of a symmetric matrix with few diagonals."""
+    entries, knot_count = symmetric_matrix.tocoo(), symmetric_matrix.shape[0]
+    bandwidth = int(np.max(entries.col - entries.row, initial=0))
     band = np.zeros((bandwidth + 1, knot_count))
-    for diagonal in range(min(bandwidth + 1, knot_count)):
+    for diagonal in range(bandwidth + 1):
         band[bandwidth - diagonal, diagonal:] = symmetric_matrix.diagonal(diagonal)
     return np.asarray(cholesky_banded(band)) if knot_count else band

@@ -10,7 +10,7 @@ from identify.contacts.slow_motion import SlowModel
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import real_product
 from identify.linear.nuisance import RECORD_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
-from identify.signals.drift import KNOT_STEP_S
+from identify.signals.drift import HIGHEST_DRIFT_HZ
 
 ForceWeights = Complex[np.ndarray, "contacts rows lines"]
 
@@ -95,7 +95,7 @@ def random_noise(
 ) -> Complex[np.ndarray, "stations lines"]:
     """Spectra of noise with this power and random phases; zero where the drift's knots can follow it."""
     phase_rad = np.random.default_rng(0).uniform(0, 2 * np.pi, noise_power.shape)
-    is_drift_line = lines.omega < 2 * np.pi * 0.5 / KNOT_STEP_S
+    is_drift_line = lines.omega < 2 * np.pi * HIGHEST_DRIFT_HZ
     return np.asarray(np.sqrt(np.maximum(noise_power, least_power)) * np.exp(1j * phase_rad) * ~is_drift_line)
 
 

@@ -18,7 +18,7 @@ from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
 from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_STEP_S, DriftPrior, spline
+from identify.signals.drift import HIGHEST_DRIFT_HZ, SLOW_DRIFT_HZ, DriftPrior, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
 from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -32,8 +32,6 @@ FORCE_BAND_RATIO = 4.0
 LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
-HIGHEST_DRIFT_HZ = 0.5 / KNOT_STEP_S
-"""Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 LEAST_RECORD_S = 1.0
@@ -242,8 +240,12 @@ def _contact_records(
         shifts_eta = np.any(nuisance_etas_m, axis=1)
         drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, sample_count)
         if drift:
-            spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
-            drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
+            drift = replace(
+                drift,
+                spring_n_per_m=float(forces.slow_n_per_m[j, j]),
+                damper_n_s_per_m=float(forces.slow_n_s_per_m[j, j]),
+                slow_force_density=float(forces.slow_force_density[j]),
+            )
         nuisance_m = oversampled(nuisance_etas_m[shifts_eta], forces.decimation)[:, :sample_count].astype(np.float32)
         records.append(
             ContactRecord(
@@ -277,7 +279,8 @@ def drift_of(
     tolerances: Tolerances,
     sample_count: int,
 ) -> DriftPrior | None:
-    """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
+    """Drift of a contact: prior of the slow part of its relative displacement, which integration loses, and of motion
+    across the axes of its accelerometers; None where no slow motion is lost.
 
     Raises ContactRefusedError if no sensor stands at the contact.
     """
@@ -294,11 +297,16 @@ def drift_of(
     error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
-        error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
-        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / HIGHEST_DRIFT_HZ)))
+        error_m_per_s2 = gain_error * _below(SLOW_DRIFT_HZ, motion.base.acceleration_m_per_s2, motion)
+        error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / SLOW_DRIFT_HZ)))
+    slow_noise_density = max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY)
+    acceleration_m_per_s2 = motion.acceleration_m_per_s2[[motion.stations.index(station) for station in stations]]
+    lateral_m_per_s2 = tolerances.lateral_motion * _below(HIGHEST_DRIFT_HZ, acceleration_m_per_s2, motion)
+    lateral_density = float(np.sqrt(np.sum(np.mean(lateral_m_per_s2**2, axis=1)) / HIGHEST_DRIFT_HZ))
     return DriftPrior(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
-        noise_density=max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY),
+        noise_density=max(lateral_density, slow_noise_density),
+        slow_noise_density=slow_noise_density,
         spring_n_per_m=0.0,
     )
 
@@ -314,22 +322,25 @@ def _error_density(
     station_row = motion.stations.index(station)
     body_rows = [k for k, place in enumerate(motion.stations) if place.body == station.body]
     body_rows.sort(key=lambda k: motion.stations[k].position_m)
-    slow_m_per_s2 = np.stack([_slow_acceleration(motion.acceleration_m_per_s2[k], motion) for k in body_rows])
+    slow_m_per_s2 = np.stack([_below(SLOW_DRIFT_HZ, motion.acceleration_m_per_s2[k], motion) for k in body_rows])
     row_on_body = body_rows.index(station_row)
     absolute_slow_m_per_s2 = slow_m_per_s2[row_on_body]
     if motion.base:
-        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+        base_m_per_s2 = motion.base.acceleration_m_per_s2
+        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _below(SLOW_DRIFT_HZ, base_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_slow_m_per_s2**2)
     if len(body_rows) > 1:
         positions_m = [motion.stations[k].position_m for k in body_rows]
         acceleration_slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[row_on_body]
         error_power += tolerances.position_m**2 * np.mean(acceleration_slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
-        transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
+        transverse_m_per_s2 = _below(SLOW_DRIFT_HZ, motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
-    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / HIGHEST_DRIFT_HZ))
+    return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / SLOW_DRIFT_HZ))
 
 
-def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
-    """Acceleration in the band of the drift."""
-    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * HIGHEST_DRIFT_HZ))))
+def _below(
+    highest_hz: float, acceleration: Float[np.ndarray, "*signals samples"], motion: Kinematics
+) -> Float[np.ndarray, "*signals fewer"]:
+    """Acceleration up to a frequency, at a lower sample rate."""
+    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * highest_hz))))

@@ -40,10 +40,18 @@ def excitation_start(
     signals: Iterable[Float[np.ndarray, " samples"]],
     sample_rate_hz: float,
 ) -> int:
-    """First excited sample, as `force_onset`; 0 also if a signal scatters before it by over 2 % of its record."""
+    """First excited sample, as `force_onset`; 0 also if a signal moves before it by over 2 % of its record.
+
+    White noise, whose variance is half that of its differences, is no motion.
+    """
     onset = force_onset(force_n, sample_rate_hz)
-    moves_before = onset and any(np.std(signal[:onset]) > MAX_REST_RMS_SHARE * np.std(signal) for signal in signals)
-    return 0 if moves_before else onset
+
+    def moves_before(signal: Float[np.ndarray, " samples"]) -> bool:
+        quiet_samples = signal[:onset]
+        motion_variance = np.var(quiet_samples) - np.var(np.diff(quiet_samples)) / 2
+        return bool(motion_variance > MAX_REST_RMS_SHARE**2 * np.var(signal))
+
+    return 0 if onset and any(map(moves_before, signals)) else onset
 
 
 def lead_in(signal: Float[np.ndarray, " samples"], lead_samples: int) -> Float[np.ndarray, " before"]:

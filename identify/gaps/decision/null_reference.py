@@ -56,7 +56,7 @@ MAX_STORED_REFERENCES = 8
 MAX_COMBINED_P_VALUE = 0.99
 """Upper limit of p-values in a combination, as Cauchy's tail near one would cancel small p-values."""
 
-STATISTIC_EDITION = 2
+STATISTIC_EDITION = 3
 """Number of the misfit's definition within a version of the program: null references of another are made anew."""
 BOUND_WEIGHT = 0.05
 """Share of the level of a test that is given to a bound of a p-value, which is small by orders where it is small."""

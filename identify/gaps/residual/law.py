@@ -1,9 +1,10 @@
 """Contact residual: separated contact force less the rig's law at the relative displacement, in standard deviations.
 
-    r = W (f - law(eta + b, eta' + b') - k b)
+    r = W (f - law(eta + b, eta' + b') - k b - z)
 
 W are the weights of the observation, b the slow motion that integration loses, k the stiffness of the bodies against
-it. A law is evaluated without aliasing and low-passed to the band of the force.
+it, z a slow error of the force beside that (`signals.drift`). A law is evaluated without aliasing and low-passed to the
+band of the force.
 """
 
 from contextlib import suppress
@@ -17,7 +18,7 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, diags, hstack, vsta
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
-from identify.contacts.initial_guess import regressed_guess
+from identify.contacts.initial_guess import open_contact_knots, regressed_guess
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, ForceAndEta, LawValues, Signal
 from identify.gaps.residual.tangent import LawTangent
@@ -41,7 +42,8 @@ PullSides = Float[np.ndarray, " pulls"]
 def initial_unknowns(
     contact_signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
-    """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
+    """Initial unknowns of a contact: zero tolerances, and the drift by the open contact where a spring holds the
+    bodies, else regressed on clearly closed samples, or zero.
 
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
@@ -53,6 +55,12 @@ def initial_unknowns(
     )
     # less what acts in the open contact too
     elastic_force_n = contact_signals.force_n - law.force_n(np.zeros_like(eta_m), velocity_m_per_s)
+    slow_n_per_m = contact_signals.slow_stiffness_n_per_m
+    if drift_spline.knot_count and slow_n_per_m:
+        ground_matrix, is_open = slow_n_per_m * drift_spline.value + drift_spline.force_n, observation.closed_mask == 0
+        knots = open_contact_knots(elastic_force_n, is_open, ground_matrix, drift_spline)
+        unknowns[: drift_spline.knot_count] = knots
+        return unknowns
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
     clearance_middle_m = off_centre_m + np.sign(elastic_force_n) * first_law.wear_m_per_s * time_s
     penetration_m = _penetration_m(law, elastic_force_n)
@@ -212,6 +220,7 @@ class ContactResidual:
                 damping_deviation_s * law.stiffness_n_per_m * per_damping,
             ]
         drift_columns = self.tangent.spline_columns(drift_values) + self.signals.slow_stiffness_n_per_m * drift_values
+        drift_columns += self.observation.drift_spline.force_n
         return diags(self.observation.force_weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
@@ -276,7 +285,8 @@ def contact_residual(
         return np.asarray(sum(forces_n))
 
     law_force_n = signals.low_passed(force_n, motion, _depends_on_time(adjusted_law))
-    residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
+    slow_force_n = signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m) + drift_spline.force_n @ knots_m
+    residual_n = motion.force_n - law_force_n - slow_force_n
     drift_rows = drift_spline.curvature_target - drift_spline.curvature @ knots_m
     prior_rows = -observation.prior_weight * np.concatenate([pulls, PULL_EXCESS_WEIGHT * _limit_excess(pulls)])
     residual = np.concatenate([observation.force_weights * residual_n, drift_rows, prior_rows])

@@ -163,7 +163,7 @@ class LinearModel:
         displacements = self.displacements - self.unmeasured_base_m
         eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
-            eta_m += real_product(_eta_weights(self.rig, response, sensor_places), displacements)
+            eta_m += real_product(eta_weights(self.rig, response, sensor_places), displacements)
         for mode in self.free_modes:
             shape = self._unobserved_shapes(self.responses[mode.body_index], sensor_places)[:, mode.mode_index]
             eta_m += np.outer(shape, mode.acceleration * self.record.displacement_per_acceleration)
@@ -188,7 +188,7 @@ class LinearModel:
         self, response: Response, sensor_places: SensorPlaces
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        sensor_weights = _eta_weights(self.rig, response, sensor_places)
+        sensor_weights = eta_weights(self.rig, response, sensor_places)
         return relative_shapes(self.rig, response) - sensor_weights @ response.shapes(sensor_places)
 
     @cached_property
@@ -318,7 +318,7 @@ def sensor_places_of(record: Record, rig: Rig) -> SensorPlaces:
     return [place_of(sensor, sensor_by_name[sensor.name].station) for sensor in record.sensors]
 
 
-def _eta_weights(rig: Rig, response: Response, stations: SensorPlaces) -> Float[np.ndarray, "contacts sensors"]:
+def eta_weights(rig: Rig, response: Response, stations: SensorPlaces) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
     places = [*(contact.at for contact in rig.contacts), *(contact.against for contact in rig.contacts)]
     weights = response.sensor_weights(stations, places)

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d
 
-from identify.gaps.residual.linear import LinearModel
+from identify.gaps.residual.linear import LinearModel, eta_weights, sensor_places_of
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
-from identify.signals.drift import Spline, spline
+from identify.signals.drift import Spline, slow_force_density, spline
 from identify.signals.law_evaluation import evaluated_on_batches, finer_signal_batches
 from identify.signals.recent_values import RecentValues
 
@@ -139,25 +139,29 @@ def contact_observations(
     """
     forces_n, errors_n = record.in_time(model.contact_force_n), model.contact_force_error_n(record)
     tolerances, observations = record.tolerances, []
+    error_densities, slow_n_per_m = _error_densities_beside_eta(record, model), np.diag(model.slow_stiffness_n_per_m)
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
-    for force_n, error_n, group_law, drift, contact_variance in zip(
-        forces_n, errors_n, laws, record.drifts, contact_variances, strict=True
+    for force_n, error_n, group_law, drift, contact_variance, error_density, spring_n_per_m in zip(
+        forces_n, errors_n, laws, record.drifts, contact_variances, error_densities, slow_n_per_m, strict=True
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES_EACH_SIDE + 1)
         is_clearly_closed = envelope_n > CLOSED_DEVIATIONS * error_n
         unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_noise_m
         stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in group_law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
+        counted_drift, fast_error_n = drift, error_n
+        if drift is not None:
+            counted_samples = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
+            counted_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[counted_samples])
+            if spring_n_per_m > 0:
+                force_density, fast_error_n = slow_force_density(error_density, record.omega)
+                counted_drift = replace(counted_drift, slow_force_density=force_density)
         deviation_n = np.sqrt(
-            error_n**2
+            fast_error_n**2
             + (stiffness_n_per_m * unfollowed_drift_m * is_clearly_closed) ** 2
             + (tolerances.unmodelled_contact * envelope_n) ** 2
             + _cutoff_ringing_n(record, force_n) ** 2
         )
-        counted_drift = drift
-        if drift is not None:
-            counted_samples = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
-            counted_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[counted_samples])
         observations.append(
             ContactObservation(
                 is_moving / np.sqrt(contact_variance) / deviation_n,
@@ -168,6 +172,19 @@ def contact_observations(
             )
         )
     return tuple(observations)
+
+
+def _error_densities_beside_eta(record: Record, model: LinearModel) -> Float[np.ndarray, "contacts lines"]:
+    """One-sided densities, N^2/Hz, of the contact forces' errors that no errors of the relative displacements make
+    through the slow stiffness."""
+    places, contact_count = sensor_places_of(record, model.rig), len(model.rig.contacts)
+    displacement_errors = record.displacement_per_acceleration * model.error_deviation / model.sensor_response
+    force_errors = model.projection.to_inputs[:contact_count].copy()
+    for response in model.responses:
+        slow_weights_n_per_m = model.slow_stiffness_n_per_m @ eta_weights(model.rig, response, places)
+        force_errors += slow_weights_n_per_m[:, :, None] * displacement_errors
+    squared_errors = np.sum(np.abs(force_errors) ** 2, axis=1)
+    return np.asarray(2 / (record.sample_count * record.sample_rate_hz) * squared_errors)
 
 
 def is_closed(

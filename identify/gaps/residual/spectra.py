@@ -8,9 +8,6 @@ Notes for maintainers
    itself, w x'' = (w x)'' - 2 (w' x)' + w'' x, with no corner of integration.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft
@@ -38,10 +35,9 @@ from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
 from identify.gaps.residual.transform import RecordTransform, transform_of
 from identify.linear.joined import group_rig_of
 from identify.signals.drift import DriftPrior
-from identify.signals.kinematics import CORNER_HZ, Kinematics, kinematics, omega_power
+from identify.signals.kinematics import CORNER_HZ, kinematics, omega_power
 from identify.signals.noise import acceleration_noise
-from identify.signals.spectra import decimated
-from rig.model.description import ON_GROUND, Rig, Sensor, Station, contact_stations
+from rig.model.description import ON_GROUND, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -52,10 +48,6 @@ INITIAL_SAMPLE_COUNT = 10
 """Samples from which the first state of a decay is read. Set by hand."""
 SMOOTHING_BANDWIDTH_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
-HIGHEST_DRIFT_HZ = 10.0
-"""Highest frequency up to which the drift follows what accelerometers show of motion across their axes: a stiff stop
-makes broad forces of such errors of a relative displacement. Set by hand."""
-
 UNSETTLED_FREQUENCY_SHARE = 1 / 3
 """Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
 by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and frames vibrate above 3 Hz."""
@@ -175,30 +167,8 @@ def _drifts(
     sensor_kinematics = kinematics(recording, sensors[0].quantity, least_order=2)
     noise_deviations = acceleration_noise(sensor_kinematics, recording.rig)
     return tuple(
-        _with_lateral_motion(
-            drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples),
-            sensor_kinematics,
-            contact_stations(contact),
-            tolerances.lateral_motion,
-        )
-        for contact_index, contact in enumerate(joined_rig.contacts)
-    )
-
-
-def _with_lateral_motion(
-    drift: DriftPrior | None, motion: Kinematics, stations: Sequence[Station], lateral_share: float
-) -> DriftPrior | None:
-    """Drift up to `HIGHEST_DRIFT_HZ`, with the error by a share of the acceleration at the contact's stations there."""
-    if drift is None:
-        return None
-    acceleration_m_per_s2 = motion.acceleration_m_per_s2[[motion.stations.index(station) for station in stations]]
-    slow_m_per_s2 = decimated(acceleration_m_per_s2, max(1, int(motion.sample_rate_hz / (2 * HIGHEST_DRIFT_HZ))))
-    power_density = float(np.sum(np.mean(slow_m_per_s2**2, axis=1))) / HIGHEST_DRIFT_HZ
-    return replace(
-        drift,
-        noise_density=max(lateral_share * np.sqrt(power_density), drift.noise_density),
-        slow_noise_density=drift.noise_density,
-        knot_spacing_s=0.5 / HIGHEST_DRIFT_HZ,
+        drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples)
+        for contact_index in range(len(joined_rig.contacts))
     )
 
 

@@ -35,6 +35,15 @@ class LawTangent:
 
     def spline_columns(self, spline_values: csr_matrix) -> csc_matrix:
         """Change of the force, N/m, with each coefficient of a spline, whose value is spline_values @ coefficients."""
+        columns = spline_values.tocsc()
+        moving_columns = np.flatnonzero(np.diff(columns.indptr))
+        selection_shape = moving_columns.size, columns.shape[1]
+        rows = np.arange(moving_columns.size)
+        selection = csc_matrix((np.ones(moving_columns.size), (rows, moving_columns)), shape=selection_shape)
+        return self._moving_columns(columns[:, moving_columns]) @ selection
+
+    def _moving_columns(self, spline_values: csc_matrix) -> csc_matrix:
+        """Columns of a spline that moves the contact."""
         if not spline_values.shape[1]:
             return csc_matrix(spline_values.shape)
         first_samples, splines = _windows(spline_values)
@@ -52,9 +61,8 @@ class LawTangent:
         return csc_matrix((forces[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape)
 
 
-def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
+def _windows(columns: csc_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
     """First sample of each spline's window, MARGIN_SAMPLE_COUNT before its support, and the spline's values in it."""
-    columns = spline_values.tocsc()
     support = np.diff(columns.indptr)
     first_samples = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLE_COUNT
     splines = np.zeros((len(support), next_fast_len(int(support.max()) + 2 * MARGIN_SAMPLE_COUNT, real=True)))

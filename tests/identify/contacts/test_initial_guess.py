@@ -20,7 +20,7 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     rings = np.random.default_rng(0).random(time_s.size) < 0.1
     force_n = np.where(rings & (force_n == 0), ringing * force_n.max() * np.sign(np.sin(2e3 * time_s)), force_n)
     bend = -((2 * np.pi * 0.2) ** 2) * slow_m
-    curve = spline(time_s.size, rate_hz, DriftPrior(bend, noise_density=5e-3, spring_n_per_m=0.0))
+    curve = spline(time_s.size, rate_hz, DriftPrior(bend, 5e-3, 5e-3, spring_n_per_m=0.0))
     record = contact_record(
         force_n,
         np.zeros((0, time_s.size)),

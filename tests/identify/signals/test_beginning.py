@@ -19,9 +19,14 @@ def test_the_first_sample_of_the_force_is_found():
 
 def test_a_rig_that_moves_before_its_force_is_not_at_rest():
     force = noisy(5000, 1200, 0.01, 5.0)
-    still, moving = noisy(5000, 1200, 1e-4, 1.0, seed=1), noisy(5000, 0, 1e-4, 1.0, seed=2)
+    still, moving = noisy(5000, 1200, 1e-4, 1.0, seed=1), np.sin(2 * np.pi * 40 * np.arange(5000) / RATE_HZ)
     assert excitation_start(force, [still], RATE_HZ) == force_onset(force, RATE_HZ)
     assert excitation_start(force, [still, moving], RATE_HZ) == 0
+
+
+def test_noise_of_a_sensor_that_hardly_moves_is_no_motion():
+    force = noisy(5000, 1200, 0.01, 5.0)
+    assert excitation_start(force, [noisy(5000, 1200, 0.05, 1.0, seed=1)], RATE_HZ) == force_onset(force, RATE_HZ)
 
 
 def test_a_lead_in_keeps_value_and_slope():

@@ -63,7 +63,9 @@ def test_a_change_within_a_closure_is_low_passed_as_a_product(motion):
 
 def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     eta_m, tangent = motion
-    curve = spline(SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, DriftPrior(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 0.0))
+    curve = spline(
+        SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, DriftPrior(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 1e-3, 0.0)
+    )
     columns = tangent.spline_columns(curve.value)
     assert columns.shape == curve.value.shape
     coefficients = np.random.default_rng(3).standard_normal(curve.knot_count)
