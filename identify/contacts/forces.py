@@ -208,7 +208,11 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     force_n = lines.signals(contact_force_spectra, kept_count)
     slow_n_per_m = slow_stiffness(rig, weighed.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(rig, motion, decimation)[:, :kept_count]
+        spectral_force_n, force_n = force_n, _force_on_mass(rig, motion, decimation)[:, :kept_count]
+        # so that a mass is in proportion to the force that it tells
+        force_shares = nuisances.force_n @ spectral_force_n[0] / np.sum(spectral_force_n**2)
+        corrected_n = nuisances.force_n + force_shares[..., None] * (force_n - spectral_force_n)
+        nuisances = replace(nuisances, force_n=corrected_n)
     elif start_motion:
         settled_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_count - 1)
         state_forces_n = lines.signals(np.einsum("jsf,isf->ijf", weights, start_motion.unit_spectra), kept_count)

@@ -37,8 +37,9 @@ def test_sizes_are_ordered_and_follow_the_tolerances(usual):
             assert effect.least <= effect.size <= effect.greatest
     loose = planned(replace(LABORATORY, clearance=3 * LABORATORY.clearance))
     growth = loose["contact_clearance"].size / usual["contact_clearance"].size
-    assert 2.5 < growth < 3.2  # the tolerance hides it, not the noise
-    assert loose["added_mass"].size == pytest.approx(usual["added_mass"].size, rel=0.05)
+    assert 2.3 < growth < 3.2  # the tolerance hides it, not the noise
+    # the machine that is drawn has another clearance, and is closed for another share of the time
+    assert loose["added_mass"].size == pytest.approx(usual["added_mass"].size, rel=0.1)
 
 
 def test_a_longer_record_shows_less_of_what_noise_hides(usual):
