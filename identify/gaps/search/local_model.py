@@ -185,6 +185,18 @@ class LocalModel:
                 break
         return best_solution
 
+    def without_superfluous(
+        self, terms: Sequence[CandidateTerm], solution: Solution, least_gain: float
+    ) -> tuple[list[CandidateTerm], Solution]:
+        """Terms without those before the last that the others have made superfluous, and their minimum."""
+        chosen_terms = list(terms)
+        for term in chosen_terms[:-1]:
+            remaining_terms = [other_term for other_term in chosen_terms if other_term is not term]
+            reduced_solution = self.minimum(remaining_terms, solution.theta)
+            if reduced_solution.statistic - solution.statistic < least_gain:
+                chosen_terms, solution = remaining_terms, reduced_solution
+        return chosen_terms, solution
+
     def promised_decreases(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
         """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
         matrix, right_side = self.normal_equations(solution.theta, np.arange(len(self.column_spectra)))

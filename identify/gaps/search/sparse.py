@@ -219,7 +219,7 @@ def best_selection(model: LocalModel, present_set: Hypothesis) -> Selection:
             hint_candidates = _hint_candidates(trials, solution)
             break
         is_dominant = solution.statistic - best_solution.statistic > MAX_EXCESS_COST
-        chosen_terms, solution = _without_superfluous_terms(model, [*chosen_terms, term], best_solution)
+        chosen_terms, solution = model.without_superfluous([*chosen_terms, term], best_solution, MIN_GAIN)
         if is_dominant:  # the local model does not hold that far: fit first, then select further
             break
     values_by_candidate = tuple(term.values_at(solution.theta) for term in chosen_terms)
@@ -260,18 +260,6 @@ def _promising_terms(
     return promising
 
 
-def _without_superfluous_terms(
-    model: LocalModel, chosen_terms: list[CandidateTerm], solution: Solution
-) -> tuple[list[CandidateTerm], Solution]:
-    """Set without the members that the others have made superfluous, and its solution."""
-    for term in chosen_terms[:-1]:
-        remaining_terms = [other_term for other_term in chosen_terms if other_term is not term]
-        reduced_solution = model.minimum(remaining_terms, solution.theta)
-        if reduced_solution.statistic - solution.statistic < MIN_GAIN:
-            chosen_terms, solution = remaining_terms, reduced_solution
-    return chosen_terms, solution
-
-
 def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Best set without members that gain too little, and its variants.
 
@@ -285,6 +273,9 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     costs_without_member, variants = list[float](), list[Hypothesis]()
     for member_index in member_indices:
         reduced_fit = _subset_fit(search, best_set, [index for index in member_indices if index != member_index])
+        if reduced_fit is None:
+            costs_without_member.append(np.inf)
+            continue
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
         costs_without_member.append(reduced_fit.cost)
@@ -294,13 +285,16 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
             strong_indices = _strong_members(look_alike_fit.hypothesis)
             if 0 < len(strong_indices) < len(candidates):
                 smaller_fit = _subset_fit(search, look_alike_fit, strong_indices)
+                if smaller_fit is None:
+                    continue
                 if smaller_fit.cost - best_set.cost < MIN_GAIN:
                     return reduced_sets(search, smaller_fit)
                 variants.append(smaller_fit.hypothesis)
     indices_by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
         retained_indices = sorted(indices_by_importance[dropped_count:].tolist())
-        variants.append(_subset_fit(search, best_set, retained_indices).hypothesis)
+        if (retained_fit := _subset_fit(search, best_set, retained_indices)) is not None:
+            variants.append(retained_fit.hypothesis)
     return best_set, variants
 
 
@@ -337,12 +331,16 @@ def _look_alike_fit(
     return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis:
-    """Fit of some members of the set without the others; the nominal rig where there are none."""
+def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis | None:
+    """Fit of some members of the set without the others; the nominal rig where there are none. None where no rig has
+    them alone, as a spring of negative stiffness without the one that holds it."""
     if not member_indices:
         return search.nominal_fit()
     members = tuple(best_set.hypothesis.candidates[index] for index in member_indices)
     start_values = best_set.hypothesis.values_of(member_indices)
     start_residual = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(search, members, start_values, start_residual, best_set.linearization)
+    try:
+        brief_fit = fit_briefly(search, members, start_values, start_residual, best_set.linearization)
+    except RigError:
+        return None
     return refined(search, brief_fit, best_set.cost)
