@@ -1,15 +1,17 @@
 """The joint sparse search: the local model is the statistic itself, and what is true is selected and nothing beside."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.hypothesis import Hypothesis, Search
+from identify.gaps.search.hypothesis import Hypothesis, Search, fit_briefly
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.sparse import best_selection, ranked_hypotheses
+from identify.gaps.search.sparse import best_selection, ranked_hypotheses, reduced_sets
 from rig.effects.added_mass import AddedMass
 from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
@@ -75,6 +77,16 @@ def test_an_effect_takes_over_its_equal_at_one_place_alone(pair):
     for place_deviation, expected in ((0.1, [2114.0, 0.853]), (0.001, [1936.0, 0.853])):
         covariance = np.diag(np.square([50.0, place_deviation, 50.0, place_deviation]))
         assert Hypothesis((spring, spring), values, covariance, nominal).values_of([0]) == pytest.approx(expected)
+
+
+def test_a_set_of_which_a_part_cannot_stand_alone_loses_that_part(pair):
+    """A spring of negative stiffness pushes a free barrel away once the spring that holds it is left out."""
+    spring = next(candidate for candidate in pair.candidates if candidate.name == "linear_spring:barrel")
+    springs, values = (spring, spring), np.array([300.0, 0.853, -200.0, 0.5])
+    joint_fit = fit_briefly(pair, springs, np.array([300.0, 0.853, 1.0, 0.5]), pair.nominal_residual)
+    hypothesis = Hypothesis(springs, values, np.eye(4) * 1e-12, joint_fit.hypothesis.misfit)
+    remaining_fit, _ = reduced_sets(pair, replace(joint_fit, hypothesis=hypothesis))
+    assert remaining_fit.hypothesis.effect_names in ((), ("linear_spring:barrel",))
 
 
 @pytest.mark.study
