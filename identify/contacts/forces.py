@@ -64,7 +64,8 @@ class ContactForces:
 
     slow_motion is that of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of the
     sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness and damping against slow relative
-    displacements, whose forces accelerations do not show; slow_force_density is that of `slow_force_densities`.
+    displacements, whose forces accelerations do not show; slow_force_density is that of
+    `_slow_force_densities`.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
@@ -210,9 +211,9 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         spectral_force_n, force_n = force_n, _force_on_mass(rig, motion, decimation)[:, :kept_count]
         # so that a mass is in proportion to the force that it tells
-        force_shares = nuisances.force_n @ spectral_force_n[0] / np.sum(spectral_force_n**2)
+        force_shares = nuisances.force_n @ spectral_force_n[0] / max(float(np.sum(spectral_force_n**2)), 1e-300)
         corrected_n = nuisances.force_n + force_shares[..., None] * (force_n - spectral_force_n)
-        nuisances = replace(nuisances, force_n=corrected_n)
+        nuisances = replace(nuisances, force_n=corrected_n.astype(np.float32))
     elif start_motion:
         settled_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_count - 1)
         state_forces_n = lines.signals(np.einsum("jsf,isf->ijf", weights, start_motion.unit_spectra), kept_count)
