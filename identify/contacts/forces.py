@@ -156,7 +156,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         # without the zeros of gauges, which are at 0 Hz
         weighed_changes = tuple(change for change in changes if change.parameter.kind is not NuisanceKind.ZERO)
         errors = StationErrors(noise_power, least_noise_power, weighed_changes, lines.correlated_line_count)
-        contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors)
+        contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors) * lines.is_in_passband
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.begins_at_rest:
             start_motion = start_free_motion(responses, motion, stations, lines, sensor_response * accelerance, errors)

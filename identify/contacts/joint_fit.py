@@ -50,7 +50,7 @@ class JointEstimate:
     """Estimate of one contact: values of the parameters of `LAW` with their covariance.
 
     covariances are the parts of the covariance by source: "scatter" of the record, "tolerances" of rig.json, "drift",
-    the slow motion that accelerometers miss, and "law", the misfit of the law's form.
+    the slow motion that accelerometers miss, and "law", the misfit of the law's form and how its damping sets in.
     sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
     drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
@@ -166,6 +166,10 @@ def fit_joint(
     gains from being fitted to the noise, which shrinks with the signals. The fit starts from `guesses`. For a single
     contact the form of the law is then chosen among the dead zone and `forms`.
 
+    How a damper sets in as a stop closes is known of no machine, and beside delays of the sensors it alone tells the
+    damping: a further nuisance parameter, with the same prior, leads from the law of rig.json, whose damping grows over
+    10 um of penetration, to one that acts at once (the onset of `LawForm`).
+
     The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
     of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
     added.
@@ -195,13 +199,15 @@ def fit_joint(
     scores = part_scores(influence, state.residual_n, part_starts)
     error_rows = {
         "scatter": small_sample_factor(free_count) * scores,
-        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
+        "tolerances": record.samples_per_error * pull_free_columns[: pull_count - 1],
+        "law": record.samples_per_error * pull_free_columns[pull_count - 1 : pull_count],
         "drift": drift_spline.curvature @ knot_columns,
     }
     covariances = {source: scaled_to_laws @ (rows.T @ rows) @ scaled_to_laws.T for source, rows in error_rows.items()}
-    covariances["law"] = misfit_covariance(fit, jacobian, part_starts) if forms else 0 * covariances["scatter"]
+    if forms:
+        covariances["law"] += misfit_covariance(fit, jacobian, part_starts)
     covariance = np.asarray(sum(covariances.values()))
-    drift_m, drift_m_per_s = drift_signals(record, state.knots, state.pulls)
+    drift_m, drift_m_per_s = drift_signals(record, state.knots, state.nuisance_pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
@@ -215,7 +221,7 @@ def fit_joint(
             touched=(lower_touched, upper_touched),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
-            pulls=state.pulls,
+            pulls=state.nuisance_pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
             half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),

@@ -131,7 +131,7 @@ class LawFit:
     @property
     def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
         """Relative displacement with drift and nuisance signals, m, and its rate, m/s."""
-        return corrected_motion(self.record, self.state.knots, self.state.pulls)
+        return corrected_motion(self.record, self.state.knots, self.state.nuisance_pulls)
 
     def depth_m(self, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
         """Penetration of the first contact's stops, m."""
@@ -153,17 +153,18 @@ def first_fit(
     record: ContactRecord,
     free_to_laws: Float[np.ndarray, "laws free"],
     guesses: list[LawGuess],
-    pulls: Pulls,
+    nuisance_pulls: Pulls,
     form: LawForm,
 ) -> LawFit:
-    """Fit of a dead zone or a spring: the best of the minima from each guess, with settled weights.
+    """Fit of a dead zone or a spring: the best of the minima from each guess, with settled weights. The damping begins
+    as in rig.json.
 
     Raises ContactRefusedError if no guess leads to a minimum.
     """
     initial_noise_n = 0.02 * float(np.std(record.force_n))
     fits, latest_refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
     for law_parameters, knots in guesses:
-        start_state = state_at(record, form, law_parameters, knots, pulls)
+        start_state = state_at(record, form, law_parameters, knots, np.append(nuisance_pulls, 0.0))
         weights = residual_weights(record, start_state, initial_noise_n)
         try:
             fits.append(LawFit(record, free_to_laws, start_state, weights).at_least_cost)

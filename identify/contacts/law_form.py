@@ -3,10 +3,11 @@
 All forms have the parameters of `LAW`; a power law has its exponent behind them. With the penetration `depth` beyond a
 stop and its reference depth d,
 
-    f = k depth |depth / d|^(p - 1) + c rate min(1, |depth| / 10 um)
+    f = k depth |depth / d|^(p - 1) + c rate ((1 - o) min(1, |depth| / 10 um) + o)
 
-where p = 1 except for a power law; a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and
-its damping acts always, f = k eta + c rate. It may stand alone or beside stops between the same places.
+where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at once, p = 1 except for a power law, and
+a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and its damping acts always,
+f = k eta + c rate. It may stand alone or beside stops between the same places.
 """
 
 from collections.abc import Iterator
@@ -87,11 +88,11 @@ class LawForm:
         is_law_within = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
         return bool(is_law_within and least_exponent <= self.exponent(law_parameters) <= most_exponent)
 
-    def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
         each."""
         force = np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
             force += contribution.force_n
         return force
 
@@ -103,10 +104,17 @@ class LawForm:
             by_velocity += contribution.damping_n_s_per_m * contribution.is_closed
         return by_displacement, by_velocity
 
-    def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
+    def by_onset_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        """Derivative of the force by the onset of the damping, N."""
+        parts = self.contributions(law_parameters, eta_m, rate_m_per_s)
+        return np.asarray(sum(part.damping_n_s_per_m * part.is_closed * part.missing_m_per_s for part in parts))
+
+    def derivatives(
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
+    ) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
         by_parameters, by_exponent = [], np.zeros_like(eta_m)
-        for part in self.contributions(law_parameters, eta_m, rate_m_per_s):
+        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
             by_lower_clearance = part.slope_n_per_m * (part.depth_m < 0)
             by_upper_clearance = by_lower_clearance - part.slope_n_per_m
             by_parameters += [by_lower_clearance, by_upper_clearance]
@@ -117,7 +125,7 @@ class LawForm:
         return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
 
     def contributions(
-        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
     ) -> "Iterator[ContactContribution]":
         """Contributions of the contacts to the force."""
         exponent = self.exponent(law_parameters)
@@ -136,19 +144,25 @@ class LawForm:
             damper_m_per_s, is_closed = unit_damper.force_n(eta_m, rate_m_per_s), depth_m != 0
             if contact_index in self.spring_indices:
                 damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
+            missing_m_per_s = rate_m_per_s * is_closed - damper_m_per_s
+            damper_m_per_s = damper_m_per_s + onset * missing_m_per_s
             if self.name == "cannot pull":
                 is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
             slope_n_per_m = stiffness * unit_spring.by_eta_n_per_m(eta_m) * is_closed
-            yield ContactContribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
+            yield ContactContribution(
+                depth_m, spring_m, damper_m_per_s, missing_m_per_s, stiffness, damping, slope_n_per_m, is_closed
+            )
 
 
 @dataclass(frozen=True)
 class ContactContribution:
-    """Force of one contact: depth, forces of unit stiffness and of unit damping, derivative by the displacement."""
+    """Force of one contact: depth, forces of unit stiffness and of unit damping, what the latter lacks until the
+    damping has set in, derivative by the displacement."""
 
     depth_m: Signal
     unit_spring_m: Signal
     unit_damper_m_per_s: Signal
+    missing_m_per_s: Signal
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     slope_n_per_m: Signal

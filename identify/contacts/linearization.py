@@ -54,7 +54,10 @@ class LinearizedState(Protocol):
 
 @dataclass(frozen=True)
 class FitState:
-    """Parameters of a fit with residual and cost there; tangent_n_per_m is the law's low-passed stiffness."""
+    """Parameters of a fit with residual and cost there; tangent_n_per_m is the law's low-passed stiffness.
+
+    pulls are those of the record's nuisance parameters, and behind them the onset of the damping.
+    """
 
     law_parameters: LawParameters
     knots: Knots
@@ -63,6 +66,14 @@ class FitState:
     tangent_n_per_m: Float[np.ndarray, " fewer"]
     form: LawForm
     cost: float = np.inf
+
+    @property
+    def onset(self) -> float:
+        return float(self.pulls[-1])
+
+    @property
+    def nuisance_pulls(self) -> Pulls:
+        return self.pulls[:-1]
 
     @property
     def stiffness_n_per_m(self) -> float:
@@ -108,12 +119,17 @@ def state_at(
     record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls
 ) -> FitState:
     """State at some parameters; its cost, which needs weights, is left infinite."""
-    eta, velocity = corrected_motion(record, knots, pulls)
+    nuisance_pulls, onset = pulls[:-1], float(pulls[-1])
+    eta, velocity = corrected_motion(record, knots, nuisance_pulls)
     law_force_n = evaluated_law(
-        partial(form.force_n, law_parameters), np.stack([eta, velocity]), record.sample_rate_hz, record.decimation
+        partial(form.force_n, law_parameters, onset=onset),
+        np.stack([eta, velocity]),
+        record.sample_rate_hz,
+        record.decimation,
     )
-    unexplained_n = record.force_n - _weighted_sum(pulls, record.nuisance_n) - law_force_n[: record.force_n.size]
-    force_residual_n = unexplained_n / (1 - pulls @ record.force_noise_multiple)
+    unexplained_n = record.force_n - _weighted_sum(nuisance_pulls, record.nuisance_n)
+    unexplained_n -= law_force_n[: record.force_n.size]
+    force_residual_n = unexplained_n / (1 - nuisance_pulls @ record.force_noise_multiple)
     residual_n = force_residual_n - ground_n_per_m(record) @ knots
     tangent_n_per_m = _low_passed(record, form.slopes(law_parameters, eta, velocity)[0])
     return FitState(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
@@ -148,13 +164,14 @@ def _weighted_sum(
 
 def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     """Jacobian of the fitted force at a state."""
-    eta, velocity = corrected_motion(record, state.knots, state.pulls)
+    eta, velocity = corrected_motion(record, state.knots, state.nuisance_pulls)
     by_displacement, by_velocity = state.form.slopes(state.law_parameters, eta, velocity)
-    by_law = state.form.derivatives(state.law_parameters, eta, velocity)
+    by_law = state.form.derivatives(state.law_parameters, eta, velocity, state.onset)
     law_by_knots = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
     ground_matrix, drift_force_n = ground_n_per_m(record), law_by_knots @ state.knots
     force_residual_n = state.residual_n + ground_matrix @ state.knots
-    by_pulls = record.nuisance_n.astype(np.float32)  # a copy
+    by_onset_n = _low_passed(record, state.form.by_onset_n(state.law_parameters, eta, velocity))
+    by_pulls = np.concatenate([record.nuisance_n, by_onset_n[None]], dtype=np.float32, casting="same_kind")
     for k, noise_multiple in enumerate(record.force_noise_multiple):
         by_pulls[k] -= noise_multiple * force_residual_n
     for pull_index, nuisance_m, noise_multiple in zip(
@@ -162,9 +179,9 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     ):
         force_change_n = by_displacement * nuisance_m + by_velocity * record.velocity_of(nuisance_m)
         by_pulls[pull_index] -= _low_passed(record, force_change_n) + noise_multiple * drift_force_n
-    force_gain = 1 - state.pulls @ record.force_noise_multiple
+    force_gain = 1 - state.nuisance_pulls @ record.force_noise_multiple
     by_pulls /= np.float32(force_gain)
-    motion_gain = 1 - state.pulls[record.shifts_eta] @ record.eta_noise_multiple
+    motion_gain = 1 - state.nuisance_pulls[record.shifts_eta] @ record.eta_noise_multiple
     return Jacobian(
         by_knots=motion_gain / force_gain * law_by_knots + ground_matrix,
         by_pulls=by_pulls.T,

@@ -18,6 +18,7 @@ from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.sensing import PASSBAND
 
 ERROR_SMOOTHING_HZ = 1.0
 """Band over which the stations' errors are averaged."""
@@ -53,6 +54,11 @@ class SpectralLines:
     def is_slow(self) -> Bool[np.ndarray, " lines"]:
         """Lines below the corner frequency of the kinematics."""
         return self.omega < 2 * np.pi * CORNER_HZ
+
+    @property
+    def is_in_passband(self) -> Bool[np.ndarray, " lines"]:
+        """Lines below which the sensors' own filters do not act."""
+        return self.omega <= 2 * np.pi * PASSBAND * self.rate_hz
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """Spectra of signals with a tapered end and silence behind it, so that ringing does not wrap to the start."""

@@ -10,6 +10,7 @@ import scipy
 from jaxtyping import Complex, Float
 
 from rig.errors import RigError
+from rig.model.sensing import PASSBAND
 
 WINDOW_EXPONENTS = {"hann": 2, "sin4": 4, "sin6": 6}
 """Exponent p of the window sin^p, by its name."""
@@ -149,9 +150,12 @@ def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Flo
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
-    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
+    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed.
+
+    At a factor of 1 the low-pass is at `PASSBAND` of the rate: above it the sensors' own filters act.
+    """
     if factor == 1:
-        return signals
+        return in_passband(signals)
     ramped = _ramped(signals, factor)
     new_length = ramped.shape[-1] // factor
     subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], new_length, factor), -1, -2)
@@ -160,6 +164,15 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
         low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
     new_count = -(-signals.shape[-1] // factor)
     return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
+
+
+def in_passband(signals: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows samples"]:
+    """Signals after an ideal low-pass at `PASSBAND` of their rate; the ends of a record are smoothed."""
+    ramped = _ramped(signals, 1)
+    spectra = scipy.fft.rfft(ramped)
+    spectra[..., int(PASSBAND * ramped.shape[-1]) + 1 :] = 0
+    low_passed = scipy.fft.irfft(spectra, ramped.shape[-1])
+    return np.asarray(low_passed[..., RAMP_SAMPLES : RAMP_SAMPLES + signals.shape[-1]])
 
 
 @lru_cache(maxsize=4)

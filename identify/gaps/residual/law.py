@@ -48,7 +48,7 @@ def initial_unknowns(
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
     drift_spline, first_law, (lower_m, upper_m) = observation.drift_spline, law.laws[0], law.clearances_m
-    unknowns = np.zeros(drift_spline.knot_count + len(observation.law_prior_deviations) * len(law.laws))
+    unknowns = np.zeros(observation.unknown_count(law))
     eta_m, velocity_m_per_s, time_s = (
         signal[:: contact_signals.decimation]
         for signal in (contact_signals.eta_m, contact_signals.eta_rate_m_per_s, contact_signals.time_s)

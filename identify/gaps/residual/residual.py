@@ -232,9 +232,9 @@ def residual_of(
         contact_signals = contact_signals_of(record, model, linearization.cache.finer_motions)
         linear_at_expansion = residual_in_time(record, model.residual)
     observations = linearization.observations
-    if unknowns is None:
-        contacts_and_laws = zip(contact_signals, observations, laws, strict=True)
-        unknowns = tuple(initial_unknowns(*inputs, record.residual_rate_hz) for inputs in contacts_and_laws)
+    contacts = list(zip(contact_signals, observations, laws, strict=True))
+    if unknowns is None or [u.size for u in unknowns] != [seen.unknown_count(law) for _, seen, law in contacts]:
+        unknowns = tuple(initial_unknowns(*contact, record.residual_rate_hz) for contact in contacts)
     pull_change = nuisance_pulls - linearization.expansion_pulls
     if reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls:
         linear_residual, linear_without_lines = reusable.linear_residual, reusable.linear_without_lines

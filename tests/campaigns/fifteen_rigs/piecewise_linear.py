@@ -49,7 +49,7 @@ class PiecewiseMachine:
 
 @dataclass(frozen=True)
 class Pickup:
-    """What a channel follows: row q (order 0) or row q'' (order 2)."""
+    """What a channel follows: row q (order 0), row q' (1) or row q'' (2)."""
 
     row: Float[np.ndarray, " modes"]
     order: int
@@ -150,6 +150,8 @@ def _readings(
         for k, pickup in enumerate(pickups):
             if pickup.order == 0:
                 read[number, k, :modes] = pickup.row
+            elif pickup.order == 1:
+                read[number, k, modes:] = pickup.row
             else:
                 read[number, k] = pickup.row @ system
                 offset[number, k] = pickup.row @ constant
