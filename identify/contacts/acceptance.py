@@ -167,6 +167,9 @@ def fit_findings(
             yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
+        if isinstance(estimate, JointEstimate) and estimate.open_friction_n:
+            friction_text = f"{number(estimate.open_friction_n)} N act against the motion while {name} is open"
+            yield _fit_finding(name, f"{friction_text}, friction or a damper that rig.json lacks")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
             share_text = f"{100 * estimate.unexplained_share:.2g} %"
             yield _fit_finding(name, f"no clearance and stiffness explain {share_text} of {name}'s force")

@@ -11,7 +11,7 @@ from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import first_fit, fit_of_chosen_form, free_parameters, misfit_covariance
+from identify.contacts.law_fit import LawFit, first_fit, fit_of_chosen_form, free_parameters, is_open, misfit_covariance
 from identify.contacts.law_form import (
     DEAD_ZONE,
     LAW,
@@ -41,6 +41,12 @@ NOISE_RATIO_LIMIT = 1.5
 PAUSE_SHARE = 0.05
 """Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
 
+FRICTION_SPEED_M_PER_S = 0.02
+"""Speed over which the friction of `open_friction` turns round."""
+FRICTION_SHARE, FRICTION_ERRORS = 0.02, 5.0
+"""Friction that a contact's law lacks is found from this share of the force's root mean square on, and so many standard
+errors."""
+
 Covariance = Float[np.ndarray, "4 4"]
 """Covariance of the parameters of `LAW`."""
 
@@ -56,6 +62,7 @@ class JointEstimate:
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
     sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
     errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
+    open_friction_n is the friction of the open contact, of which the law knows nothing, zero if it is not clear.
     widening_factor is that of the standard errors by pulls, which the covariances hold (`widened_estimate`).
     """
 
@@ -71,6 +78,7 @@ class JointEstimate:
     form: LawForm = DEAD_ZONE
     exponent: float = 1.0
     exponent_error: float = 0.0
+    open_friction_n: float = 0.0
     widening_factor: float = 1.0
 
     @property
@@ -172,7 +180,7 @@ def fit_joint(
 
     The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
     of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
-    added.
+    added, and what a clear `open_friction` does to the parameters.
 
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
@@ -206,6 +214,9 @@ def fit_joint(
     covariances = {source: scaled_to_laws @ (rows.T @ rows) @ scaled_to_laws.T for source, rows in error_rows.items()}
     if forms:
         covariances["law"] += misfit_covariance(fit, jacobian, part_starts)
+    friction_n, friction_direction = open_friction(fit)
+    friction_shift = scaled_to_laws @ (influence.T @ (friction_n * friction_direction))
+    covariances["law"] += np.outer(friction_shift, friction_shift)
     covariance = np.asarray(sum(covariances.values()))
     drift_m, drift_m_per_s = drift_signals(record, state.knots, state.nuisance_pulls)
     if not is_single:
@@ -225,11 +236,29 @@ def fit_joint(
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
             half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
+            open_friction_n=friction_n,
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
 
     return tuple(estimate_at(len(LAW) * contact_index, *sides) for contact_index, sides in enumerate(touched.tolist()))
+
+
+def open_friction(fit: LawFit) -> tuple[float, Signal]:
+    """Friction, N, that the residual of the open contact shows, and its direction tanh(rate / v_0) at all samples; zero
+    where it is not clear. The fit takes it for damping of the stop."""
+    state, record = fit.state, fit.record
+    _, rate_m_per_s = fit.motion
+    direction = record.at_force_samples(np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S))
+    open_direction = direction * is_open(state)
+    information = max(float(open_direction @ open_direction), 1e-300)
+    friction_n = float(open_direction @ state.residual_n) / information
+    scores = part_scores(open_direction[:, None], state.residual_n - friction_n * open_direction)
+    least_n = max(
+        FRICTION_SHARE * float(np.std(record.force_n)),
+        FRICTION_ERRORS * float(np.sqrt(np.sum(scores**2))) / information,
+    )
+    return friction_n if friction_n > least_n else 0.0, direction
 
 
 def small_sample_factor(free_count: int) -> float:

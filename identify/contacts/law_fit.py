@@ -175,10 +175,14 @@ def first_fit(
     return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
+def is_open(state: FitState) -> Bool[np.ndarray, " fewer"]:
+    """Samples at which all stops are open."""
+    return np.asarray(np.abs(state.tangent_n_per_m - state.spring_n_per_m) < 1e-3 * state.stiffness_n_per_m)
+
+
 def _open_deviation_n(state: FitState) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
-    stop_tangent_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
-    open_residual_n = state.residual_n[stop_tangent_n_per_m < 1e-3 * state.stiffness_n_per_m]
+    open_residual_n = state.residual_n[is_open(state)]
     return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
 
 
