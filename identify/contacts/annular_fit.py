@@ -41,7 +41,7 @@ from identify.contacts.linearization import (
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.law_evaluation import evaluated_law
 from identify.signals.refit import refit_until_settled
-from identify.signals.spectra import decimated
+from identify.signals.spectra import at_force_rate
 
 ROUGH_RESIDUAL_SHARE = 0.02
 """Standard deviation of the residual over that of the force, before any is known."""
@@ -266,4 +266,4 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
 
 def _low_passed(record: AnnularRecord, signals: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
     """Signals low-passed and decimated like the separated forces."""
-    return decimated(signals, record.decimation)[..., : record.force_n.shape[1]]
+    return at_force_rate(signals, record.decimation)[..., : record.force_n.shape[1]]

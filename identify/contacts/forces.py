@@ -45,7 +45,7 @@ from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, ch
 from identify.linear.slow_stiffness import slow_damping, slow_stiffness
 from identify.signals.drift import slow_force_density
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, omega_power
-from identify.signals.spectra import decimated
+from identify.signals.spectra import at_force_rate
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import modes_of
@@ -283,4 +283,4 @@ def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.nd
     omega, damping_ratio = 2 * np.pi * float(modes.frequencies_hz(1)[0]), float(modes.damping_ratios(1)[0])
     resisting_m_per_s2 = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
     resisting_n = (resisting_m_per_s2 + omega**2 * motion.displacement_m[:1]) / inverse_mass
-    return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, decimation)
+    return at_force_rate(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, decimation)

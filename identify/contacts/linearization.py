@@ -16,7 +16,7 @@ from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
 from identify.signals.law_evaluation import evaluated_law
-from identify.signals.spectra import decimated
+from identify.signals.spectra import at_force_rate
 
 CHUNK_SAMPLES = 1 << 14
 """Samples of single precision that are converted to double at once."""
@@ -201,7 +201,7 @@ def ground_n_per_m(record: ContactRecord) -> csr_matrix:
 
 def _low_passed(record: ContactRecord, signal: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " fewer"]:
     """Signal low-passed and decimated like the separated force."""
-    return decimated(signal, record.decimation)[: record.force_n.size]
+    return at_force_rate(signal, record.decimation)[: record.force_n.size]
 
 
 @dataclass(frozen=True)

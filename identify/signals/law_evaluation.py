@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
 
-from identify.signals.spectra import decimated, oversampled
+from identify.signals.spectra import at_force_rate, decimated, oversampled
 from rig.model.contact_laws import penetration_m
 
 LAW_RATE_HZ, MAX_OVERSAMPLING = 16384.0, 8
@@ -47,16 +47,17 @@ def product_rate_multiple(sample_rate_hz: float, decimation: int) -> int:
 
 
 def evaluated_law(
-    law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, decimation: int = 1, multiple: int = 1
+    law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, decimation: int = 1
 ) -> Float[np.ndarray, "*results fewer"]:
-    """law(*signals), for a law without memory, low-passed to every `decimation`-th sample.
+    """law(*signals), for a law without memory, low-passed as by `at_force_rate`.
 
-    `multiple`, of `product_rate_multiple`, gives so many results for each of these. A law may return several results
-    along leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier
-    transforms under tapers that are one inside the block, so that it need not be periodic.
+    A law may return several results along leading axes. It is evaluated block by block, which bounds the memory. Each
+    block is resampled by Fourier transforms under tapers that are one inside the block, so that it need not be
+    periodic.
     """
     batches = finer_signal_batches(signals, sample_rate_hz)
-    return evaluated_on_batches(law, batches, signals.shape[1], sample_rate_hz, decimation, multiple)
+    results = evaluated_on_batches(law, batches, signals.shape[1], sample_rate_hz, decimation)
+    return at_force_rate(results, 1) if decimation == 1 else results
 
 
 def finer_signal_batches(
@@ -85,7 +86,10 @@ def evaluated_on_batches(
     decimation: int = 1,
     multiple: int = 1,
 ) -> Float[np.ndarray, "*results fewer"]:
-    """`evaluated_law` on signals of so many samples at the finer rate, of which several laws may be evaluated."""
+    """Law of signals of so many samples at the finer rate, low-passed to every `decimation`-th sample.
+
+    `multiple`, of `product_rate_multiple`, gives so many results for each of these.
+    """
     factor = oversampling(sample_rate_hz)
     if not decimation % multiple:
         decimation, multiple = decimation // multiple, 1
@@ -105,8 +109,9 @@ def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -
 
 
 def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, decimation: int) -> Float[np.ndarray, " fewer"]:
-    """Signals low-passed from the finer rate to every `decimation`-th sample of the recording."""
-    return decimated(fine, decimation * oversampling(sample_rate_hz))
+    """Signals low-passed from the finer rate to every `decimation`-th sample of the recording, as `at_force_rate`."""
+    coarser = decimated(fine, decimation * oversampling(sample_rate_hz))
+    return at_force_rate(coarser, 1) if decimation == 1 else coarser
 
 
 def penetration(

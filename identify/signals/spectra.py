@@ -150,12 +150,9 @@ def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Flo
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
-    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed.
-
-    At a factor of 1 the low-pass is at `PASSBAND` of the rate: above it the sensors' own filters act.
-    """
+    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
     if factor == 1:
-        return in_passband(signals)
+        return signals
     ramped = _ramped(signals, factor)
     new_length = ramped.shape[-1] // factor
     subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], new_length, factor), -1, -2)
@@ -166,8 +163,11 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
     return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
 
 
-def in_passband(signals: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows samples"]:
-    """Signals after an ideal low-pass at `PASSBAND` of their rate; the ends of a record are smoothed."""
+def at_force_rate(signals: Float[np.ndarray, "*rows samples"], decimation: int) -> Float[np.ndarray, "*rows fewer"]:
+    """Every `decimation`-th sample of signals, low-passed as separated forces are: at half the new rate, or, if that is
+    the recorded one, at `PASSBAND` of it, above which the sensors' own filters act."""
+    if decimation > 1:
+        return decimated(signals, decimation)
     ramped = _ramped(signals, 1)
     spectra = scipy.fft.rfft(ramped)
     spectra[..., int(PASSBAND * ramped.shape[-1]) + 1 :] = 0

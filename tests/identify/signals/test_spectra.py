@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identify.signals.spectra import WINDOW_EXPONENTS, Averaging, blocks, decimated, force_band, window_derivatives
+from identify.signals.spectra import WINDOW_EXPONENTS, Averaging, at_force_rate, blocks, force_band, window_derivatives
 from rig.errors import RigError
 
 RATE_HZ = 1000.0
@@ -125,9 +125,9 @@ def test_decimation_keeps_what_the_new_rate_can_show_and_no_more(factor):
     samples = 6001
     time_s = np.arange(samples) / RATE_HZ
     passed = np.sin(2 * np.pi * 0.35 * RATE_HZ / factor * time_s)
-    stopped_share = 0.61 if factor > 1 else 0.45  # at the recorded rate the sensors' filters act above 0.4 of it
+    stopped_share = 0.61 if factor > 1 else 0.45  # sensors' filters act above 0.4 of the recorded rate
     stopped = np.sin(2 * np.pi * stopped_share * RATE_HZ / factor * time_s)
-    decimated_rows = decimated(np.stack([passed, passed + stopped]), factor)
+    decimated_rows = at_force_rate(np.stack([passed, passed + stopped]), factor)
     assert decimated_rows.shape == (2, -(-samples // factor))
     for row in decimated_rows:
         np.testing.assert_allclose(row[INSIDE], passed[::factor][INSIDE], atol=2e-3)
