@@ -28,8 +28,8 @@ OPEN_QUANTILES, MIN_EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
 """Contacts are open below this quantile of the distance from the median displacement; below the next one, if less than
 this share of the force is explained, as closed contacts are then among the samples."""
 INNER_CLEARANCE_SHARE = 0.5
-"""Where several contacts join the same places, a soft one hides in the explained force: distances are then also below
-this share of the smallest clearance in rig.json."""
+"""A soft contact, or one that is closed most of the time, hides in the explained force: distances are also below this
+share of the smallest clearance in rig.json."""
 MIN_PASSAGE_SAMPLES = 8
 HALF_RATE_TO_FORCE_RATIO = 3.0
 """Half the decimated rate, over the force's highest frequency."""
@@ -174,9 +174,8 @@ def _open_mask(
         relative_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
         from_middle_m = np.abs(relative_m - np.median(relative_m))[::decimation]
         is_open &= from_middle_m < np.quantile(from_middle_m[motion.excited_from // decimation :], quantile)
-        if len(group_laws) > 1:
-            clearances_m = [x for law in group_laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
-            is_open &= from_middle_m < INNER_CLEARANCE_SHARE * min(clearances_m)
+        clearances_m = [x for law in group_laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
+        is_open &= from_middle_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
 
 

@@ -168,8 +168,8 @@ def fit_findings(
         if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if isinstance(estimate, JointEstimate) and estimate.open_friction_n:
-            friction_text = f"{number(estimate.open_friction_n)} N act against the motion while {name} is open"
-            yield _fit_finding(name, f"{friction_text}, friction or a damper that rig.json lacks")
+            friction_text = f"while {name} is open, {number(estimate.open_friction_n)} N act against its motion"
+            yield _fit_finding(name, f"{friction_text}: friction that rig.json lacks, fitted along")
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
             share_text = f"{100 * estimate.unexplained_share:.2g} %"
             yield _fit_finding(name, f"no clearance and stiffness explain {share_text} of {name}'s force")

@@ -25,7 +25,7 @@ from identify.contacts.law_form import (
     TouchedStops,
     linear_form,
 )
-from identify.contacts.linearization import FitState, drift_signals
+from identify.contacts.linearization import FitState, drift_signals, state_at
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
@@ -42,10 +42,9 @@ PAUSE_SHARE = 0.05
 """Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
 
 FRICTION_SPEED_M_PER_S = 0.02
-"""Speed over which the friction of `open_friction` turns round."""
-FRICTION_SHARE, FRICTION_ERRORS = 0.02, 5.0
-"""Friction that a contact's law lacks is found from this share of the force's root mean square on, and so many standard
-errors."""
+"""Speed over which friction turns round."""
+FRICTION_SHARE, FRICTION_ERRORS = 0.01, 5.0
+"""Friction is clear from this share of the force's root mean square on, and so many standard errors."""
 
 Covariance = Float[np.ndarray, "4 4"]
 """Covariance of the parameters of `LAW`."""
@@ -62,7 +61,7 @@ class JointEstimate:
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
     sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
     errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
-    open_friction_n is the friction of the open contact, of which the law knows nothing, zero if it is not clear.
+    open_friction_n is friction that rig.json lacks, zero where none is clear.
     widening_factor is that of the standard errors by pulls, which the covariances hold (`widened_estimate`).
     """
 
@@ -180,7 +179,7 @@ def fit_joint(
 
     The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
     of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
-    added, and what a clear `open_friction` does to the parameters.
+    added.
 
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
@@ -194,7 +193,7 @@ def fit_joint(
     _check_bridged(record, fit.state)
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
-    fit = fit_of_chosen_form(fit, forms)
+    fit = fit_of_chosen_form(with_clear_friction(fit), forms)
     state, scaled_to_laws, (jacobian, normal_equations) = fit.state, fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
     knot_columns, pull_free_columns = normal_equations.solved(
@@ -214,11 +213,9 @@ def fit_joint(
     covariances = {source: scaled_to_laws @ (rows.T @ rows) @ scaled_to_laws.T for source, rows in error_rows.items()}
     if forms:
         covariances["law"] += misfit_covariance(fit, jacobian, part_starts)
-    friction_n, friction_direction = open_friction(fit)
-    friction_shift = scaled_to_laws @ (influence.T @ (friction_n * friction_direction))
-    covariances["law"] += np.outer(friction_shift, friction_shift)
     covariance = np.asarray(sum(covariances.values()))
-    drift_m, drift_m_per_s = drift_signals(record, state.knots, state.nuisance_pulls)
+    record_pulls, friction_pulls = np.split(state.nuisance_pulls, [len(record.nuisance_n)])
+    drift_m, drift_m_per_s = drift_signals(record, state.knots, record_pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
@@ -232,11 +229,11 @@ def fit_joint(
             touched=(lower_touched, upper_touched),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
-            pulls=state.nuisance_pulls,
+            pulls=record_pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
             half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
-            open_friction_n=friction_n,
+            open_friction_n=float(np.std(record.force_n) * friction_pulls.sum()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
@@ -244,21 +241,34 @@ def fit_joint(
     return tuple(estimate_at(len(LAW) * contact_index, *sides) for contact_index, sides in enumerate(touched.tolist()))
 
 
-def open_friction(fit: LawFit) -> tuple[float, Signal]:
-    """Friction, N, that the residual of the open contact shows, and its direction tanh(rate / v_0) at all samples; zero
-    where it is not clear. The fit takes it for damping of the stop."""
-    state, record = fit.state, fit.record
-    _, rate_m_per_s = fit.motion
-    direction = record.at_force_samples(np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S))
-    open_direction = direction * is_open(state)
-    information = max(float(open_direction @ open_direction), 1e-300)
-    friction_n = float(open_direction @ state.residual_n) / information
-    scores = part_scores(open_direction[:, None], state.residual_n - friction_n * open_direction)
-    least_n = max(
-        FRICTION_SHARE * float(np.std(record.force_n)),
-        FRICTION_ERRORS * float(np.sqrt(np.sum(scores**2))) / information,
+def with_clear_friction(fit: LawFit) -> LawFit:
+    """Fit with friction of the contact's places as a further nuisance parameter, in root mean squares of the force,
+    where the residual of the open contact shows it clearly; else the fit, which would take friction for damping."""
+    friction_n, error_n, direction = _open_friction(fit)
+    record, state, force_rms_n = fit.record, fit.state, float(np.std(fit.record.force_n))
+    if friction_n < max(FRICTION_ERRORS * error_n, FRICTION_SHARE * force_rms_n):
+        return fit
+    record = replace(
+        record,
+        nuisance_n=np.vstack([record.nuisance_n, force_rms_n * direction]).astype(np.float32),
+        force_noise_multiple=np.append(record.force_noise_multiple, 0.0),
+        shifts_eta=np.append(record.shifts_eta, False),
+        is_initial_state=np.append(record.is_initial_state, False),
     )
-    return friction_n if friction_n > least_n else 0.0, direction
+    pulls = np.insert(state.pulls, -1, friction_n / force_rms_n)
+    start_state = state_at(record, state.form, state.law_parameters, state.knots, pulls)
+    return replace(fit, record=record, state=start_state).settled
+
+
+def _open_friction(fit: LawFit) -> tuple[float, float, Signal]:
+    """Friction, N, in the residual of the open contact, its standard error, and its derivative at all samples."""
+    _, rate_m_per_s = fit.motion
+    direction = fit.record.at_force_samples(np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S))
+    open_direction, residual_n = direction * is_open(fit.state), fit.state.residual_n
+    information = max(float(open_direction @ open_direction), 1e-300)
+    friction_n = float(open_direction @ residual_n) / information
+    scores = part_scores(open_direction[:, None], residual_n - friction_n * open_direction)
+    return friction_n, float(np.sqrt(np.sum(scores**2))) / information, direction
 
 
 def small_sample_factor(free_count: int) -> float:

@@ -109,3 +109,29 @@ def test_a_stop_that_cannot_pull_only_presses():
     )
     eta, rate = np.array([2e-3, 2e-3, -2e-3, -2e-3, 0.0]), np.array([0.1, -0.4, -0.1, 0.4, 0.4])
     np.testing.assert_allclose(law.force_n(eta, rate), [15.0, 0.0, -15.0, 0.0, 0.0], rtol=1e-12)
+
+
+def test_friction_that_rig_json_lacks_is_told_and_no_damping_of_the_stop(tmp_path):
+    (contact,) = MASS.rig.contacts
+    law = replace(contact.law, friction_n=1.0, damping_n_s_per_m=6.0)
+    actual = replace(MASS.rig, contacts=(replace(contact, law=law),))
+    recording = read(recorded(MASS, tmp_path / "r.mcap", duration_s=16.0, actual=actual))
+    report = identify_contact(recording).report
+    (found,) = report.contacts
+    for estimate, value in (
+        (found.clearance_m, CLEARANCE_M),
+        (found.stiffness_n_per_m, law.stiffness_n_per_m),
+        (found.damping_n_s_per_m, law.damping_n_s_per_m),
+    ):
+        assert abs(estimate.value - value) < 3 * estimate.standard_error
+        assert estimate.standard_error < 0.1 * value
+    (told,) = [finding.evidence for finding in report.findings if finding.cause == "fit"]
+    assert float(told.removeprefix("while stop_1 is open, ").split(" N act")[0]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_mass_whose_stops_are_closed_most_of_the_time_is_not_called_stiffer(tmp_path):
+    (contact,) = MASS.rig.contacts
+    law = replace(contact.law, damping_n_s_per_m=6.0)
+    actual = replace(MASS.rig, contacts=(replace(contact, law=law),))
+    recording = read(recorded(MASS, tmp_path / "r.mcap", duration_s=16.0, actual=actual))
+    assert not identify_contact(recording).report.findings
