@@ -7,10 +7,15 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.residual.fit import bounded_minimum
+from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
+from rig.model.components import PointSpring
+from rig.model.description import Station
+from rig.simulation.reference import BarrelCradle
 from tests.fuzz.readers import sound_recording
+from tests.identify.gaps.residual.simulated_records import simulated_record
 
 WIDE = np.full(6, 1e3)
 
@@ -59,3 +64,17 @@ def test_a_force_of_hardly_any_frequency_is_refused():
     recording = dataclasses.replace(recording, signals=signals)
     with pytest.raises(RigError, match=r"the force excites the rig up to .* Hz alone"):
         record_of(recording)
+
+
+def test_contact_unknowns_of_a_free_body_give_way_to_those_of_a_held_one():
+    """A spring that is tried holds the barrel: its contact has a slow force then, and more unknowns."""
+    settings = BarrelCradle(sensors="acceleration", stations=4, sample_rate_hz=1024.0, high_hz=60.0, duration_s=12.0)
+    rig = settings.rig()
+    held = replace(rig, springs=(PointSpring(station=Station("barrel", 0.5), stiffness_n_per_m=5e4),))
+    record = simulated_record(settings, rig)
+    free_residual = residual_of(linearized(record, rig), rig)
+    free_unknowns = tuple(contact.unknowns for contact in free_residual.contacts)
+    residual = residual_of(linearized(record, held), held, None, free_unknowns)
+    free_counts, held_counts = ([contact.unknowns.size for contact in of.contacts] for of in (free_residual, residual))
+    assert free_counts < held_counts
+    assert np.isfinite(residual.cost)
