@@ -54,7 +54,7 @@ CAUSES: dict[NuisanceKind, Cause] = {
 """Cause by kind of nuisance parameter. A high-pass has none: the slow motion that accelerometers miss looks the
 same."""
 SENSOR_KINDS = (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
-
+DOUBT = "do not rely on it: look at its force over the relative displacement, and ask identify gap what differs"
 
 AnyEstimate = TypeVar("AnyEstimate", JointEstimate, AnnularEstimate)
 
@@ -169,7 +169,8 @@ def fit_findings(
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if isinstance(estimate, JointEstimate) and estimate.open_friction_n:
             friction_text = f"while {name} is open, {number(estimate.open_friction_n)} N act against its motion"
-            yield _fit_finding(name, f"{friction_text}: friction that rig.json lacks, fitted along")
+            friction_mend = "the values allow for it; identify gap tells where it acts and how large it is"
+            yield _fit_finding(name, f"{friction_text}: friction that rig.json lacks", friction_mend)
         if estimate.unexplained_share > UNEXPLAINED_LIMIT:
             share_text = f"{100 * estimate.unexplained_share:.2g} %"
             yield _fit_finding(name, f"no clearance and stiffness explain {share_text} of {name}'s force")
@@ -207,10 +208,5 @@ def equation_findings(
                 )
 
 
-def _fit_finding(contact_name: str, evidence: str) -> Finding:
-    return Finding(
-        cause="fit",
-        of=contact_name,
-        evidence=evidence,
-        mend="do not rely on it: look at its force over the relative displacement, and ask identify gap what differs",
-    )
+def _fit_finding(contact_name: str, evidence: str, mend: str = DOUBT) -> Finding:
+    return Finding(cause="fit", of=contact_name, evidence=evidence, mend=mend)

@@ -26,10 +26,11 @@ from identify.contacts.law_form import (
     linear_form,
 )
 from identify.contacts.linearization import FitState, drift_signals, state_at
-from identify.contacts.refusals import RefusalCode, refused
+from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
 from identify.signals.scores import PART_COUNT, informative_part_starts, part_scores, quiet_deviation
+from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 
 DRIFT_PULL_LIMIT = 25.0
 """Largest mean square of the drift's curvature less the measured one, in standard deviations."""
@@ -41,8 +42,6 @@ NOISE_RATIO_LIMIT = 1.5
 PAUSE_SHARE = 0.05
 """Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
 
-FRICTION_SPEED_M_PER_S = 0.02
-"""Speed over which friction turns round."""
 FRICTION_SHARE, FRICTION_ERRORS = 0.01, 5.0
 """Friction is clear from this share of the force's root mean square on, and so many standard errors."""
 
@@ -200,7 +199,6 @@ def fit_joint(
         np.zeros((drift_spline.knot_count, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
     pull_law_columns = np.concatenate([pull_free_columns[:pull_count], scaled_to_laws @ pull_free_columns[pull_count:]])
-    # by residuals
     influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
     part_starts = informative_part_starts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     scores = part_scores(influence, state.residual_n, part_starts)
@@ -257,7 +255,10 @@ def with_clear_friction(fit: LawFit) -> LawFit:
     )
     pulls = np.insert(state.pulls, -1, friction_n / force_rms_n)
     start_state = state_at(record, state.form, state.law_parameters, state.knots, pulls)
-    return replace(fit, record=record, state=start_state).settled
+    try:
+        return replace(fit, record=record, state=start_state).settled
+    except ContactRefusedError:
+        return fit
 
 
 def _open_friction(fit: LawFit) -> tuple[float, float, Signal]:
