@@ -181,8 +181,7 @@ class ContactResidual:
     @property
     def drift_m(self) -> Float[np.ndarray, " times"]:
         """Slow part of the relative displacement that integration loses, m."""
-        spline = self.observation.drift_spline
-        return np.asarray(spline.value @ self.unknowns[: spline.knot_count])
+        return self.observation.drift_m(self.unknowns)
 
     def pull_sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
         """Sides of the pulls, after a step of the unknowns."""

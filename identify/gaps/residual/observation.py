@@ -124,6 +124,10 @@ class ContactObservation:
         """Slice of the law's tolerances among a contact's unknowns, after the knots of the drift."""
         return slice(self.drift_spline.knot_count, None)
 
+    def drift_m(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " times"]:
+        """Slow part of the relative displacement, m."""
+        return np.asarray(self.drift_spline.value @ unknowns[: self.drift_spline.knot_count])
+
     def unknown_count(self, law: GroupLaw) -> int:
         """Number of the drift's knots and of the tolerances of the laws."""
         return self.drift_spline.knot_count + len(self.law_prior_deviations) * len(law.laws)

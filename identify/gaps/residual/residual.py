@@ -233,7 +233,8 @@ def residual_of(
         linear_at_expansion = residual_in_time(record, model.residual)
     observations = linearization.observations
     contacts = list(zip(contact_signals, observations, laws, strict=True))
-    if unknowns is None or [u.size for u in unknowns] != [seen.unknown_count(law) for _, seen, law in contacts]:
+    unknown_counts = [observation.unknown_count(law) for _, observation, law in contacts]
+    if unknowns is None or [u.size for u in unknowns] != unknown_counts:
         unknowns = tuple(initial_unknowns(*contact, record.residual_rate_hz) for contact in contacts)
     pull_change = nuisance_pulls - linearization.expansion_pulls
     if reusable is not None and model is reusable.model and nuisance_pulls is reusable.nuisance_pulls:
@@ -250,8 +251,7 @@ def residual_of(
     if laws and pull_change.any() and not same_motion:
         eta_decrease_m = np.tensordot(pull_change[columns.eta_parameter_indices], columns.eta_m, 1)
         added_eta_m = record.eta_at_sample_rate(-eta_decrease_m, upper_band=False)
-    splines = [observation.drift_spline for observation in observations]
-    drifts_m = [spline.value @ u[: spline.knot_count] for spline, u in zip(splines, unknowns, strict=True)]
+    drifts_m = [observation.drift_m(u) for observation, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_stiffness_n_per_m - np.diag(np.diag(model.slow_stiffness_n_per_m))
 
     def residual_of_contact(j: int) -> ContactResidual:
