@@ -13,6 +13,8 @@ from scipy.fft import next_fast_len, rfft
 from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
+from identify.pages.wording import interval
+from identify.signals.scores import part_scores
 from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
@@ -30,16 +32,20 @@ MIN_PRESSED_SAMPLE_COUNT = 50
 
 @dataclass(frozen=True)
 class ClearanceModulation:
-    """Harmonic change of a clearance; variance_share is its part of that of the clearance while pressed."""
+    """Harmonic change of a clearance, with standard errors; variance_share is its part of that of the clearance while
+    pressed."""
 
     contact_name: str
     amplitude_m: float
+    amplitude_error_m: float
     frequency_hz: float
+    frequency_error_hz: float
     variance_share: float
 
     def as_unmeasured_force(self, contact: Contact) -> UnmeasuredForce:
         """Entry of gap.json, as an unmeasured force of the kind "contact"."""
-        swing_text = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
+        amplitude_text = interval(1e3 * self.amplitude_m, 1e3 * self.amplitude_error_m, "mm")
+        swing_text = f"{amplitude_text} at {interval(self.frequency_hz, self.frequency_error_hz, 'Hz')}"
         return UnmeasuredForce(
             sentence=f"the clearance of {self.contact_name} swings by {swing_text}",
             kind="contact",
@@ -52,7 +58,7 @@ class ClearanceModulation:
             frequency_hz=self.frequency_hz,
             band_hz=(self.frequency_hz, self.frequency_hz),
             rms_n=0.0,
-            law=f"{1e3 * self.amplitude_m:.3g} mm at {self.frequency_hz:.4g} Hz",
+            law=swing_text,
             explained=self.variance_share,
         )
 
@@ -80,10 +86,10 @@ def _contact_modulation(record: Record, contact_name: str, contact: ContactResid
     resolution_hz = 1 / (times_s[-1] - times_s[0])
     lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.residual_rate_hz)
     trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    share, amplitude_m, frequency_hz = max(
-        _fitted_harmonic(times_s, clearance_change_m, frequency_hz) for frequency_hz in trial_hz if frequency_hz > 0
+    share, frequency_hz = max(
+        (_harmonic_share(times_s, clearance_change_m, trial), float(trial)) for trial in trial_hz if trial > 0
     )
-    return ClearanceModulation(contact_name, amplitude_m, frequency_hz, share)
+    return _modulation(contact_name, times_s, clearance_change_m, frequency_hz, share)
 
 
 def _periodogram(
@@ -111,13 +117,41 @@ def _periodogram(
     return lines * rate_hz / padded_sample_count, harmonic_squares / max(float(centred_m @ centred_m), 1e-300)
 
 
-def _fitted_harmonic(
+def _harmonic_share(
     times_s: Float[np.ndarray, " times"], clearance_change_m: Float[np.ndarray, " times"], frequency_hz: float
-) -> tuple[float, float, float]:
-    """Share of the variance, amplitude and frequency of a harmonic, fitted by least squares with a mean."""
+) -> float:
+    """Share of the variance that a harmonic, fitted by least squares with a mean, explains."""
+    columns = _harmonic_columns(times_s, frequency_hz)
+    residual_m = clearance_change_m - columns @ np.linalg.lstsq(columns, clearance_change_m, rcond=None)[0]
+    return 1 - float(np.var(residual_m)) / max(float(np.var(clearance_change_m)), 1e-300)
+
+
+def _modulation(
+    contact_name: str,
+    times_s: Float[np.ndarray, " times"],
+    clearance_change_m: Float[np.ndarray, " times"],
+    frequency_hz: float,
+    share: float,
+) -> ClearanceModulation:
+    """Modulation near a frequency: mean + a cos + b sin, and the frequency by one Gauss-Newton step from there; errors
+    by the scatter of sixteenths of the record, as what the law leaves is coloured."""
+    columns = _harmonic_columns(times_s, frequency_hz)
+    _, cosine_m, sine_m = np.linalg.lstsq(columns, clearance_change_m, rcond=None)[0]
+    by_frequency = 2 * np.pi * times_s * (sine_m * columns[:, 1] - cosine_m * columns[:, 2])
+    jacobian = np.column_stack([columns, by_frequency])
+    influence = np.linalg.pinv(jacobian).T
+    _, cosine_m, sine_m, frequency_step_hz = influence.T @ clearance_change_m
+    residual_m = clearance_change_m - jacobian @ (influence.T @ clearance_change_m)
+    amplitude_m = float(np.hypot(cosine_m, sine_m))
+    scores = part_scores(influence, residual_m)
+    amplitude_scores = scores @ np.array([0.0, cosine_m, sine_m, 0.0]) / max(amplitude_m, 1e-300)
+    amplitude_error_m, frequency_error_hz = (float(np.sqrt(np.sum(s**2))) for s in (amplitude_scores, scores[:, 3]))
+    return ClearanceModulation(
+        contact_name, amplitude_m, amplitude_error_m, float(frequency_hz + frequency_step_hz), frequency_error_hz, share
+    )
+
+
+def _harmonic_columns(times_s: Float[np.ndarray, " times"], frequency_hz: float) -> Float[np.ndarray, "times 3"]:
+    """Ones, cosine and sine."""
     phase_rad = 2 * np.pi * frequency_hz * times_s
-    harmonic_columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
-    coefficients = np.linalg.lstsq(harmonic_columns, clearance_change_m, rcond=None)[0]
-    residual_variance = float(np.var(clearance_change_m - harmonic_columns @ coefficients))
-    variance_share = 1 - residual_variance / max(float(np.var(clearance_change_m)), 1e-300)
-    return variance_share, float(np.hypot(*coefficients[1:])), float(frequency_hz)
+    return np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
