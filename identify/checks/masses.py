@@ -27,9 +27,10 @@ from rig.model.tolerances import Tolerances
 OPEN_QUANTILES, MIN_EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
 """Contacts are open below this quantile of the distance from the median displacement; below the next one, if less than
 this share of the force is explained, as closed contacts are then among the samples."""
-INNER_CLEARANCE_SHARE = 0.5
-"""A soft contact, or one that is closed most of the time, hides in the explained force: distances are also below this
-share of the smallest clearance in rig.json."""
+INNER_CLEARANCE_SHARE, OPEN_CLEARANCE_SHARE = 0.5, 0.8
+"""Of several contacts that join the same places a soft one hides in the explained force, and so does one that is closed
+most of the time: distances are also below the first, or of one contact the second share of the smallest clearance in
+rig.json."""
 MIN_PASSAGE_SAMPLES = 8
 HALF_RATE_TO_FORCE_RATIO = 3.0
 """Half the decimated rate, over the force's highest frequency."""
@@ -175,7 +176,8 @@ def _open_mask(
         from_middle_m = np.abs(relative_m - np.median(relative_m))[::decimation]
         is_open &= from_middle_m < np.quantile(from_middle_m[motion.excited_from // decimation :], quantile)
         clearances_m = [x for law in group_laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
-        is_open &= from_middle_m < INNER_CLEARANCE_SHARE * min(clearances_m)
+        clearance_share = INNER_CLEARANCE_SHARE if len(group_laws) > 1 else OPEN_CLEARANCE_SHARE
+        is_open &= from_middle_m < clearance_share * min(clearances_m)
     return is_open
 
 

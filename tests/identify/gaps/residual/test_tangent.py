@@ -6,7 +6,12 @@ from scipy.signal import firwin, lfilter
 
 from identify.gaps.residual.tangent import MARGIN_SAMPLE_COUNT, LawTangent
 from identify.signals.drift import DriftPrior, spline
-from identify.signals.law_evaluation import evaluated_law, product_rate_multiple
+from identify.signals.law_evaluation import (
+    evaluated_law,
+    evaluated_on_batches,
+    finer_signal_batches,
+    product_rate_multiple,
+)
 from rig.model.contact_laws import penetration_m
 
 RATE_HZ, FACTOR, SAMPLES = 4096.0, 12, 12 * 1000 + 1
@@ -28,11 +33,17 @@ def stiffness_n_per_m(eta_m):
     return STIFFNESS_N_PER_M * (np.abs(eta_m) > CLEARANCE_M)
 
 
+def evaluated_finer(law, signals, rate_hz, decimation, multiple):
+    """Law at `multiple` times the rate of every `decimation`-th sample."""
+    batches = finer_signal_batches(signals, rate_hz)
+    return evaluated_on_batches(law, batches, signals.shape[1], rate_hz, decimation, multiple)
+
+
 @pytest.fixture(scope="module")
 def motion():
     """Relative displacement of twice the clearance, and the law's tangent along it."""
     eta_m = 2e-3 * band_limited(1, 60.0)
-    finer = evaluated_law(stiffness_n_per_m, eta_m[None], RATE_HZ, FACTOR, MULTIPLE)
+    finer = evaluated_finer(stiffness_n_per_m, eta_m[None], RATE_HZ, FACTOR, MULTIPLE)
     return eta_m, LawTangent(finer[: MULTIPLE * (SAMPLES // FACTOR) + 1], MULTIPLE)
 
 
@@ -80,5 +91,5 @@ def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
 )
 def test_products_are_made_at_a_multiple_that_divides(rate_hz, factor, multiple):
     assert product_rate_multiple(rate_hz, factor) == multiple
-    rows = evaluated_law(lambda eta: eta, np.ones((1, 9 * factor + 1)), rate_hz, factor, multiple)
+    rows = evaluated_finer(lambda eta: eta, np.ones((1, 9 * factor + 1)), rate_hz, factor, multiple)
     assert rows.size >= 9 * multiple + 1
