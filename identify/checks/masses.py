@@ -27,10 +27,9 @@ from rig.model.tolerances import Tolerances
 OPEN_QUANTILES, MIN_EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
 """Contacts are open below this quantile of the distance from the median displacement; below the next one, if less than
 this share of the force is explained, as closed contacts are then among the samples."""
-INNER_CLEARANCE_SHARE, OPEN_CLEARANCE_SHARE = 0.5, 0.8
-"""Of several contacts that join the same places a soft one hides in the explained force, and so does one that is closed
-most of the time: distances are also below the first, or of one contact the second share of the smallest clearance in
-rig.json."""
+OPEN_CLEARANCE_SHARE, INNER_CLEARANCE_SHARE = 0.8, 0.5
+"""Distances are also below the first share of the smallest clearance in rig.json, as a contact may mostly be closed;
+below the second where several contacts join the same places, as a soft one hides in the explained force."""
 MIN_PASSAGE_SAMPLES = 8
 HALF_RATE_TO_FORCE_RATIO = 3.0
 """Half the decimated rate, over the force's highest frequency."""

@@ -34,7 +34,7 @@ def assumptions(result: Identification) -> Iterator[str]:
     report, motion, rig, tolerances = result.report, result.motion, result.rig, result.tolerances
     yield (
         "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
-        "velocity, which sets in at once or over some 10 um. Where one contact alone acts between its places, a power "
+        "velocity, which may set in at once or over 10 um. Where one contact alone acts between its places, a power "
         "of the penetration and a stop that cannot pull were tried too; they are taken only if the record demands "
         "them. Both stops of a contact are equally stiff, and nothing wears during the record."
     )

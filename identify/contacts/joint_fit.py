@@ -30,6 +30,7 @@ from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline
 from identify.signals.scores import PART_COUNT, informative_part_starts, part_scores, quiet_deviation
+from identify.signals.spectra import at_force_rate
 from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 
 DRIFT_PULL_LIMIT = 25.0
@@ -172,13 +173,11 @@ def fit_joint(
     gains from being fitted to the noise, which shrinks with the signals. The fit starts from `guesses`. For a single
     contact the form of the law is then chosen among the dead zone and `forms`.
 
-    How a damper sets in as a stop closes is known of no machine, and beside delays of the sensors it alone tells the
-    damping: a further nuisance parameter, with the same prior, leads from the law of rig.json, whose damping grows over
-    10 um of penetration, to one that acts at once (the onset of `LawForm`).
+    How fast the damping sets in as a stop closes is not known, and where sensors may be late nothing else tells their
+    delay from the damping. A further nuisance parameter with the same prior allows for it (the onset of `LawForm`).
 
     The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
-    of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
-    added.
+    of a unit error in each row of the priors, and with `forms` the `misfit_covariance`; it holds for any weights.
 
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
@@ -242,8 +241,8 @@ def fit_joint(
 def with_clear_friction(fit: LawFit) -> LawFit:
     """Fit with friction of the contact's places as a further nuisance parameter, in root mean squares of the force,
     where the residual of the open contact shows it clearly; else the fit, which would take friction for damping."""
-    friction_n, error_n, direction = _open_friction(fit)
-    record, state, force_rms_n = fit.record, fit.state, float(np.std(fit.record.force_n))
+    (friction_n, error_n, direction), record, state = _open_friction(fit), fit.record, fit.state
+    force_rms_n = float(np.std(record.force_n))
     if friction_n < max(FRICTION_ERRORS * error_n, FRICTION_SHARE * force_rms_n):
         return fit
     record = replace(
@@ -264,12 +263,13 @@ def with_clear_friction(fit: LawFit) -> LawFit:
 def _open_friction(fit: LawFit) -> tuple[float, float, Signal]:
     """Friction, N, in the residual of the open contact, its standard error, and its derivative at all samples."""
     _, rate_m_per_s = fit.motion
-    direction = fit.record.at_force_samples(np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S))
-    open_direction, residual_n = direction * is_open(fit.state), fit.state.residual_n
+    residual_n, fine_direction = fit.state.residual_n, np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
+    direction = at_force_rate(fine_direction, fit.record.decimation)[: residual_n.size]
+    open_direction = direction * is_open(fit.state)
     information = max(float(open_direction @ open_direction), 1e-300)
     friction_n = float(open_direction @ residual_n) / information
-    scores = part_scores(open_direction[:, None], residual_n - friction_n * open_direction)
-    return friction_n, float(np.sqrt(np.sum(scores**2))) / information, direction
+    score_norm = np.linalg.norm(part_scores(open_direction[:, None], residual_n - friction_n * open_direction))
+    return friction_n, float(score_norm) / information, direction
 
 
 def small_sample_factor(free_count: int) -> float:

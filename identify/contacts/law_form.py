@@ -106,22 +106,25 @@ class LawForm:
 
     def by_onset_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """Derivative of the force by the onset of the damping, N."""
-        parts = self.contributions(law_parameters, eta_m, rate_m_per_s)
-        return np.asarray(sum(part.damping_n_s_per_m * part.is_closed * part.missing_m_per_s for part in parts))
+        derivative_n = np.zeros_like(eta_m)
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
+            derivative_n += contribution.damping_n_s_per_m * contribution.is_closed * contribution.withheld_m_per_s
+        return derivative_n
 
     def derivatives(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
     ) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
         by_parameters, by_exponent = [], np.zeros_like(eta_m)
-        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
-            by_lower_clearance = part.slope_n_per_m * (part.depth_m < 0)
-            by_upper_clearance = by_lower_clearance - part.slope_n_per_m
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
+            by_lower_clearance = contribution.slope_n_per_m * (contribution.depth_m < 0)
+            by_upper_clearance = by_lower_clearance - contribution.slope_n_per_m
+            unit_forces_of_closed = (contribution.unit_spring_m, contribution.unit_damper_m_per_s)
             by_parameters += [by_lower_clearance, by_upper_clearance]
-            by_parameters += [part.unit_spring_m * part.is_closed, part.unit_damper_m_per_s * part.is_closed]
+            by_parameters += [unit_force * contribution.is_closed for unit_force in unit_forces_of_closed]
             if self.exponent_count:
-                depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += part.stiffness_n_per_m * part.unit_spring_m * np.log(depth_ratio)
+                depth_ratio = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += contribution.stiffness_n_per_m * contribution.unit_spring_m * np.log(depth_ratio)
         return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
 
     def contributions(
@@ -144,25 +147,25 @@ class LawForm:
             damper_m_per_s, is_closed = unit_damper.force_n(eta_m, rate_m_per_s), depth_m != 0
             if contact_index in self.spring_indices:
                 damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
-            missing_m_per_s = rate_m_per_s * is_closed - damper_m_per_s
-            damper_m_per_s = damper_m_per_s + onset * missing_m_per_s
+            withheld_m_per_s = rate_m_per_s * is_closed - damper_m_per_s
+            damper_m_per_s = damper_m_per_s + onset * withheld_m_per_s
             if self.name == "cannot pull":
                 is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
             slope_n_per_m = stiffness * unit_spring.by_eta_n_per_m(eta_m) * is_closed
             yield ContactContribution(
-                depth_m, spring_m, damper_m_per_s, missing_m_per_s, stiffness, damping, slope_n_per_m, is_closed
+                depth_m, spring_m, damper_m_per_s, withheld_m_per_s, stiffness, damping, slope_n_per_m, is_closed
             )
 
 
 @dataclass(frozen=True)
 class ContactContribution:
     """Force of one contact: depth, forces of unit stiffness and of unit damping, what the latter lacks until the
-    damping has set in, derivative by the displacement."""
+    damping has set in (withheld), derivative by the displacement."""
 
     depth_m: Signal
     unit_spring_m: Signal
     unit_damper_m_per_s: Signal
-    missing_m_per_s: Signal
+    withheld_m_per_s: Signal
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     slope_n_per_m: Signal

@@ -56,8 +56,7 @@ def evaluated_law(
     periodic.
     """
     batches = finer_signal_batches(signals, sample_rate_hz)
-    results = evaluated_on_batches(law, batches, signals.shape[1], sample_rate_hz, decimation)
-    return at_force_rate(results, 1) if decimation == 1 else results
+    return at_force_rate(evaluated_on_batches(law, batches, signals.shape[1], sample_rate_hz), decimation)
 
 
 def finer_signal_batches(
@@ -110,8 +109,7 @@ def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -
 
 def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, decimation: int) -> Float[np.ndarray, " fewer"]:
     """Signals low-passed from the finer rate to every `decimation`-th sample of the recording, as `at_force_rate`."""
-    coarser = decimated(fine, decimation * oversampling(sample_rate_hz))
-    return at_force_rate(coarser, 1) if decimation == 1 else coarser
+    return at_force_rate(decimated(fine, oversampling(sample_rate_hz)), decimation)
 
 
 def penetration(

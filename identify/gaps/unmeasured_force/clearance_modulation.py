@@ -140,8 +140,9 @@ def _modulation(
     by_frequency = 2 * np.pi * times_s * (sine_m * columns[:, 1] - cosine_m * columns[:, 2])
     jacobian = np.column_stack([columns, by_frequency])
     influence = np.linalg.pinv(jacobian).T
-    _, cosine_m, sine_m, frequency_step_hz = influence.T @ clearance_change_m
-    residual_m = clearance_change_m - jacobian @ (influence.T @ clearance_change_m)
+    solution = influence.T @ clearance_change_m
+    _, cosine_m, sine_m, frequency_step_hz = solution
+    residual_m = clearance_change_m - jacobian @ solution
     amplitude_m = float(np.hypot(cosine_m, sine_m))
     scores = part_scores(influence, residual_m)
     amplitude_scores = scores @ np.array([0.0, cosine_m, sine_m, 0.0]) / max(amplitude_m, 1e-300)
