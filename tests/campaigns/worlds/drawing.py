@@ -17,7 +17,7 @@ from tests.campaigns.worlds.library import EFFECTS, UNSEEN
 from tests.campaigns.worlds.machine import Machine
 from tests.campaigns.worlds.outside import OUTSIDE
 from tests.campaigns.worlds.stated import built_as_stated
-from tests.campaigns.worlds.tolerances import built, perturbed, with_cables
+from tests.campaigns.worlds.tolerances import built, perturbed, with_cables, with_onsets
 from tests.campaigns.worlds.truth import BENCHES_OF, WORLDS, CaseKind, EffectTruth, Expected, World
 from tests.campaigns.worlds.whole import with_wholes
 
@@ -81,12 +81,14 @@ class Setting:
 
 def drawn_case(world: World, seed: int, number: int, draw: int = 0, nulls_only: bool = False) -> Drawn:
     """A case of a world; another `draw` gives other numbers of the same kind."""
-    of_rig, of_tolerances, of_effects, of_records = _rng(world, seed, number, draw).spawn(4)
+    of_rig, of_tolerances, of_effects, of_records, of_onsets = _rng(world, seed, number, draw).spawn(5)
     kind, names = ("null", ()) if nulls_only else kind_and_names(world, seed, number)
     on_a_bench = world in BENCHES_OF
     setting = _on_a_bench(seed, number, of_rig, of_records) if on_a_bench else _two_beams(world, of_rig, of_records)
     nominal = setting.nominal
     drawn = _built(nominal, world, of_tolerances)
+    if world != "own":
+        drawn = with_onsets(drawn, of_onsets)
     kinds = [setting.kinds[name] for name in names]
     effects = _effects(kinds, nominal, setting.excitations[0].level_n, of_effects)
     cables: tuple[EffectTruth, ...] = ()

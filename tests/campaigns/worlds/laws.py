@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 ONSET_M = 1e-5
-"""Penetration over which the damping of a stop sets in."""
+"""Penetration over which the damping of a stop sets in where nothing else is drawn, as rig.json has it."""
 NONE_M = 1e6
 """A clearance that nothing crosses: JSON knows no infinity."""
 TURN_M_PER_S = 0.02
@@ -19,7 +19,7 @@ compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"}, error
 class StopLaw(msgspec.Struct, frozen=True, kw_only=True):
     """A force against the relative displacement x = eta - offset and its rate v::
 
-        f = k |depth / d|^(n - 1) depth + k3 depth^3 + c v min(1, |depth| / 10 um)    (stop)
+        f = k |depth / d|^(n - 1) depth + k3 depth^3 + c v min(1, |depth| / onset)    (stop)
           + F tanh(v / 0.02 m/s) + k_s x + k_s3 x^3 + c_d v + c_q |v| v + F_y tanh(x / x_y)
         depth = x - upper - g    for x > upper + g,    k = stiffness_above
         depth = x + lower + g    for x < -lower - g,   k = stiffness_below
@@ -49,6 +49,7 @@ class StopLaw(msgspec.Struct, frozen=True, kw_only=True):
     yield_n: float = 0.0
     yield_m: float = 1.0
     pulls: float = 1.0
+    onset_m: float = ONSET_M
 
     def row(self) -> Float[np.ndarray, " fields"]:
         """Every number in the order of the fields, as the compiled loop wants it."""
@@ -79,7 +80,7 @@ def force_of(law, eta_m, rate_m_per_s, time_s):
         stiffness = law[3] if depth > 0.0 else law[2]
         if law[4] != 1.0:
             stiffness *= (abs(depth) / law[5]) ** (law[4] - 1.0)
-        share = min(1.0, abs(depth) / ONSET_M)
+        share = min(1.0, abs(depth) / law[20])
         stop = (stiffness + law[6] * depth * depth) * depth + law[7] * v * share
         if law[19] != 0.0 or stop * depth > 0.0:
             force += stop

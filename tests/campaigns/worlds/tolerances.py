@@ -28,6 +28,8 @@ HIGHPASS_BENCH_HZ = (0.05, 0.15)
 """Of machines that are slower."""
 CABLES, CABLE_KG = 2, (3e-3, 12e-3)
 """On every beam of the world "counted", and how heavy they are."""
+ONSETS_M = (1e-7, 4e-5)
+"""Penetrations over which the damping of a stop sets in, log-uniform: at once for the shortest."""
 CROSSTALK = 5e-3
 APART_M = 0.02
 """No two cables of a beam are closer."""
@@ -86,6 +88,17 @@ def _contact(contact: Link, rng: np.random.Generator) -> Link:
     law = contact.law
     wider, stiffer = 1 + rng.uniform(-0.01, 0.01, 2)
     return replace(contact, law=_near(law, float(wider), float(stiffer), float(rng.uniform(-0.05, 0.05))))
+
+
+def with_onsets(machine: Machine, rng: np.random.Generator) -> Machine:
+    """The machine whose dampers set in over penetrations of their own, where rig.json has 10 um."""
+    return replace(
+        machine,
+        contacts=tuple(
+            replace(contact, law=replace(contact.law, onset_m=float(np.exp(rng.uniform(*np.log(ONSETS_M))))))
+            for contact in machine.contacts
+        ),
+    )
 
 
 def _near(law: StopLaw, wider: float, stiffer: float, off_centre: float) -> StopLaw:

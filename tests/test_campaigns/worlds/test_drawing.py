@@ -32,6 +32,14 @@ def test_a_case_is_a_function_of_world_seed_and_number(drawn):
     assert len({c.seeds for c in cases}) == MANY
 
 
+def test_dampers_of_the_bench_set_in_at_other_moments():
+    cases = [drawn_case("bench", 5, k) for k in range(MANY)]
+    onsets_m = np.array([c.law.onset_m for case in cases for c in case.drawn.contacts])
+    assert onsets_m.min() < 3e-7
+    assert onsets_m.max() > 2e-5
+    assert len(np.unique(onsets_m)) == len(onsets_m)
+
+
 def test_worlds_differ():
     assert len({drawn_case(world, 5, 0).seeds for world in WORLDS}) == len(WORLDS)
 
@@ -77,6 +85,7 @@ def test_tolerances_lie_within_what_the_world_allows(drawn):
             assert abs(contact.law.stiffness_above_n_per_m / was.law.stiffness_above_n_per_m - 1) <= 0.01
             assert abs(contact.law.offset_m) <= 0.0506 * was.law.lower_m
             assert (contact == was) != wide
+            assert 1e-7 <= contact.law.onset_m <= 4e-5
         assert abs(case.drawn.cell.gain - 1) <= 3e-3
         assert case.drawn.cell.noise_density == 0 if not wide else 2e-4 < case.drawn.cell.noise_density < 1.1e-3
     hung = np.mean([c.hung for c in cases])

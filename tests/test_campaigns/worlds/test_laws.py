@@ -26,6 +26,14 @@ LAWS = {
 }
 
 
+def test_damping_sets_in_over_its_own_penetration():
+    for onset_m, share in ((1e-7, 1.0), (1e-5, 0.5), (4e-5, 0.125)):
+        law = StopLaw(lower_m=1e-3, upper_m=1e-3, damping_n_s_per_m=50.0, onset_m=onset_m)
+        force_n, _, viscous = force_of(law.row(), 1e-3 + 5e-6, 0.2, 0.0)
+        assert force_n == pytest.approx(50.0 * 0.2 * share)
+        assert viscous == pytest.approx(50.0 * share)
+
+
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 @pytest.mark.parametrize("eta_m", [-5e-3, -1.4e-3, 3e-4, 2.7e-3, 4e-3])
 @pytest.mark.parametrize("rate", [-0.3, 0.013, 0.5])
