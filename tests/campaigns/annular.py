@@ -33,6 +33,7 @@ from tests.campaigns.space_simulator import (
     simulated,
 )
 from tests.campaigns.worlds.machine import MODES
+from tests.campaigns.worlds.tolerances import ONSETS_M
 
 app = typer.Typer(pretty_exceptions_enable=False)
 RATE_HZ = 4096.0
@@ -75,7 +76,8 @@ def drawn_machine(rng: np.random.Generator) -> SpaceMachine:
 def as_built(machine: SpaceMachine, rng: np.random.Generator, crossing: float = 0.0) -> SpaceMachine:
     """The machine as a laboratory builds it: frequencies +-0.15 %, of each mode +-0.2 % more, density +-0.3 %, damping
     of each mode by a factor of 0.75 to 1.3, stations +-1 mm, gains +-0.2 %, forces' gains +-0.3 %, delays +-10 us,
-    high-pass 0.05 to 0.15 Hz, noise by a factor of 0.8 to 1.25, the other axis up to `crossing`."""
+    high-pass 0.05 to 0.15 Hz, noise by a factor of 0.8 to 1.25, the other axis up to `crossing`; dampers of the rings
+    set in over 0.1 um (at once) to 40 um, log-uniform."""
 
     def share(most: float) -> float:
         return 1 + float(rng.uniform(-most, most))
@@ -92,6 +94,9 @@ def as_built(machine: SpaceMachine, rng: np.random.Generator, crossing: float = 
     def pair(low: float, high: float) -> tuple[float, float]:
         first, second = rng.uniform(low, high, 2)
         return float(first), float(second)
+
+    def ring(nominal: Ring) -> Ring:
+        return replace(nominal, onset_m=float(np.exp(rng.uniform(*np.log(ONSETS_M)))))
 
     def sensor(nominal: Accelerometer) -> Accelerometer:
         length_m = (machine.barrel if nominal.body == "barrel" else machine.cradle).length_m
@@ -111,6 +116,7 @@ def as_built(machine: SpaceMachine, rng: np.random.Generator, crossing: float = 
         cradle=tube(machine.cradle),
         sensors=tuple(map(sensor, machine.sensors)),
         force_gain=pair(1 - 3e-3, 1 + 3e-3),
+        rings=tuple(map(ring, machine.rings)),
     )
 
 

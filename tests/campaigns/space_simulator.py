@@ -5,7 +5,7 @@ step and kicks it by the forces there, with the velocity in the middle of the ki
 Accelerations are second differences over four steps, forces the means that these take of them.
 With eta = (eta_y, eta_z) less the ring's centre, r = |eta|, e = eta / r and the tangent t, a ring gives
 
-    f = f_n e + mu f_n tanh(v_t / v_0) t,    f_n = max(0, k (r - d) + c v_r min(1, (r - d) / 10 um))    where r > d
+    f = f_n e + mu f_n tanh(v_t / v_0) t,    f_n = max(0, k (r - d) + c v_r min(1, (r - d) / onset))    where r > d
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,6 @@ SENSED_STEPS = 4
 """Steps between two values that the sampling filter gets."""
 HIGHEST_HZ = 4e4
 """Of the modes that are simulated: those beyond give a ring's place less than 1e-4 of its softness."""
-DAMPING_DEPTH_M = 1e-5
 GRAVITY_M_PER_S2 = 9.81
 BEGINS_S, RISE_S, BAND_HZ = 1.0, 0.1, (0.5, 100.0)
 LEAD_S = 0.05
@@ -60,7 +59,7 @@ class Tube:
 
 @dataclass(frozen=True)
 class Ring:
-    """A ring of the cradle around the barrel: places along both, and its law."""
+    """A ring of the cradle around the barrel: places along both, and its law; its damping sets in over `onset_m`."""
 
     name: str
     barrel_m: float
@@ -70,6 +69,7 @@ class Ring:
     damping_n_s_per_m: float
     friction: float
     sliding_speed_m_per_s: float
+    onset_m: float = 1e-5
 
 
 @dataclass(frozen=True)
@@ -211,10 +211,10 @@ def _modes(machine: SpaceMachine) -> _Modes:
     )
 
 
-def _laws(machine: SpaceMachine) -> Float[np.ndarray, "rings 5"]:
+def _laws(machine: SpaceMachine) -> Float[np.ndarray, "rings 6"]:
     return np.array(
         [
-            [r.clearance_m, r.stiffness_n_per_m, r.damping_n_s_per_m, r.friction, r.sliding_speed_m_per_s]
+            [r.clearance_m, r.stiffness_n_per_m, r.damping_n_s_per_m, r.friction, r.sliding_speed_m_per_s, r.onset_m]
             for r in machine.rings
         ]
     )
@@ -280,14 +280,14 @@ def _rotation(modes: _Modes, direction: int) -> Float[np.ndarray, "modes 4"]:
 @no_type_check
 def _ring_force(law, y, z, vy, vz, softness):
     """Force of a ring that itself changes the velocity by -softness times it: implicit, as friction is steep."""
-    d, k, c, mu, v0 = law
+    d, k, c, mu, v0, onset = law
     r = np.sqrt(y * y + z * z)
     depth = r - d
     if depth <= 0.0:
         return 0.0, 0.0
     ey, ez = y / r, z / r
     along, across = ey * vy + ez * vz, ey * vz - ez * vy
-    damping = c * min(1.0, depth / DAMPING_DEPTH_M)
+    damping = c * min(1.0, depth / onset)
     normal = max(0.0, (k * depth + damping * along) / (1.0 + softness * damping))
     low, high = min(across, 0.0), max(across, 0.0)
     slid = across
