@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from identify.contacts.annular_fit import AnnularFit, annular_fit
-from identify.contacts.annular_law import CENTER, CLEARANCE, LOG_SPEED, REST, RING, STIFFNESS, RingValues, ring_motion
+from identify.contacts.annular_fit import LAW_PULL_COUNT, LAW_PULLS, AnnularFit, annular_fit
+from identify.contacts.annular_law import CENTER, CLEARANCE, REST, RING, STIFFNESS, RingValues, ring_motion
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
 from identify.contacts.joint_fit import (
     check_bridged,
@@ -28,7 +28,7 @@ NEWTON_STEPS = 20
 LEAST_REST_ERRORS = 5.0
 """Least force at rest over its standard error, for which the contact certainly rests in its ring."""
 
-RingCovariance = Float[np.ndarray, "9 9"]
+RingCovariance = Float[np.ndarray, "10 10"]
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,8 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     ring_by_knots = np.zeros((drift_spline.knot_count, len(RING)))
     ring_by_free = np.zeros((pull_count + free_to_law.shape[1], len(RING)))
     ring_by_free[pull_count:] = free_to_law.T
-    ring_by_free[pull_count - 1, LOG_SPEED] = 1.0
+    ring_by_free[pull_count - LAW_PULL_COUNT : pull_count, LAW_PULLS] = np.eye(LAW_PULL_COUNT)
     ring_values, is_center_by_rest = state.values.copy(), not record.zero_known and record.quiet_sample_count > 0
-    ring_values[LOG_SPEED] = fit.start_log_speed + state.pulls[-1]
     if is_center_by_rest:
         springs_n_per_m = np.array([plane.spring_n_per_m for plane in record.planes])
         ring_values[CENTER_AND_REST], rest_by_ring = _center_and_rest_force(ring_values, springs_n_per_m)
@@ -106,11 +105,12 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     scores = np.sum([part_scores(*plane, part_starts) for plane in influences_and_residuals], axis=0)
     error_rows_by_source = {
         "scatter": small_sample_factor(free_to_law.shape[1]) * scores,
-        "tolerances": record.samples_per_error * pull_free_columns[:pull_count],
+        "tolerances": record.samples_per_error * pull_free_columns[: pull_count - 1],
+        "law": record.samples_per_error * pull_free_columns[pull_count - 1 : pull_count],
         "drift": drift_spline.curvature @ knot_columns,
     }
     covariances = {source: rows.T @ rows for source, rows in error_rows_by_source.items()}
-    covariances["law"] = _misfit_covariance(fit, jacobian, part_starts)
+    covariances["law"] += _misfit_covariance(fit, jacobian, part_starts)
     covariance = np.asarray(sum(covariances.values()))
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
     rest_error_n = float(np.sqrt(np.diag(covariance)[REST].max()))
@@ -125,7 +125,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         covariances=covariances,
         sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
         center_known=bool((is_closed_at_rest or record.zero_known) and is_center_certain),
-        pulls=state.pulls[:-1],
+        pulls=state.pulls[:-LAW_PULL_COUNT],
         eta_m=eta_m - state.values[CENTER][:, None],
         rate_m_per_s=rate_m_per_s,
         force_n=record.force_n + state.values[REST][:, None],
@@ -136,7 +136,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
 
 def _center_and_rest_force(
     values: RingValues, springs_n_per_m: Float[np.ndarray, "2"]
-) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4 9"]]:
+) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4 10"]]:
     """Centre against the position at rest, m, and the wall's force at rest, N, in both directions, with their
     derivatives by the values.
 

@@ -21,6 +21,7 @@ from identify.contacts.annular_law import (
     DAMPING,
     FRICTION,
     LOG_SPEED,
+    ONSET,
     REST,
     RING,
     STIFFNESS,
@@ -49,6 +50,9 @@ FRICTION_SCALE = 0.1
 SETTLED_COST_FALL = 0.01
 """Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
 error."""
+LAW_PULLS = [LOG_SPEED, ONSET]
+"""Parameters of the law that have a prior; their pulls are the last ones."""
+LAW_PULL_COUNT = len(LAW_PULLS)
 OPEN_MARGIN_SAMPLES = 3
 """Samples before and after an open one that are open too."""
 
@@ -57,7 +61,8 @@ OPEN_MARGIN_SAMPLES = 3
 class AnnularState:
     """Parameters of a fit with residual and cost there, those of y before those of z.
 
-    The last of the pulls is the logarithm of the sliding speed over its start; knots of y and z take turns.
+    The last of the pulls are the logarithm of the sliding speed over its start and the onset of the damping; knots of y
+    and z take turns.
     """
 
     values: RingValues
@@ -77,17 +82,17 @@ class AnnularFit:
     state: AnnularState
     weights: Float[np.ndarray, " twice"]
 
-    def with_pulled_speed(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
-        """Values with the sliding speed of the last pull."""
+    def with_law_pulls(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
+        """Values with the sliding speed and the onset of the last pulls."""
         changed_values = values.copy()
-        changed_values[LOG_SPEED] = self.start_log_speed + pulls[-1]
+        changed_values[LAW_PULLS] = np.array([self.start_log_speed, 0.0]) + pulls[-LAW_PULL_COUNT:]
         return changed_values
 
     def state_at(
         self, values: RingValues, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> AnnularState:
         """State at some parameters, with its cost for the weights."""
-        record, values = self.record, self.with_pulled_speed(values, pulls)
+        record, values = self.record, self.with_law_pulls(values, pulls)
         motion = np.concatenate(self.motion(knots, pulls))
         law_force_n = evaluated_law(partial(ring_force_n, values), motion, record.sample_rate_hz, record.decimation)
         law_force_n = law_force_n[:, : record.force_n.shape[1]]
@@ -115,11 +120,11 @@ class AnnularFit:
         return np.stack(eta), np.stack(rate)
 
     @property
-    def free_to_law(self) -> Float[np.ndarray, "9 free"]:
+    def free_to_law(self) -> Float[np.ndarray, "10 free"]:
         """Matrix from the free parameters, scaled to condition the normal equations, to all."""
         value_sizes, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
         clearance, stiffness = value_sizes[[CLEARANCE, STIFFNESS]].tolist()
-        law_sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SCALE, 1.0]
+        law_sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SCALE, 1.0, 1.0]
         return np.diag([*law_sizes, clearance, clearance, force_n, force_n])[:, list(self.free_indices)]
 
     @property
@@ -146,7 +151,7 @@ class AnnularFit:
                 knot_block = self._motion_gain(i) / force_gain * knot_block
                 knot_blocks.append(interleaved(knot_block + ground_n_per_m(plane) if k == i else knot_block, i))
             by_knots.append(knot_blocks[0] + knot_blocks[1])
-        by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
+        by_pulls[:, -LAW_PULL_COUNT:] = np.concatenate(by_law[:, :, LAW_PULLS])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
 
     def _force_gain(self, direction: int) -> float:
@@ -258,7 +263,7 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     center_indices = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
     free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
     weights = np.tile(record.is_fitted / (ROUGH_RESIDUAL_SHARE * float(np.std(record.force_n))), DIRECTIONS)
-    start_state = AnnularState(ring_values, knots, np.zeros(1), np.zeros(record.force_n.size))
+    start_state = AnnularState(ring_values, knots, np.zeros(LAW_PULL_COUNT), np.zeros(record.force_n.size))
     rough_fit = AnnularFit(without_nuisances, free_indices, ring_values[LOG_SPEED], start_state, weights).at_least_cost
     pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled

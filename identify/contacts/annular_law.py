@@ -2,9 +2,11 @@
 
 With eta = (eta_y, eta_z) less the centre, r = |eta|, e = eta / r, t = (-e_z, e_y), the rates v_r and v_t along both,
 
-    f = f_n (e + mu tanh(v_t / v_0) t),    f_n = max(0, k (r - d) + c v_r min(1, (r - d) / 10 um))    for r > d,  else 0
+    f = f_n (e + mu tanh(v_t / v_0) t),    f_n = max(0, k (r - d) + c v_r s)    for r > d,  else 0
+    s = (1 - o) min(1, (r - d) / 10 um) + o
 
-The fitted force is f less the force at rest (f_y0, f_z0), which accelerometers do not show.
+where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at once. The fitted force is f less the
+force at rest (f_y0, f_z0), which accelerometers do not show.
 """
 
 from dataclasses import dataclass
@@ -20,16 +22,17 @@ RING = (
     "damping_n_s_per_m",
     "friction_coefficient",
     "log_sliding_speed",
+    "damping_onset",
     "center_y_m",
     "center_z_m",
     "rest_y_n",
     "rest_z_n",
 )
 """Parameters of an annular contact; log_sliding_speed is the natural logarithm of v_0 in m/s."""
-CLEARANCE, STIFFNESS, DAMPING, FRICTION, LOG_SPEED = range(5)
-CENTER, REST = slice(5, 7), slice(7, 9)
+CLEARANCE, STIFFNESS, DAMPING, FRICTION, LOG_SPEED, ONSET = range(6)
+CENTER, REST = slice(6, 8), slice(8, 10)
 
-RingValues = Float[np.ndarray, "9"]
+RingValues = Float[np.ndarray, "10"]
 Signal = Float[np.ndarray, "*samples"]
 
 
@@ -37,8 +40,8 @@ Signal = Float[np.ndarray, "*samples"]
 class RingMotion:
     """Polar quantities of a motion within a ring: unit vectors, rates along both, depth, and the forces there.
 
-    pushes: True where the normal force is above zero. damper_m_per_s is the force of a damping of one, sliding_tanh is
-    tanh(v_t / v_0), unit_force is e + mu tanh(v_t / v_0) t.
+    pushes: True where the normal force is above zero. damping_share is the part s of the damping that acts,
+    sliding_tanh is tanh(v_t / v_0), unit_force is e + mu tanh(v_t / v_0) t.
     """
 
     radial: Float[np.ndarray, "2 *samples"]
@@ -48,7 +51,7 @@ class RingMotion:
     tangential_rate_m_per_s: Signal
     radial_rate_m_per_s: Signal
     pushes: Bool[np.ndarray, "*samples"]
-    damper_m_per_s: Signal
+    damping_share: Signal
     normal_n: Signal
     sliding_tanh: Signal
     unit_force: Float[np.ndarray, "2 *samples"]
@@ -64,16 +67,31 @@ def ring_motion(
     radial_y, radial_z = eta_y / radius_m, eta_z / radius_m
     radial_rate, tangential_rate = radial_y * rate_y + radial_z * rate_z, radial_y * rate_z - radial_z * rate_y
     depth_m = radius_m - values[CLEARANCE]
-    damper = radial_rate * np.clip(depth_m / DAMPING_DEPTH_M, 0.0, 1.0)
-    normal_n = values[STIFFNESS] * depth_m + values[DAMPING] * damper
+    damping_share = values[ONSET] + (1 - values[ONSET]) * _ramp(depth_m)
+    normal_n = values[STIFFNESS] * depth_m + values[DAMPING] * damping_share * radial_rate
     pushes = (depth_m > 0) & (normal_n > 0)
     normal_n = normal_n * pushes
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
     radial, tangent = np.stack([radial_y, radial_z]), np.stack([-radial_z, radial_y])
     unit_force = radial + values[FRICTION] * sliding * tangent
     return RingMotion(
-        radial, tangent, radius_m, depth_m, tangential_rate, radial_rate, pushes, damper, normal_n, sliding, unit_force
+        radial,
+        tangent,
+        radius_m,
+        depth_m,
+        tangential_rate,
+        radial_rate,
+        pushes,
+        damping_share,
+        normal_n,
+        sliding,
+        unit_force,
     )
+
+
+def _ramp(depth_m: Signal) -> Signal:
+    """Part of the damping that has set in where the onset is zero."""
+    return np.clip(depth_m / DAMPING_DEPTH_M, 0.0, 1.0)
 
 
 def ring_force_n(
@@ -91,7 +109,7 @@ class RingDerivatives:
 
     by_eta: Float[np.ndarray, "2 2 *samples"]
     by_rate: Float[np.ndarray, "2 2 *samples"]
-    by_law: Float[np.ndarray, "7 2 *samples"]
+    by_law: Float[np.ndarray, "8 2 *samples"]
 
 
 def ring_derivatives(
@@ -101,7 +119,7 @@ def ring_derivatives(
     motion = ring_motion(values, eta_m, rate_m_per_s)
     radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
-    damping_slope = damping * np.clip(motion.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * motion.pushes
+    damping_slope = damping * motion.damping_share * motion.pushes
     # of the tangential force by v_t
     friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
@@ -114,9 +132,10 @@ def ring_derivatives(
         [
             -stiffness * motion.pushes * unit_force,
             motion.depth_m * motion.pushes * unit_force,
-            motion.damper_m_per_s * motion.pushes * unit_force,
+            motion.damping_share * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
+            damping * (1 - _ramp(motion.depth_m)) * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

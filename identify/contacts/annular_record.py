@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix, kron, vstack
 
-from identify.contacts.annular_law import CLEARANCE, FRICTION, LOG_SPEED, REST, RING, STIFFNESS, RingValues
+from identify.contacts.annular_law import CENTER, CLEARANCE, FRICTION, LOG_SPEED, REST, RING, STIFFNESS, RingValues
 from identify.contacts.contact_record import (
     CLOSED_FORCE_SHARE,
     LEAST_CLOSED_SHARE,
@@ -215,6 +215,7 @@ def annular_guess(
     ring_values = np.zeros(len(RING))
     ring_values[[CLEARANCE, STIFFNESS]] = clearance_m, 1 / compliance_m_per_n
     ring_values[[FRICTION, LOG_SPEED]] = max(friction_clearance / clearance_m, 0.0), np.log(sliding_speed_m_per_s)
-    ring_values[5 : 5 + len(center_m)] = center_m
+    if center_m:
+        ring_values[CENTER] = center_m
     ring_values[REST] = rest_force_n
     return ring_values, knots

@@ -33,7 +33,7 @@ from tests.identify.contacts.contact_records import contact_record
 from tests.identify.small_rigs import MASS_IN_RING
 
 SECONDS = 12.0
-VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])
+VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 0.0, 1e-4, -2e-4, 0.0, 0.0])
 PLACES = (("cradle", (0.25, 0.45, 0.75, 1.0)), ("barrel", (0.0, 0.25, 0.55, 1.0)))
 
 
@@ -144,7 +144,7 @@ def test_a_quarter_of_whirling_a_quarter_of_rocking_and_half_free():
     rate = np.where(np.arange(angle.size) < samples, 0.02, 0.0) * np.stack([-np.sin(angle), np.cos(angle)])
     estimate = AnnularEstimate(
         values=VALUES,
-        covariances=dict.fromkeys(("scatter", "tolerances", "drift", "law"), np.zeros((9, 9))),
+        covariances=dict.fromkeys(("scatter", "tolerances", "drift", "law"), np.zeros((10, 10))),
         sides_known=False,
         center_known=False,
         pulls=np.zeros(0),

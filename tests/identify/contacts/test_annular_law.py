@@ -1,18 +1,19 @@
 """Law of an annular contact in the fit: that of rig.json, and its derivatives by finite differences."""
 
 import numpy as np
+import pytest
 
 from identify.contacts.annular_law import ring_derivatives, ring_force_n
 from rig.model.contact_laws.annular import Annular
 
-VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])
+VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 0.0, 1e-4, -2e-4, 0.0, 0.0])
 
 
 def motions():
     """Motions within the ring and beyond it, some metres a second along and across."""
     rng = np.random.default_rng(0)
     angle, radius = rng.uniform(0, 2 * np.pi, 400), 2e-3 + rng.uniform(-1e-4, 3e-4, 400)
-    eta = radius * np.stack([np.cos(angle), np.sin(angle)]) + VALUES[5:7, None]
+    eta = radius * np.stack([np.cos(angle), np.sin(angle)]) + VALUES[6:8, None]
     away = np.abs(radius - VALUES[0] - 5e-6) > 6e-6  # of the knees at the wall and where the damping has risen
     return eta[:, away], rng.normal(0, 0.02, eta.shape)[:, away]
 
@@ -30,9 +31,20 @@ def test_the_law_is_that_of_rig():
     np.testing.assert_allclose(ring_force_n(VALUES, *eta, *rate), law.force_n(eta, rate), rtol=1e-9, atol=1e-9)
 
 
-def test_derivatives_are_those_of_the_force():
+def test_a_damper_that_acts_at_once_is_whole_from_the_wall_on():
+    at_once = VALUES.copy()
+    at_once[5] = 1.0
+    eta_y, eta_z = np.array([2e-3 + 1e-6, 2e-3 - 1e-6]) + 1e-4, np.full(2, -2e-4)
+    force_y, _ = ring_force_n(at_once, eta_y, eta_z, np.full(2, 0.02), np.zeros(2))
+    np.testing.assert_allclose(force_y, [5e5 * 1e-6 + 200.0 * 0.02, 0.0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("onset", [0.0, 0.7])
+def test_derivatives_are_those_of_the_force(onset):
+    values = VALUES.copy()
+    values[5] = onset
     eta, rate = motions()
-    found = ring_derivatives(VALUES, eta, rate)
+    found = ring_derivatives(values, eta, rate)
 
     def close(derivative, forward, backward, step):
         difference = (forward - backward) / (2 * step)
@@ -41,12 +53,12 @@ def test_derivatives_are_those_of_the_force():
     for component in range(2):
         step = np.zeros((2, 1))
         step[component] = 1e-9
-        forces = (ring_force_n(VALUES, *(eta + sign * step), *rate) for sign in (1, -1))
+        forces = (ring_force_n(values, *(eta + sign * step), *rate) for sign in (1, -1))
         close(found.by_eta[:, component], *forces, 1e-9)
-        forces = (ring_force_n(VALUES, *eta, *(rate + sign * 1e3 * step)) for sign in (1, -1))
+        forces = (ring_force_n(values, *eta, *(rate + sign * 1e3 * step)) for sign in (1, -1))
         close(found.by_rate[:, component], *forces, 1e-6)
-    for k in range(7):
-        step = np.zeros(9)
-        step[k] = 1e-6 * max(abs(VALUES[k]), 1e-3)
-        forces = (ring_force_n(VALUES + sign * step, *eta, *rate) for sign in (1, -1))
+    for k in range(8):
+        step = np.zeros(10)
+        step[k] = 1e-6 * max(abs(values[k]), 1e-3)
+        forces = (ring_force_n(values + sign * step, *eta, *rate) for sign in (1, -1))
         close(found.by_law[k], *forces, step[k])
