@@ -164,6 +164,7 @@ class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
     """Change of the mode that changes most between the lowest and the highest level of force (root mean square, N).
 
     Given where every difference between the records follows the level; changes are relative to the lowest level.
+    Standard errors are zero where the change is at the end of what the rig allows.
     """
 
     lowest_n: float
@@ -172,6 +173,8 @@ class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
     frequency_hz: float
     frequency_change: float
     damping_change: float
+    frequency_change_standard_error: float = 0.0
+    damping_change_standard_error: float = 0.0
 
 
 class RecordDifferences(msgspec.Struct, frozen=True, kw_only=True):

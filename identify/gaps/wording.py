@@ -13,7 +13,7 @@ from identify.gaps.results import (
     UnexplainedShares,
 )
 from identify.pages import wording
-from identify.pages.wording import number, percent
+from identify.pages.wording import change_words, number, percent
 from rig.effects import effects
 from rig.model.unmeasured_force import Value
 
@@ -233,7 +233,8 @@ def between_records_sentence(between: RecordDifferences) -> str:
 
 def level_words(change: LevelDependence) -> str:
     """Sentence on the change of a mode with the level: "The machine softens with the motion: ..."."""
-    frequency, damping = (f"{100 * relative:+.2g} %" for relative in (change.frequency_change, change.damping_change))
+    frequency = change_words(change.frequency_change, change.frequency_change_standard_error)
+    damping = change_words(change.damping_change, change.damping_change_standard_error)
     if abs(change.frequency_change) < SMALLEST_FREQUENCY_CHANGE:
         trend = f"is damped {'more' if change.damping_change > 0 else 'less'}"
     else:

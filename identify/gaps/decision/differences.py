@@ -111,6 +111,11 @@ class VaryingParameters:
     def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
         return pooled(information, self.step_sizes, self.bounds, self.record_values[0], differs_by_record=True)
 
+    def rigs_at(self, flat_values: Values) -> list[Rig]:
+        """Rig of every record at these values, record after record."""
+        effects = self.effects.with_values(slice(None), self.columns, flat_values.reshape(self.record_values.shape))
+        return [effects.rig(index) for index in range(len(self.record_values))]
+
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
         values = np.clip(estimate.values.reshape(self.record_values.shape), *self.bounds)
@@ -213,29 +218,36 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
-    comparable_candidates = [
-        candidate for candidate in candidates if not (candidate.kind.stochastic or candidate.kind.of_a_record)
-    ]
-    record_set = _RecordSet(records, variances_by_record, comparable_candidates)
+    comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
+    record_set = _RecordSet(records, variances_by_record, comparable)
     initial_effects = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
     records_by_level = np.argsort(force_levels_n) if differ_in_level(force_levels_n) else None
-    varied, differing = _fit_differing_values(record_set, initial_effects, tests, tested_effect_count, records_by_level)
+    varied, varied_estimate = _fit_differing_values(record_set, initial_effects, tests)
+    differing, level_change = [], None
+    if varied_estimate:
+        differing = _parameters_by_record(varied, varied_estimate, tested_effect_count, records_by_level)
+        level_change = level_dependence(
+            varied.rigs_at,
+            varied.record_values.ravel(),
+            TEMPERATURE * varied_estimate.covariance,
+            force_levels_n,
+            differing,
+            max(record.highest_hz for record in records),
+        )
     differing_names = [test.candidate.name for test in tests]
     shared_names = [name for name in initial_effects.effect_names if name not in differing_names]
     shared_columns = [column for name in shared_names for column in varied.effects.columns_of(name)]
     shared = VaryingParameters(varied.effects, shared_columns)
     estimate = record_set.pooled_estimate(shared) if shared_columns else None
     progress(1.0)
-    rig_by_record = [varied.effects.rig(index) for index in range(len(records))]
-    highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
         records=tuple(record_titles),
         cause=tuple(_parameters_by_record(shared, estimate, 0)) if estimate else (),
         cause_p_value=float(np.exp(_homogeneity_log_p(estimate, shared.record_values.shape))) if estimate else None,
         differing=tuple(differing),
         looked_at=tested_effect_count,
-        level_dependence=level_dependence(rig_by_record, force_levels_n, differing, highest_hz),
+        level_dependence=level_change,
     )
 
 
@@ -262,22 +274,15 @@ def _differing_effects(
 
 
 def _fit_differing_values(
-    record_set: _RecordSet,
-    initial_effects: EffectValues,
-    differing_tests: Sequence[HomogeneityTest],
-    tested_effect_count: int,
-    records_by_level: Int[np.ndarray, " records"] | None,
-) -> tuple[VaryingParameters, list[ParameterByRecord]]:
-    """Joint fit of each record's strengths of the effects that differ, and their rows."""
+    record_set: _RecordSet, initial_effects: EffectValues, differing_tests: Sequence[HomogeneityTest]
+) -> tuple[VaryingParameters, PooledEstimate | None]:
+    """Joint fit of each record's strengths of the effects that differ; no estimate where none does."""
     effects = initial_effects
     for test in differing_tests:
         effects = effects.with_effect(test.candidate, test.effect_values)
     strength_columns = [column for test in differing_tests for column in effects.strength_columns(test.candidate.name)]
     own_values = VaryingParameters(effects, strength_columns)
-    if not differing_tests:
-        return own_values, []
-    own_values, estimate = record_set.joint_fit(own_values)
-    return own_values, _parameters_by_record(own_values, estimate, tested_effect_count, records_by_level)
+    return record_set.joint_fit(own_values) if differing_tests else (own_values, None)
 
 
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
@@ -311,8 +316,7 @@ def _parameters_by_record(
     labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
     centring_matrix = np.eye(record_count) - 1 / record_count
     parameter_rows = []
-    for index, column in enumerate(own_values.columns):
-        candidate, parameter = labelled[column]
+    for index, (candidate, parameter) in enumerate(labelled[column] for column in own_values.columns):
         places = np.arange(record_count) * parameter_count + index
         values, covariance = estimate.values[places], TEMPERATURE * estimate.covariance[np.ix_(places, places)]
         value_errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))

@@ -6,6 +6,7 @@ strength is as uncertain as the shapes given beside x allow; the change of the m
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -141,38 +142,56 @@ def differ_in_level(force_levels_n: Sequence[float]) -> bool:
 
 
 def level_dependence(
-    rig_by_record: Sequence[Rig],
+    rigs_of: Callable[[Float[np.ndarray, " parameters"]], Sequence[Rig]],
+    values: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
     force_levels_n: Sequence[float],
     differing: Sequence[ParameterByRecord],
     highest_hz: float,
 ) -> LevelDependence | None:
-    """Change, from the lowest to the highest level, of the mode that changes most; `rig_by_record` has a rig each.
+    """Change, from the lowest to the highest level, of the mode that changes most, with its standard errors.
 
-    None where a strength does not follow the level, or no mode below `highest_hz` changes.
+    rigs_of gives the rig of every record at values of the parameters that differ, whose estimate and covariance are
+    given. None where a strength does not follow the level, or no mode below `highest_hz` changes.
     """
     if not differing or any(parameter.by_level not in ("grows", "falls") for parameter in differing):
         return None
     lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
-    largest_size, dependence = 0.0, None
-    for body in rig_by_record[lowest_index].bodies:
-        lowest_level_hz, lowest_level_damping = _modal_parameters(rig_by_record[lowest_index], body.name)
+
+    def changes_of(values: Float[np.ndarray, " parameters"], body_name: str) -> Float[np.ndarray, "2 modes"]:
+        rigs = rigs_of(values)
+        lowest = np.array(_modal_parameters(rigs[lowest_index], body_name))
+        return np.array(_modal_parameters(rigs[highest_index], body_name)) / np.where(lowest > 0, lowest, np.inf) - 1
+
+    largest_size, dependence, lowest_rig = 0.0, None, rigs_of(values)[lowest_index]
+    for body in lowest_rig.bodies:
+        lowest_level_hz, lowest_level_damping = _modal_parameters(lowest_rig, body.name)
         is_elastic = (lowest_level_hz > 0) & (lowest_level_hz < highest_hz)
         if not is_elastic.any():
             continue
-        highest_level_hz, highest_level_damping = _modal_parameters(rig_by_record[highest_index], body.name)
-        frequency_changes = highest_level_hz[is_elastic] / lowest_level_hz[is_elastic] - 1
-        damping_changes = highest_level_damping[is_elastic] / lowest_level_damping[is_elastic] - 1
-        change_sizes = np.hypot(frequency_changes / lowest_level_damping[is_elastic], damping_changes)
+        frequency_changes, damping_changes = changes_of(values, body.name)
+        change_sizes = np.where(is_elastic, np.hypot(frequency_changes / lowest_level_damping, damping_changes), 0.0)
         mode_index = int(np.argmax(change_sizes))
         if change_sizes[mode_index] > largest_size:
             largest_size = float(change_sizes[mode_index])
+
+            def change_of(
+                values: Float[np.ndarray, " parameters"], row: int, body_name: str = body.name, index: int = mode_index
+            ) -> float:
+                return float(changes_of(values, body_name)[row, index])
+
+            frequency_error, damping_error = (
+                _standard_error_of(partial(change_of, row=row), values, covariance) for row in range(2)
+            )
             dependence = LevelDependence(
                 lowest_n=float(force_levels_n[lowest_index]),
                 highest_n=float(force_levels_n[highest_index]),
                 body=body.name,
-                frequency_hz=float(lowest_level_hz[is_elastic][mode_index]),
+                frequency_hz=float(lowest_level_hz[mode_index]),
                 frequency_change=float(frequency_changes[mode_index]),
                 damping_change=float(damping_changes[mode_index]),
+                frequency_change_standard_error=frequency_error,
+                damping_change_standard_error=damping_error,
             )
     return dependence
 

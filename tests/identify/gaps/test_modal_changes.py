@@ -1,5 +1,6 @@
 """Changes of modes: stated in place of strengths that shapes leave open, and between records of several levels."""
 
+import re
 from functools import reduce
 
 import numpy as np
@@ -90,19 +91,28 @@ def compared(by_level):
     )
 
 
-@pytest.fixture(scope="module")
-def rigs():
-    """A mass whose spring loses stiffness and whose damping grows with the level."""
+STRENGTHS = np.array([-20.0, 1.3, -10.0, 1.0, -40.0, 1.9])
+"""Spring and factor of the damping of each record: stiffness falls and damping grows with the level."""
+
+
+def rigs_of(strengths):
     texts = [
         (f"linear_spring:stiffness_n_per_m={k},body=mass", f"structural_damping:factor={c},body=mass")
-        for k, c in ((-20, 1.3), (-10, 1.0), (-40, 1.9))
+        for k, c in strengths.reshape(-1, 2)
     ]
     return [reduce(lambda rig, t: effect_named(t).applied_to(rig), effects, Sdof().rig()) for effects in texts]
 
 
-def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest(rigs):
-    dependence = level_dependence(rigs, LEVELS_N, [compared("falls")], 100.0)
-    lowest, highest = rigs[1].bodies[0], rigs[2].bodies[0]
+EXACT = np.zeros(6)
+
+
+def dependence_of(*differing, errors=EXACT):
+    return level_dependence(rigs_of, STRENGTHS, np.diag(errors**2), LEVELS_N, differing, 100.0)
+
+
+def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest():
+    dependence = dependence_of(compared("falls"))
+    lowest, highest = (rigs_of(STRENGTHS)[k].bodies[0] for k in (1, 2))
     stiffness = [lowest.stiffness_n_per_m + k for k in (-10, -40)]
     assert (dependence.lowest_n, dependence.highest_n) == (12.0, 61.0)
     assert dependence.frequency_change == pytest.approx(np.sqrt(stiffness[1] / stiffness[0]) - 1, rel=1e-6)
@@ -113,10 +123,27 @@ def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest(ri
     assert "from 12 to 61 N rms" in words
 
 
+def test_the_changes_are_as_certain_as_the_springs_and_dampers_of_both_levels():
+    """f ~ sqrt(k), damping ratio ~ c / sqrt(k); the middle level matters to neither."""
+    errors = np.array([99.0, 9.0, 2.0, 0.05, 3.0, 0.07])
+    dependence = dependence_of(compared("falls"), errors=errors)
+    stiffness = Sdof().rig().bodies[0].stiffness_n_per_m + STRENGTHS[[2, 4]]
+    of_frequency = np.hypot(*(errors[[2, 4]] / stiffness / 2))
+    assert dependence.frequency_change_standard_error == pytest.approx(
+        (1 + dependence.frequency_change) * of_frequency, rel=1e-2
+    )
+    of_damping = np.linalg.norm([of_frequency, *(errors[[3, 5]] / STRENGTHS[[3, 5]])])
+    assert dependence.damping_change_standard_error == pytest.approx(
+        (1 + dependence.damping_change) * of_damping, rel=0.05
+    )
+    words = level_words(dependence)
+    assert re.search(r"changes by -\d+\.\d+ ± \d+\.\d+ % and its damping by \+\d+ ± \d+ %", words)
+
+
 @pytest.mark.parametrize("trend", ["differs", "none"])
-def test_what_does_not_follow_the_level_is_not_told_as_its(rigs, trend):
-    assert level_dependence(rigs, LEVELS_N, [compared("falls"), compared(trend)], 100.0) is None
-    assert level_dependence(rigs, LEVELS_N, [], 100.0) is None
+def test_what_does_not_follow_the_level_is_not_told_as_its(trend):
+    assert dependence_of(compared("falls"), compared(trend)) is None
+    assert dependence_of() is None
 
 
 def test_forces_within_a_quarter_are_one_level():
