@@ -147,6 +147,9 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Whether it is visible only where the zero of the relative displacements is known."""
     stochastic: ClassVar[bool] = False
     """Whether only the spectrum of its action is known, so that no fit over time finds its parameters."""
+    follows_level: ClassVar[bool] = False
+    """Whether its share of a mode's stiffness or damping depends on how far the body moves, so that one machine has
+    other strengths of it at other levels if its law is another."""
     grid_screened: ClassVar[str | None] = None
     """Parameter, if any, that needs a grid of starting values: a frequency, resolved to one over the duration."""
     contains: ClassVar[tuple[str, ...]] = ()

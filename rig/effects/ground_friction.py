@@ -14,6 +14,7 @@ class GroundFriction(Effect, frozen=True):
 
     name: ClassVar[str] = "ground_friction"
     words: ClassVar[str] = "a dry friction of {force_n} between {body}{at} and the ground"
+    follows_level: ClassVar[bool] = True
     separating_test: ClassVar[str] = "record at two levels: dry friction matters less at the higher one"
     force_n: Annotated[float, Parameter("N", 0.0, 20.0, 0.0)] = 0.5
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0

@@ -15,6 +15,7 @@ class HardeningSpring(Effect, frozen=True):
 
     name: ClassVar[str] = "hardening_spring"
     words: ClassVar[str] = "a cubic spring of {cubic_n_per_m3} between {body}{at} and the ground"
+    follows_level: ClassVar[bool] = True
     separating_test: ClassVar[str] = "record at two levels: a hardening spring grows with the cube"
     cubic_n_per_m3: Annotated[float, Parameter("N/m^3", -1e8, 1e8, 0.0)] = 1e6
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0

@@ -12,114 +12,28 @@ tested once more, and again with the second effect taken first.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, record_specific_rig
-from identify.gaps.decision.modal_changes import differ_in_level, level_dependence
+from identify.gaps.decision.modal_changes import differ_in_level, driven_band_hz, level_dependence
+from identify.gaps.decision.record_values import EffectValues, RecordSet, VaryingParameters
 from identify.gaps.decision_table import USUAL_P_VALUE
-from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import parameters_of, step_sizes_of, with_effects
-from identify.gaps.search.pooled import LinearizedRecord, PooledEstimate, RecordInformation, linearized_record, pooled
-from identify.signals.refit import refit_until_settled
+from identify.gaps.search.pooled import PooledEstimate, RecordInformation
 from rig.errors import RigError
-from rig.model.description import Rig
 from rig.model.unmeasured_force import Value
 
-FITTED_EFFECTS, FIT_ROUNDS = 3, 2
-"""Number of the likeliest differing effects that are fitted to every record; linearisations of each fit. Effort."""
+FITTED_EFFECTS = 3
+"""Number of the likeliest differing effects that are fitted to every record. Effort."""
 TREND_STANDARD_ERRORS = 2.0
 """Standard errors of a step from one record to the next above which a value grows or falls. Convention."""
-
-
-@dataclass(frozen=True)
-class EffectValues:
-    """Effects with each record's own values, and the rigs to which they are applied."""
-
-    rig_by_record: tuple[Rig, ...]
-    candidates: tuple[Candidate, ...]
-    values_by_record: Float[np.ndarray, "records parameters"]
-
-    def rig(self, record_index: int) -> Rig:
-        return with_effects(self.rig_by_record[record_index], self.candidates, self.values_by_record[record_index])
-
-    @property
-    def effect_names(self) -> list[str]:
-        return [candidate.name for candidate in self.candidates]
-
-    def columns_of(self, name: str) -> list[int]:
-        """Column indices of an effect's parameters among the values."""
-        return parameters_of(self.candidates).indices_of(name)
-
-    def strength_columns(self, name: str) -> list[int]:
-        """Column indices of an effect's strengths among the values."""
-        return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
-
-    def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":
-        """Effects with these values of one of them, which is replaced or added."""
-        if candidate.name in self.effect_names:
-            return self.with_values(slice(None), self.columns_of(candidate.name), values)
-        by_record = np.concatenate([self.values_by_record, values], axis=1)
-        return replace(self, candidates=(*self.candidates, candidate), values_by_record=by_record)
-
-    def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
-        """Strengths of an effect, free in each record."""
-        return VaryingParameters(self, self.strength_columns(candidate.name))
-
-    def with_values(
-        self, record_index: int | slice, column_indices: Sequence[int], column_values: Float[np.ndarray, "*records own"]
-    ) -> "EffectValues":
-        """Effects with these values in some columns of one record, or of all."""
-        all_values = self.values_by_record.copy()
-        all_values[record_index, column_indices] = column_values
-        return replace(self, values_by_record=all_values)
-
-
-@dataclass(frozen=True)
-class VaryingParameters:
-    """Parameters of effects, by their columns, with each record's own values."""
-
-    effects: EffectValues
-    columns: list[int]
-
-    @property
-    def record_values(self) -> Float[np.ndarray, "records varied"]:
-        return self.effects.values_by_record[:, self.columns]
-
-    @property
-    def step_sizes(self) -> Values:
-        return step_sizes_of(self.effects.candidates)[self.columns]
-
-    @property
-    def bounds(self) -> tuple[Values, Values]:
-        lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
-        return lower_bounds[self.columns], upper_bounds[self.columns]
-
-    def information(self, record_index: int, record_fit: LinearizedRecord) -> RecordInformation:
-        def build_rig(values: Values) -> Rig:
-            return self.effects.with_values(record_index, self.columns, values).rig(record_index)
-
-        return record_fit.information_with(build_rig, self.record_values[record_index], self.step_sizes, self.bounds[1])
-
-    def pooled(self, information: Sequence[RecordInformation]) -> PooledEstimate:
-        return pooled(information, self.step_sizes, self.bounds, self.record_values[0], differs_by_record=True)
-
-    def rigs_at(self, flat_values: Values) -> list[Rig]:
-        """Rig of every record at these values, record after record."""
-        effects = self.effects.with_values(slice(None), self.columns, flat_values.reshape(self.record_values.shape))
-        return [effects.rig(index) for index in range(len(self.record_values))]
-
-    def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
-        """Parameters at the pooled estimate, within the bounds."""
-        values = np.clip(estimate.values.reshape(self.record_values.shape), *self.bounds)
-        return VaryingParameters(self.effects.with_values(slice(None), self.columns, values), self.columns)
 
 
 @dataclass(frozen=True)
@@ -137,16 +51,10 @@ class HomogeneityTest:
 
 
 @dataclass(frozen=True)
-class _RecordSet:
-    """Records with their nominal variances, and the candidates whose values are compared between them."""
+class _ComparedRecords(RecordSet):
+    """Records, and the candidates whose values are compared between them."""
 
-    records: Sequence[Record]
-    variances_by_record: Sequence[NominalVariances]
     candidates: Sequence[Candidate]
-
-    def linearized_record(self, effects: EffectValues, record_index: int) -> LinearizedRecord:
-        record, nominal_variances = self.records[record_index], self.variances_by_record[record_index]
-        return linearized_record(record, nominal_variances, effects.rig(record_index))
 
     def screened_tests(self, effects: EffectValues, excluded_names: Sequence[str]) -> list[HomogeneityTest]:
         """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
@@ -173,20 +81,6 @@ class _RecordSet:
                     best_tests[candidate.name] = _homogeneity_test(candidate, varying.at_estimate(estimate), estimate)
         return sorted(best_tests.values(), key=lambda test: test.cost)
 
-    def joint_fit(self, initial_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
-        """Fit of each record's own values, linearised about the estimate."""
-
-        def refit(own_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
-            estimate = self.pooled_estimate(own_values)
-            return own_values.at_estimate(estimate), estimate
-
-        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), max_rounds=FIT_ROUNDS - 1)
-
-    def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
-        """Pooled estimate from all records, each linearised about its own values."""
-        records = range(len(self.records))
-        return varied.pooled([varied.information(k, self.linearized_record(varied.effects, k)) for k in records])
-
     def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
         screened_tests = self.screened_tests(effects, excluded)
@@ -195,8 +89,8 @@ class _RecordSet:
         for test in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
                 fitted_tests.append(_homogeneity_test(test.candidate, *self.joint_fit(test.varying)))
-        significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
-        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
+        significant = (test for test in fitted_tests if test.log_p_value < log_threshold)
+        return min(significant, key=lambda test: test.cost, default=None), len(screened_tests)
 
 
 def _homogeneity_test(candidate: Candidate, own_values: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
@@ -216,27 +110,22 @@ def differences(
     """Differences between the records of a rig with a cause, or of the nominal rig.
 
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
-    records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
+    records.
     """
-    comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
-    record_set = _RecordSet(records, variances_by_record, comparable)
+    levels_differ = differ_in_level(force_levels_n)
+    record_set = _ComparedRecords(records, variances_by_record, comparable_candidates(candidates, levels_differ))
     initial_effects = _initial_effects(records, cause)
+    records_by_level = np.argsort(force_levels_n) if levels_differ else None
     tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
-    records_by_level = np.argsort(force_levels_n) if differ_in_level(force_levels_n) else None
     varied, varied_estimate = _fit_differing_values(record_set, initial_effects, tests)
     differing, level_change = [], None
     if varied_estimate:
         differing = _parameters_by_record(varied, varied_estimate, tested_effect_count, records_by_level)
+        covariance, band_hz = TEMPERATURE * varied_estimate.covariance, driven_band_hz(records)
         level_change = level_dependence(
-            varied.rigs_at,
-            varied.record_values.ravel(),
-            TEMPERATURE * varied_estimate.covariance,
-            force_levels_n,
-            differing,
-            max(record.highest_hz for record in records),
+            varied.rigs_at, varied.record_values.ravel(), covariance, force_levels_n, differing, band_hz
         )
-    differing_names = [test.candidate.name for test in tests]
-    shared_names = [name for name in initial_effects.effect_names if name not in differing_names]
+    shared_names = [name for name in initial_effects.effect_names if name not in {t.candidate.name for t in tests}]
     shared_columns = [column for name in shared_names for column in varied.effects.columns_of(name)]
     shared = VaryingParameters(varied.effects, shared_columns)
     estimate = record_set.pooled_estimate(shared) if shared_columns else None
@@ -251,8 +140,22 @@ def differences(
     )
 
 
+def comparable_candidates(candidates: Sequence[Candidate], levels_differ: bool) -> list[Candidate]:
+    """Candidates whose values can be compared between records.
+
+    Left out are effects known by spectrum alone, those with parameters of each record's own (a tone's phase), and at
+    several levels those that follow the level.
+    """
+    return [
+        candidate
+        for candidate in candidates
+        if not (candidate.kind.stochastic or candidate.kind.of_a_record)
+        and not (levels_differ and candidate.kind.follows_level)
+    ]
+
+
 def _differing_effects(
-    record_set: _RecordSet, initial_effects: EffectValues, progress: Callable[[float], None]
+    record_set: _ComparedRecords, initial_effects: EffectValues, progress: Callable[[float], None]
 ) -> tuple[tuple[HomogeneityTest, ...], int]:
     """Differing effects, two at most, and the number of effects tested.
 
@@ -274,7 +177,7 @@ def _differing_effects(
 
 
 def _fit_differing_values(
-    record_set: _RecordSet, initial_effects: EffectValues, differing_tests: Sequence[HomogeneityTest]
+    record_set: _ComparedRecords, initial_effects: EffectValues, differing_tests: Sequence[HomogeneityTest]
 ) -> tuple[VaryingParameters, PooledEstimate | None]:
     """Joint fit of each record's strengths of the effects that differ; no estimate where none does."""
     effects = initial_effects

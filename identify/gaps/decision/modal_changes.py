@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.decision.null_reference import LEVEL_FACTOR
+from identify.gaps.residual.record import Record
 from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate, attachments_of
 from identify.pages.wording import interval, number
@@ -27,6 +28,8 @@ SHAPE_RATIO_LIMIT = 1.5
 hand."""
 MIN_DAMPING_RATIO = 1e-4
 """Lower limit of damping ratios."""
+UNDRIVEN_SHARE = 1e-3
+"""Share of a force's power below the band that it drives. Set by hand."""
 DERIVATIVE_STEP = 1e-2
 """Step of derivatives, in standard errors."""
 
@@ -141,18 +144,29 @@ def differ_in_level(force_levels_n: Sequence[float]) -> bool:
     return min(force_levels_n) > 0 and max(force_levels_n) > LEVEL_FACTOR * min(force_levels_n)
 
 
+def driven_band_hz(records: Sequence[Record]) -> tuple[float, float]:
+    """Band in which forces drive the records, Hz: above the frequency below which they have `UNDRIVEN_SHARE`."""
+    lowest_hz = [
+        float(record.omega[max(1, np.searchsorted(power, UNDRIVEN_SHARE * power[-1]))] / (2 * np.pi))
+        for record in records
+        for power in [np.cumsum(np.sum(np.abs(record.force_spectra) ** 2, axis=0))]
+        if record.has_force
+    ]
+    return min(lowest_hz, default=0.0), max(record.highest_hz for record in records)
+
+
 def level_dependence(
     rigs_of: Callable[[Float[np.ndarray, " parameters"]], Sequence[Rig]],
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     force_levels_n: Sequence[float],
     differing: Sequence[ParameterByRecord],
-    highest_hz: float,
+    band_hz: tuple[float, float],
 ) -> LevelDependence | None:
-    """Change, from the lowest to the highest level, of the mode that changes most, with its standard errors.
+    """Change, from the lowest to the highest level, of the mode in the band that changes most, with standard errors.
 
     rigs_of gives the rig of every record at values of the parameters that differ, whose estimate and covariance are
-    given. None where a strength does not follow the level, or no mode below `highest_hz` changes.
+    given. None where a strength does not follow the level, or no mode in the band changes.
     """
     if not differing or any(parameter.by_level not in ("grows", "falls") for parameter in differing):
         return None
@@ -166,11 +180,11 @@ def level_dependence(
     largest_size, dependence, lowest_rig = 0.0, None, rigs_of(values)[lowest_index]
     for body in lowest_rig.bodies:
         lowest_level_hz, lowest_level_damping = _modal_parameters(lowest_rig, body.name)
-        is_elastic = (lowest_level_hz > 0) & (lowest_level_hz < highest_hz)
-        if not is_elastic.any():
+        is_driven = (lowest_level_hz > band_hz[0]) & (lowest_level_hz < band_hz[1])
+        if not is_driven.any():
             continue
         frequency_changes, damping_changes = changes_of(values, body.name)
-        change_sizes = np.where(is_elastic, np.hypot(frequency_changes / lowest_level_damping, damping_changes), 0.0)
+        change_sizes = np.where(is_driven, np.hypot(frequency_changes / lowest_level_damping, damping_changes), 0.0)
         mode_index = int(np.argmax(change_sizes))
         if change_sizes[mode_index] > largest_size:
             largest_size = float(change_sizes[mode_index])

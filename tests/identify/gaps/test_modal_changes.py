@@ -107,7 +107,7 @@ EXACT = np.zeros(6)
 
 
 def dependence_of(*differing, errors=EXACT):
-    return level_dependence(rigs_of, STRENGTHS, np.diag(errors**2), LEVELS_N, differing, 100.0)
+    return level_dependence(rigs_of, STRENGTHS, np.diag(errors**2), LEVELS_N, differing, (0.1, 100.0))
 
 
 def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest():
