@@ -40,7 +40,7 @@ from identify.contacts.linearization import (
     normal_equations,
 )
 from identify.signals.gauss_newton import Step, gauss_newton
-from identify.signals.law_evaluation import evaluated_law
+from identify.signals.law_evaluation import evaluated_law, oversampling
 from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import at_force_rate
 
@@ -94,7 +94,9 @@ class AnnularFit:
         """State at some parameters, with its cost for the weights."""
         record, values = self.record, self.with_law_pulls(values, pulls)
         motion = np.concatenate(self.motion(knots, pulls))
-        law_force_n = evaluated_law(partial(ring_force_n, values), motion, record.sample_rate_hz, record.decimation)
+        step_s = 1 / (record.sample_rate_hz * oversampling(record.sample_rate_hz))
+        law = partial(ring_force_n, values, step_s=step_s)
+        law_force_n = evaluated_law(law, motion, record.sample_rate_hz, record.decimation)
         law_force_n = law_force_n[:, : record.force_n.shape[1]]
         plane_residuals = []
         for k, plane in enumerate(record.planes):
@@ -130,7 +132,8 @@ class AnnularFit:
     @property
     def law_slopes(self) -> RingDerivatives:
         """Derivatives of the law along the motion."""
-        return ring_derivatives(self.state.values, *self.motion(self.state.knots, self.state.pulls))
+        motion = self.motion(self.state.knots, self.state.pulls)
+        return ring_derivatives(self.state.values, *motion, 1 / self.record.sample_rate_hz)
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""

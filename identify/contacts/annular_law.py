@@ -7,6 +7,10 @@ With eta = (eta_y, eta_z) less the centre, r = |eta|, e = eta / r, t = (-e_z, e_
 
 where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at once. The fitted force is f less the
 force at rest (f_y0, f_z0), which accelerometers do not show.
+
+A damper sets in within less time than passes between samples. At samples a time step_s apart, s is its mean over that
+time about each, with a depth that is linear in time; single values of so short a pulse would be noise, which makes its
+size come out too small.
 """
 
 from dataclasses import dataclass
@@ -31,6 +35,9 @@ RING = (
 """Parameters of an annular contact; log_sliding_speed is the natural logarithm of v_0 in m/s."""
 CLEARANCE, STIFFNESS, DAMPING, FRICTION, LOG_SPEED, ONSET = range(6)
 CENTER, REST = slice(6, 8), slice(8, 10)
+
+LEAST_TRAVEL_M = 1e-12
+"""Least travel between samples over which a mean is taken."""
 
 RingValues = Float[np.ndarray, "10"]
 Signal = Float[np.ndarray, "*samples"]
@@ -58,18 +65,21 @@ class RingMotion:
 
 
 def ring_motion(
-    values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
+    values: RingValues,
+    eta_m: Float[np.ndarray, "2 *samples"],
+    rate_m_per_s: Float[np.ndarray, "2 *samples"],
+    step_s: float = 0.0,
 ) -> RingMotion:
-    """Polar quantities at some relative displacements and velocities."""
+    """Polar quantities at some relative displacements and velocities, step_s apart."""
     (eta_y, eta_z), (rate_y, rate_z) = eta_m, rate_m_per_s
     eta_y, eta_z = eta_y - values[CENTER][0], eta_z - values[CENTER][1]
     radius_m = np.maximum(np.sqrt(eta_y * eta_y + eta_z * eta_z), 1e-12)
     radial_y, radial_z = eta_y / radius_m, eta_z / radius_m
     radial_rate, tangential_rate = radial_y * rate_y + radial_z * rate_z, radial_y * rate_z - radial_z * rate_y
     depth_m = radius_m - values[CLEARANCE]
-    damping_share = values[ONSET] + (1 - values[ONSET]) * _ramp(depth_m)
-    normal_n = values[STIFFNESS] * depth_m + values[DAMPING] * damping_share * radial_rate
-    pushes = (depth_m > 0) & (normal_n > 0)
+    damping_share = _damping_share(depth_m, radial_rate, values[ONSET], step_s)
+    normal_n = values[STIFFNESS] * np.maximum(depth_m, 0.0) + values[DAMPING] * damping_share * radial_rate
+    pushes = normal_n > 0
     normal_n = normal_n * pushes
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
     radial, tangent = np.stack([radial_y, radial_z]), np.stack([-radial_z, radial_y])
@@ -89,16 +99,28 @@ def ring_motion(
     )
 
 
-def _ramp(depth_m: Signal) -> Signal:
-    """Part of the damping that has set in where the onset is zero."""
-    return np.clip(depth_m / DAMPING_DEPTH_M, 0.0, 1.0)
+def _damping_share(depth_m: Signal, radial_rate_m_per_s: Signal, onset: float, step_s: float) -> Signal:
+    """Part s of the damping that acts, as its mean over step_s about each sample."""
+    half_travel_m = np.maximum(np.abs(radial_rate_m_per_s) * step_s / 2, LEAST_TRAVEL_M)
+
+    def integral_m(depth_m: Signal) -> Signal:
+        closed_m = np.maximum(depth_m, 0.0)
+        rising_m = np.minimum(closed_m, DAMPING_DEPTH_M)
+        return closed_m + (1 - onset) * (rising_m * (rising_m / (2 * DAMPING_DEPTH_M) - 1))
+
+    return (integral_m(depth_m + half_travel_m) - integral_m(depth_m - half_travel_m)) / (2 * half_travel_m)
 
 
 def ring_force_n(
-    values: RingValues, eta_y_m: Signal, eta_z_m: Signal, rate_y_m_per_s: Signal, rate_z_m_per_s: Signal
+    values: RingValues,
+    eta_y_m: Signal,
+    eta_z_m: Signal,
+    rate_y_m_per_s: Signal,
+    rate_z_m_per_s: Signal,
+    step_s: float = 0.0,
 ) -> Float[np.ndarray, "2 *samples"]:
     """Components of the contact force, N."""
-    motion = ring_motion(values, np.stack([eta_y_m, eta_z_m]), np.stack([rate_y_m_per_s, rate_z_m_per_s]))
+    motion = ring_motion(values, np.stack([eta_y_m, eta_z_m]), np.stack([rate_y_m_per_s, rate_z_m_per_s]), step_s)
     return np.asarray(motion.normal_n * motion.unit_force)
 
 
@@ -113,29 +135,35 @@ class RingDerivatives:
 
 
 def ring_derivatives(
-    values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
+    values: RingValues,
+    eta_m: Float[np.ndarray, "2 *samples"],
+    rate_m_per_s: Float[np.ndarray, "2 *samples"],
+    step_s: float = 0.0,
 ) -> RingDerivatives:
     """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
-    motion = ring_motion(values, eta_m, rate_m_per_s)
+    motion = ring_motion(values, eta_m, rate_m_per_s, step_s)
+    closed_stiffness = values[STIFFNESS] * (motion.pushes & (motion.depth_m > 0))
+    at_once_share = _damping_share(motion.depth_m, motion.radial_rate_m_per_s, 1.0, step_s)
+    by_onset = at_once_share - _damping_share(motion.depth_m, motion.radial_rate_m_per_s, 0.0, step_s)
     radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
-    _, stiffness, damping, friction, log_speed, *_ = values.tolist()
+    _, _, damping, friction, log_speed, *_ = values.tolist()
     damping_slope = damping * motion.damping_share * motion.pushes
     # of the tangential force by v_t
     friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
-    normal_by_eta = stiffness * motion.pushes * radial + turning_slope * tangent
+    normal_by_eta = closed_stiffness * radial + turning_slope * tangent
     tangential_n = normal_n - friction_slope * motion.radial_rate_m_per_s
     turning_n = tangential_n * tangent - friction * normal_n * motion.sliding_tanh * radial
     by_eta = unit_force[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
     by_rate = unit_force[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
     by_law = np.stack(
         [
-            -stiffness * motion.pushes * unit_force,
-            motion.depth_m * motion.pushes * unit_force,
+            -closed_stiffness * unit_force,
+            np.maximum(motion.depth_m, 0.0) * motion.pushes * unit_force,
             motion.damping_share * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
-            damping * (1 - _ramp(motion.depth_m)) * motion.radial_rate_m_per_s * motion.pushes * unit_force,
+            damping * by_onset * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

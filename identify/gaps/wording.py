@@ -1,5 +1,6 @@
 """Words and numbers of a diagnosis, alike in its sentence, on the page, in the pictures and on the screen."""
 
+import math
 from collections.abc import Sequence
 
 from identify.gaps.decision_table import Bounded, Verdict
@@ -102,15 +103,21 @@ def bound_words(bound: Bounded) -> str:
 
 
 def bound_numbers(bound: Bounded) -> list[str]:
-    """Value, upper bound and limit of a quantity in words, lengths in mm."""
+    """Value, upper bound and limit of a quantity in words, lengths in mm; more digits where a bound would else read as
+    the limit that it exceeds."""
     unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
 
-    def words(value: float | None) -> str:
+    def words(value: float | None, digits: int = 0) -> str:
         if value is None:
             return "no bound"
-        return percent(value) if unit == "1" else f"{number(unit_scale * value, 3)} {unit}"
+        if unit == "1":
+            return f"{100 * value:.{digits}g} %" if digits else percent(value)
+        return f"{number(unit_scale * value, digits or 3)} {unit}"
 
-    return [words(bound.value), words(bound.upper), words(bound.threshold)]
+    texts = [words(bound.value), words(bound.upper), words(bound.threshold)]
+    if bound.upper is not None and texts[1] == texts[2] and bound.upper > bound.threshold:
+        texts[1] = words(bound.upper, math.ceil(-math.log10(bound.upper / bound.threshold - 1)) + 1)
+    return texts
 
 
 def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:

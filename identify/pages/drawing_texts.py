@@ -21,6 +21,8 @@ RING_RADIUS = 9.0
 """Radius of the ring of a mark, px."""
 MAX_LINE_LETTERS = 38
 """Letters in a line of a mark at most."""
+LEADER_GAP = 4.0
+"""Distance between the line that leads from a ring to its words and other words, px."""
 MARK_GAP = 8.0
 """Distance between the words of a mark and the line of the next one, px."""
 
@@ -43,6 +45,11 @@ class TextSpans:
         for spans in self.spans_by_line[first_line : first_line + line_count]:
             spans.append((left_px, right_px))
         return first_line
+
+    def take_below(self, text_line: int, x_px: float) -> None:
+        """Take the place of the line that leads from a ring at x to the text on a line of its own."""
+        for spans in self.spans_by_line[:text_line]:
+            spans.append((x_px - LEADER_GAP, x_px + LEADER_GAP))
 
 
 @dataclass(frozen=True)
@@ -108,6 +115,11 @@ def ruler_numbers(
             taken_px.append((first_px, last_px))
             numbers.append((place_px, middle_px, text))
     return numbers
+
+
+def bold_width_px(text: str) -> float:
+    """Width of bold letters, among which m and w are half as wide again."""
+    return BOLD_LETTER_WIDTH * (len(text) + 0.5 * sum(text.lower().count(letter) for letter in "mw"))
 
 
 def _even_lines(words: str, line_count: int) -> list[str]:

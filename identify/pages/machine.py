@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from html import escape
 
 from identify.pages.drawing_texts import (
-    BOLD_LETTER_WIDTH,
     LETTER_WIDTH,
     LINE_HEIGHT,
     RING_RADIUS,
@@ -24,6 +23,7 @@ from identify.pages.drawing_texts import (
     WIDTH,
     DrawnText,
     TextSpans,
+    bold_width_px,
     contact_text,
     mark_text,
     ruler_numbers,
@@ -33,6 +33,8 @@ from rig.model.layout import left_ends
 
 LEFT_MARGIN, NAME_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 30.0, 20.0, (120.0, 46.0)
 """Left margin, right margin beside the longest name, thickness of a beam, width and height of a mass, px."""
+RING_SHARE = 0.38
+"""Place of a mass's ring, in shares of its width from its middle."""
 ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
 HELD_WORDS = "held: no rigid-body mode"
@@ -115,7 +117,7 @@ def rig_drawing(
     """SVG of a rig: bodies, sensors, forces, contacts with their lines of text, and marks with theirs."""
     left_ends_m = left_ends(rig)
     extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
-    name_px = BOLD_LETTER_WIDTH * max([len(body.name) for body in rig.bodies if not body.is_mass], default=0)
+    name_px = max([bold_width_px(body.name) for body in rig.bodies if not body.is_mass], default=0.0)
     right_margin_px = NAME_MARGIN + min(name_px, width_px / 3)
     px_per_m = (width_px - LEFT_MARGIN - right_margin_px) / extent_m if extent_m > 0 else 0.0
     layout = _Layout(rig, width_px, left_ends_m, px_per_m)
@@ -136,7 +138,9 @@ def rig_drawing(
         body = rig.body(mark.station.body)
         spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
         marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
-        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, spans, marks_px, width_px)))
+        text = mark_text(layout.x_px(mark.station), mark.words, spans, marks_px, width_px)
+        spans.take_below(text.first_line, layout.corner_x_px(mark.station, RING_SHARE))
+        mark_texts.append((mark, text))
     places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in mark_texts]
     rings_px = {body.name: [float(x_px) for name, x_px in places if name == body.name] for body in rig.bodies}
     ringed = dict(zip(places[::-1], mark_texts[::-1], strict=True))  # the first mark of each place
@@ -291,7 +295,7 @@ def _baseline_px(layout: _Layout, mark: DrawnMark, text: DrawnText) -> float:
 def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
     """Ring about the station, and a line to its words."""
     body = layout.rig.body(mark.station.body)
-    x_px, middle_px = layout.corner_x_px(mark.station, 0.38), layout.tops_px[body.name] + _height_px(body) / 2
+    x_px, middle_px = layout.corner_x_px(mark.station, RING_SHARE), layout.tops_px[body.name] + _height_px(body) / 2
     words_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * (len(text.lines) - 1) + 5
     ends_px = (middle_px - RING_RADIUS, words_px)
     if layout.is_marked_below(body):

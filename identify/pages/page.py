@@ -113,7 +113,8 @@ def write(
 
     `top_blocks` stand side by side below the verdict, as far as there is room. A section is its heading and its HTML,
     and folded ones open by a click, or for the printer; everything else is plain text. Below the foot stand date,
-    version, command, and the source recordings with the first digits of their SHA-256.
+    version, command, whose paths may break behind a slash, and the source recordings with the first digits of their
+    SHA-256.
     """
     content_html = "".join(f"<div>{block_html}</div>" for block_html in top_blocks if block_html)
     content_html = f'<div class="first">{content_html}</div>\n' if content_html else ""
@@ -133,7 +134,7 @@ def write(
         verdict=escape(answer.verdict),
         sentences="".join(f"<p>{unbroken_html(escape(sentence))}</p>" for sentence in answer.sentences),
         content=content_html,
-        foot=f"{escape(foot_text)}<br>{escape(_provenance(sources))}",
+        foot=f"{escape(foot_text)}<br>{escape(_provenance(sources)).replace('/', '/<wbr>')}",
     )
     write_bytes(page_html.encode(), path)
 

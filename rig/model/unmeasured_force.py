@@ -46,6 +46,7 @@ class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
     body: str | None = None
     position_m: float | None = None
     position_error_m: float | None = None
+    """Its standard error; None on a mass, which has no length."""
     against_body: str | None = None
     against_position_m: float | None = None
     sensor: str | None = None

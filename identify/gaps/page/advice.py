@@ -240,10 +240,14 @@ def _suspect_words(unknown: UnmeasuredForce) -> str:
 
 
 def place(unknown: UnmeasuredForce) -> str:
-    """Place of an unmeasured force in words: "the barrel near 0.89 m"."""
-    position_words = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
+    """Place of an unmeasured force in words, "the barrel near 0.89 m"; a mass has no length."""
+    position_words = f"the {unknown.body}"
+    if unknown.position_error_m is not None:
+        position_words += f" near {unknown.position_m or 0.0:.2f} m"
     if unknown.against_body:
-        return f"{position_words} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
+        position_words += f" and the {unknown.against_body}"
+        if unknown.position_error_m is not None or unknown.against_position_m:
+            position_words += f" near {unknown.against_position_m or 0.0:.2f} m"
     return position_words
 
 

@@ -15,6 +15,7 @@ from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceH
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
 from identify.pages.wording import change_words, estimate_words
 from identify.signals.beginning import QUIET_S
+from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 
 LAW_SEARCH_SHARE = 0.2
@@ -51,17 +52,18 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     tone = law if law and law.form.is_tone else None
     timing = _force_timing(history)
     station, opposite_station = place.stations[0], place.stations[1] if len(place.stations) > 1 else None
-    position_words = estimate_words(station.position_m, located.position_error_m, "m", f"{station.position_m:.2f} m")
-    near_text = f"the {station.body} near {position_words}"
-    place_text = f"on {near_text}"
-    if opposite_station:
-        place_text = f"between {near_text} and the {opposite_station.body} near {opposite_station.position_m:.2f} m"
+    rig = located.whitened_record.record.rig
+    position_error_m = None if rig.body(station.body).is_mass else located.position_error_m
+    near_text = _near_text(rig, station, located.position_error_m)
+    place_text = (
+        f"between {near_text} and {_near_text(rig, opposite_station)}" if opposite_station else f"on {near_text}"
+    )
     return UnmeasuredForce(
         sentence=_sentence(law, size, timing, place_text),
         kind=place.kind,
         body=station.body,
         position_m=station.position_m,
-        position_error_m=located.position_error_m,
+        position_error_m=position_error_m,
         against_body=opposite_station.body if opposite_station else None,
         against_position_m=opposite_station.position_m if opposite_station else None,
         same_place=force_fit.same_place,
@@ -225,6 +227,14 @@ def _amplitude_and_error_n(tone: ForceLaw) -> tuple[float, float]:
     """Amplitude A = sqrt(c^2 + s^2) of a tone with the coefficients c and s, and its standard error to first order."""
     amplitude_n = math.hypot(*tone.coefficients)
     return amplitude_n, math.hypot(*np.multiply(tone.coefficients, tone.coefficient_errors)) / max(amplitude_n, 1e-300)
+
+
+def _near_text(rig: Rig, station: Station, position_error_m: float = 0.0) -> str:
+    """Place in words; a mass has no length."""
+    if rig.body(station.body).is_mass:
+        return f"the {station.body}"
+    position_words = estimate_words(station.position_m, position_error_m, "m", f"{station.position_m:.2f} m")
+    return f"the {station.body} near {position_words}"
 
 
 def _sentence(law: ForceLaw | None, size: _ForceSize, timing: _ForceTiming, place_text: str) -> str:

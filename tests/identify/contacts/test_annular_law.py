@@ -39,6 +39,26 @@ def test_a_damper_that_acts_at_once_is_whole_from_the_wall_on():
     np.testing.assert_allclose(force_y, [5e5 * 1e-6 + 200.0 * 0.02, 0.0], rtol=1e-9)
 
 
+@pytest.mark.parametrize("onset", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("speed_m_per_s", [0.3, -0.05])
+def test_between_samples_the_damping_acts_as_long_as_the_ring_is_closed(onset, speed_m_per_s):
+    """A sample's force is the mean over the time that it stands for, of a pulse that is shorter than that time."""
+    step_s, times = 1 / 16384, (np.arange(4000) + 0.5) / 4000 - 0.5
+    damper = VALUES.copy()
+    damper[[1, 3, 5]] = 1e5, 0.0, onset
+    for depth_m in np.linspace(-2e-5, 2e-5, 9):
+        eta_y = 2e-3 + 1e-4 + np.r_[depth_m, depth_m + speed_m_per_s * step_s * times]
+        still = np.zeros(eta_y.size)
+        rate = np.full(eta_y.size, speed_m_per_s)
+        at_samples, _ = ring_force_n(damper, eta_y[:1], still[:1] - 2e-4, rate[:1], still[:1], step_s)
+        between, _ = ring_force_n(damper, eta_y[1:], still[1:] - 2e-4, rate[1:], still[1:])
+        closed_n = 1e5 * np.maximum(eta_y - 2.1e-3, 0.0)
+        if speed_m_per_s > 0:  # a ring does not pull: as it opens, its spring pushes less than the damper pulls
+            assert at_samples[0] - closed_n[0] == pytest.approx(np.mean(between - closed_n[1:]), abs=0.01)
+        else:
+            assert 0 <= at_samples[0] <= closed_n[0]
+
+
 @pytest.mark.parametrize("onset", [0.0, 0.7])
 def test_derivatives_are_those_of_the_force(onset):
     values = VALUES.copy()

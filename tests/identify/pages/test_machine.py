@@ -134,6 +134,28 @@ def test_the_words_of_a_mark_end_before_the_line_of_the_next():
     assert max(ends[: len(ends) // 2]) < lines_px[1]
 
 
+@pytest.mark.parametrize("width_px", [WIDTH, NARROW_WIDTH])
+def test_no_line_to_a_ring_passes_through_words(width_px):
+    """The words at the right end reach far to the left, over the lines of other marks."""
+    rig = BarrelCradle().rig()
+    words = {
+        0.295: "a spring of unknown strength between the f16 at 0.354 ± 0.049 m and the ground",
+        0.5: "a damping of the f16 that is 76.9 ± 6.8 % larger",
+        0.73: "unmeasured force, 10.4 N rms, near 0.877 ± 0.019 m",
+        1.0: "a signal of sensor f16_1200mm_acceleration that comes 0.89 ± 0.16 ms too early",
+    }
+    svg = drawing(rig, *(DrawnMark(Station("barrel", x_m), text) for x_m, text in words.items()), width_px=width_px)
+    paths = [path.get("d") for path in svg.iter("path") if path.get("class") == "mark"]
+    leaders = [map(float, re.fullmatch(r"M([-0-9.]+),([-0-9.]+)V([-0-9.]+)", path).groups()) for path in paths]
+    assert len(leaders) == len(words)
+    written = [box for box in boxes(svg) if box[0] in " ".join(words.values())]
+    for x, begin, end in leaders:
+        crossed = [
+            text for text, left, right, y in written if left < x < right and min(begin, end) < y < max(begin, end)
+        ]
+        assert not crossed
+
+
 def test_the_lowest_body_is_marked_below_where_no_contact_stands():
     rig = BarrelCradle().rig()
     svg = drawing(rig, *(DrawnMark(Station(body.name, 0.5), body.name + " marked") for body in rig.bodies))
