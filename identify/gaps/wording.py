@@ -255,10 +255,13 @@ def level_words(change: LevelDependence) -> str:
 
 
 def difference_words(comparison: ParameterByRecord) -> str:
-    """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006 ± 0.004, 1.087 ± 0.004)"."""
+    """Trend of a parameter, with the level of the force if it follows that: "contact_clearance.factor (contact_2) grows
+    (1.006 ± 0.004, 1.087 ± 0.004)"."""
     values = ", ".join(map(interval, comparison.values))
     place = f" ({comparison.place})" if comparison.place else ""
-    return f"{comparison.parameter}{place} {comparison.trend} ({values})"
+    follows_level = comparison.by_level in ("grows", "falls")
+    trend = f"{comparison.by_level} with the level" if follows_level else comparison.trend
+    return f"{comparison.parameter}{place} {trend} ({values})"
 
 
 def failed_analysis_sentences(gap: Gap) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import count, product
+from itertools import count
 from textwrap import wrap
 
 from identify.pages.page import unbroken_html
@@ -23,6 +23,8 @@ MAX_LINE_LETTERS = 38
 """Letters in a line of a mark at most."""
 LEADER_GAP = 4.0
 """Distance between the line that leads from a ring to its words and other words, px."""
+EDGE_GAP = 4.0
+"""Distance of the words of a mark from the drawing's edges, px."""
 MARK_GAP = 8.0
 """Distance between the words of a mark and the line of the next one, px."""
 
@@ -79,22 +81,46 @@ def contact_text(
     return DrawnText(end_px, "end", text_lines, first_line)
 
 
-def mark_text(
-    x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence[float], drawing_px: float = WIDTH
-) -> DrawnText:
-    """Even lines of text centred about x, as far as the drawing's edges and the line of the next mark allow."""
+def mark_texts(
+    words_at_x: Sequence[tuple[float, str]], text_spans: TextSpans, drawing_px: float = WIDTH
+) -> list[DrawnText]:
+    """Even lines of text for marks at x, each with its words, whose lines to their rings pass through no words.
+
+    A text that has room between the marks that have none yet is placed first, the leftmost of them; where none has,
+    the leftmost.
+    """
+    texts: dict[int, DrawnText] = {}
+    unplaced = sorted(range(len(words_at_x)), key=lambda index: words_at_x[index][0])
+    while unplaced:
+        for index in unplaced:
+            x_px, words = words_at_x[index]
+            others_px = [words_at_x[other][0] for other in unplaced]
+            left_px = max([px + MARK_GAP for px in others_px if px < x_px - 1], default=EDGE_GAP)
+            right_px = min([px - MARK_GAP for px in others_px if px > x_px + 1], default=drawing_px - EDGE_GAP)
+            if lines := _lines_within(words, right_px - left_px):
+                break
+        else:
+            index, left_px, right_px = unplaced[0], EDGE_GAP, drawing_px - EDGE_GAP
+            x_px, words = words_at_x[index]
+            lines = _even_lines(unbroken_html(words), len(words))
+        half_px = BOLD_LETTER_WIDTH * max(map(len, lines)) / 2
+        middle_px = max(min(x_px, right_px - half_px), left_px + half_px)
+        first_line = text_spans.line_for(middle_px - half_px, middle_px + half_px, len(lines))
+        text_spans.take_below(first_line, x_px)
+        texts[index] = DrawnText(middle_px, "middle", lines, first_line)
+        unplaced.remove(index)
+    return [texts[index] for index in range(len(words_at_x))]
+
+
+def _lines_within(words: str, width_px: float) -> list[str]:
+    """Lines of text, as few as there are at the usual width or one more, within a width; none where it has no room."""
     words = unbroken_html(words)
     line_count = len(wrap(words, MAX_LINE_LETTERS))
-    next_mark_px = min([mark_px - MARK_GAP for mark_px in marks_px if mark_px > x_px + 1], default=drawing_px - 4)
-    for right_px, most_lines in product((next_mark_px, drawing_px - 4), (line_count, line_count + 1)):
+    for most_lines in (line_count, line_count + 1):
         lines = _even_lines(words, most_lines)
-        half_px = BOLD_LETTER_WIDTH * max(map(len, lines)) / 2
-        if 4 + 2 * half_px <= right_px:
-            break
-    middle_px = max(min(x_px, right_px - half_px), half_px + 4)
-    return DrawnText(
-        middle_px, "middle", lines, text_spans.line_for(middle_px - half_px, middle_px + half_px, len(lines))
-    )
+        if BOLD_LETTER_WIDTH * max(map(len, lines)) <= width_px:
+            return lines
+    return []
 
 
 def ruler_numbers(

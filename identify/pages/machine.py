@@ -25,7 +25,7 @@ from identify.pages.drawing_texts import (
     TextSpans,
     bold_width_px,
     contact_text,
-    mark_text,
+    mark_texts,
     ruler_numbers,
 )
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
@@ -133,17 +133,10 @@ def rig_drawing(
         contact_texts.append((contact, text))
     held_bodies = [body.name for body in rig.bodies if _is_held_somewhere(body)]
     held_lines = {name: spans_below[name].line_for(*_held_span_px(layout, name)) for name in held_bodies}
-    mark_texts: list[tuple[DrawnMark, DrawnText]] = []
-    for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
-        body = rig.body(mark.station.body)
-        spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
-        marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
-        text = mark_text(layout.x_px(mark.station), mark.words, spans, marks_px, width_px)
-        spans.take_below(text.first_line, layout.corner_x_px(mark.station, RING_SHARE))
-        mark_texts.append((mark, text))
-    places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in mark_texts]
+    marks_and_texts = list(_mark_texts(layout, marks, spans_below, spans_above))
+    places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in marks_and_texts]
     rings_px = {body.name: [float(x_px) for name, x_px in places if name == body.name] for body in rig.bodies}
-    ringed = dict(zip(places[::-1], mark_texts[::-1], strict=True))  # the first mark of each place
+    ringed = dict(zip(places[::-1], marks_and_texts[::-1], strict=True))  # the first mark of each place
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
@@ -159,7 +152,7 @@ def rig_drawing(
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
         *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
-        *(element for mark, text in mark_texts for element in _mark_words(layout, mark, text)),
+        *(element for mark, text in marks_and_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
         f'<svg viewBox="0 0 {width_px:g} {y_px + FOOT_HEIGHT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
@@ -290,6 +283,22 @@ def _baseline_px(layout: _Layout, mark: DrawnMark, text: DrawnText) -> float:
     if layout.is_marked_below(body):
         return layout.bottom_px(body) + 30 + LINE_HEIGHT * text.first_line
     return layout.tops_px[body.name] - 24 - LINE_HEIGHT * (text.first_line + len(text.lines) - 1)
+
+
+def _mark_texts(
+    layout: _Layout,
+    marks: Sequence[DrawnMark],
+    spans_below: Mapping[str, TextSpans],
+    spans_above: Mapping[str, TextSpans],
+) -> Iterator[tuple[DrawnMark, DrawnText]]:
+    """Marks with their texts, body by body, from left to right."""
+    for body in layout.rig.bodies:
+        body_marks = sorted(
+            (mark for mark in marks if mark.station.body == body.name), key=lambda mark: layout.x_px(mark.station)
+        )
+        spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
+        words_at_x = [(layout.corner_x_px(mark.station, RING_SHARE), mark.words) for mark in body_marks]
+        yield from zip(body_marks, mark_texts(words_at_x, spans, layout.width_px), strict=True)
 
 
 def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:

@@ -11,7 +11,7 @@ from identify.gaps.decision.differences import _trend_of
 from identify.gaps.decision.modal_changes import differ_in_level, identifiable_change_words, level_dependence
 from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.wording import interval, level_words
+from identify.gaps.wording import difference_words, interval, level_words
 from rig.effects import effect_named, effects
 from rig.effects.base import Scale
 from rig.model.description import Rig, Sensor, Station
@@ -144,6 +144,13 @@ def test_the_changes_are_as_certain_as_the_springs_and_dampers_of_both_levels():
 def test_what_does_not_follow_the_level_is_not_told_as_its(trend):
     assert dependence_of(compared("falls"), compared(trend)) is None
     assert dependence_of() is None
+
+
+def test_what_follows_the_level_is_told_so():
+    values = "(-20.00 ± 0.20 N/m, -10.00 ± 0.20 N/m, -40.00 ± 0.20 N/m)"
+    name = "linear_spring.stiffness_n_per_m (mass)"
+    assert difference_words(compared("falls")) == f"{name} falls with the level {values}"
+    assert difference_words(compared("differs")) == f"{name} differs {values}"
 
 
 def test_forces_within_a_quarter_are_one_level():

@@ -39,7 +39,7 @@ from rig.model.unmeasured_force import MeanForce, Value
 from tests.identify.gaps import diagnoses
 from tests.identify.test_structure import as_data
 
-VOID = {"meta", "img", "br", "link", "hr"}
+VOID = {"meta", "img", "br", "wbr", "link", "hr"}
 PHONE_PX = 375
 
 

@@ -10,12 +10,12 @@ from msgspec.structs import replace
 from identify.gaps.decision.bounds import contact_bound
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision_table import Bounded
-from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
+from identify.gaps.page.advice import next_steps, place, unexplained_ranges_hz
 from identify.gaps.page.screen import colour
 from identify.gaps.results import Band, Gap
-from identify.gaps.wording import interval, probability, removed_share_words, verdict_words
+from identify.gaps.wording import bound_words, interval, probability, removed_share_words, verdict_words
 from identify.pages.wording import COVERED, percent
-from rig.model.unmeasured_force import Value
+from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 
 def test_the_sentence_is_made_of_what_gap_json_says(diagnosis):
@@ -211,3 +211,21 @@ def test_a_bound_of_zero_is_less_than_a_tenth_of_a_per_cent(gaps):
     said = sentence(replace(gaps["small"], evidence=replace(evidence, quantities=quantities)))
     assert "less than 0.1 % of the force of contact_1" in said
     assert "0.0 %" not in said
+
+
+@pytest.mark.parametrize(
+    ("upper", "words"), [(0.005019, "0.5019 %"), (0.0051, "0.51 %"), (0.006, "0.6 %"), (0.004999, "0.5 %")]
+)
+def test_a_bound_above_its_limit_does_not_read_as_the_limit(upper, words):
+    told = bound_words(Bounded("motion", "1", 0.0, upper, 0.005))
+    assert told == f"the motion (0.0 % unexplained, at most {words}; 0.5 % matters)"
+
+
+def test_a_mass_has_no_place_along_it():
+    force = UnmeasuredForce(
+        sentence="", kind="force", body="carriage", position_m=0.0, band_hz=(1.0, 2.0), rms_n=1.0, explained=0.9
+    )
+    assert place(force) == "the carriage"
+    assert place(replace(force, body="barrel", position_error_m=0.01)) == "the barrel near 0.00 m"
+    pair = replace(force, body="barrel", position_error_m=0.0, against_body="cradle", against_position_m=0.45)
+    assert place(pair) == "the barrel near 0.00 m and the cradle near 0.45 m"

@@ -16,7 +16,7 @@ from identify.pages.drawing_texts import (
     RULER_LETTER_WIDTH,
     WIDTH,
     TextSpans,
-    mark_text,
+    mark_texts,
 )
 from identify.pages.machine import DrawnMark, rig_drawing
 from rig.model.description import Station, Support
@@ -197,7 +197,7 @@ def test_names_cannot_break_the_drawing():
 def test_no_name_is_broken_in_the_words_of_a_mark():
     words = "a hint (explains 14.7 %): cradle_1000mm_acceleration: fault of the sensor"
     for x_px in (5.0, WIDTH / 2, WIDTH - 5.0):
-        text = mark_text(x_px, words, TextSpans(), [x_px, x_px + 40.0])
+        text = mark_texts([(x_px, words), (x_px + 40.0, words)], TextSpans())[0]
         assert " ".join(text.lines).replace("\N{NO-BREAK SPACE}", " ") == words
 
 
