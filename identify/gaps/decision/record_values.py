@@ -118,17 +118,18 @@ class RecordSet:
     def joint_fit(self, initial_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
         """Fit of each record's own values by Gauss-Newton steps, which are halved where they raise -2 ln p."""
         fitted, (cost, estimate) = initial_values, self._cost_and_estimate(initial_values)
-        trial = fitted.at_estimate(estimate)
+        trial, expected_cost = fitted.at_estimate(estimate), estimate.cost
         for _ in range(LINEARIZATIONS - 1):
             largest_steps = SETTLED_ERRORS * np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
             if np.all(np.abs(trial.record_values - fitted.record_values).ravel() <= largest_steps):
-                return trial, estimate
+                fitted, cost = trial, expected_cost
+                break
             trial_cost, trial_estimate = self._cost_and_estimate(trial)
             if trial_cost < cost:
                 fitted, cost, estimate = trial, trial_cost, trial_estimate
-                trial = fitted.at_estimate(estimate)
+                trial, expected_cost = fitted.at_estimate(estimate), estimate.cost
             else:
-                trial = fitted.with_record_values((fitted.record_values + trial.record_values) / 2)
+                trial, expected_cost = fitted.with_record_values((fitted.record_values + trial.record_values) / 2), cost
         return fitted, replace(estimate, values=fitted.record_values.ravel(), cost=cost)
 
     def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
