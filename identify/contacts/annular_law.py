@@ -59,6 +59,7 @@ class RingMotion:
     radial_rate_m_per_s: Signal
     pushes: Bool[np.ndarray, "*samples"]
     damping_share: Signal
+    damping_share_slope_per_m: Signal
     normal_n: Signal
     sliding_tanh: Signal
     unit_force: Float[np.ndarray, "2 *samples"]
@@ -77,7 +78,7 @@ def ring_motion(
     radial_y, radial_z = eta_y / radius_m, eta_z / radius_m
     radial_rate, tangential_rate = radial_y * rate_y + radial_z * rate_z, radial_y * rate_z - radial_z * rate_y
     depth_m = radius_m - values[CLEARANCE]
-    damping_share = _damping_share(depth_m, radial_rate, values[ONSET], step_s)
+    damping_share, damping_share_slope = _damping_share(depth_m, radial_rate, values[ONSET], step_s)
     normal_n = values[STIFFNESS] * np.maximum(depth_m, 0.0) + values[DAMPING] * damping_share * radial_rate
     pushes = normal_n > 0
     normal_n = normal_n * pushes
@@ -93,22 +94,22 @@ def ring_motion(
         radial_rate,
         pushes,
         damping_share,
+        damping_share_slope,
         normal_n,
         sliding,
         unit_force,
     )
 
 
-def _damping_share(depth_m: Signal, radial_rate_m_per_s: Signal, onset: float, step_s: float) -> Signal:
-    """Part s of the damping that acts, as its mean over step_s about each sample."""
+def _damping_share(depth_m: Signal, radial_rate_m_per_s: Signal, onset: float, step_s: float) -> tuple[Signal, Signal]:
+    """Part s of the damping that acts, as its mean over step_s about each sample, and its derivative by the depth."""
     half_travel_m = np.maximum(np.abs(radial_rate_m_per_s) * step_s / 2, LEAST_TRAVEL_M)
-
-    def integral_m(depth_m: Signal) -> Signal:
-        closed_m = np.maximum(depth_m, 0.0)
-        rising_m = np.minimum(closed_m, DAMPING_DEPTH_M)
-        return closed_m + (1 - onset) * (rising_m * (rising_m / (2 * DAMPING_DEPTH_M) - 1))
-
-    return (integral_m(depth_m + half_travel_m) - integral_m(depth_m - half_travel_m)) / (2 * half_travel_m)
+    ends_m = np.maximum(depth_m + np.stack([half_travel_m, -half_travel_m]), 0.0)
+    rising_m = np.minimum(ends_m, DAMPING_DEPTH_M)
+    integrals_m = ends_m + (1 - onset) * (rising_m * (rising_m / (2 * DAMPING_DEPTH_M) - 1))
+    end_shares = onset * (ends_m > 0) + (1 - onset) * rising_m / DAMPING_DEPTH_M
+    share, slope_per_m = ((signals[0] - signals[1]) / (2 * half_travel_m) for signals in (integrals_m, end_shares))
+    return share, slope_per_m
 
 
 def ring_force_n(
@@ -140,30 +141,33 @@ def ring_derivatives(
     rate_m_per_s: Float[np.ndarray, "2 *samples"],
     step_s: float = 0.0,
 ) -> RingDerivatives:
-    """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
+    """Derivatives at some motion."""
     motion = ring_motion(values, eta_m, rate_m_per_s, step_s)
-    closed_stiffness = values[STIFFNESS] * (motion.pushes & (motion.depth_m > 0))
-    at_once_share = _damping_share(motion.depth_m, motion.radial_rate_m_per_s, 1.0, step_s)
-    by_onset = at_once_share - _damping_share(motion.depth_m, motion.radial_rate_m_per_s, 0.0, step_s)
+    damper_n = values[DAMPING] * motion.radial_rate_m_per_s
+    normal_by_depth = values[STIFFNESS] * (motion.depth_m > 0) + damper_n * motion.damping_share_slope_per_m
+    normal_by_depth = normal_by_depth * motion.pushes
+    at_once_share, set_in_share = (
+        _damping_share(motion.depth_m, motion.radial_rate_m_per_s, onset, step_s)[0] for onset in (1.0, 0.0)
+    )
     radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
     _, _, damping, friction, log_speed, *_ = values.tolist()
     damping_slope = damping * motion.damping_share * motion.pushes
     # of the tangential force by v_t
     friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
-    normal_by_eta = closed_stiffness * radial + turning_slope * tangent
+    normal_by_eta = normal_by_depth * radial + turning_slope * tangent
     tangential_n = normal_n - friction_slope * motion.radial_rate_m_per_s
     turning_n = tangential_n * tangent - friction * normal_n * motion.sliding_tanh * radial
     by_eta = unit_force[:, None] * normal_by_eta[None] + turning_n[:, None] / motion.radius_m * tangent[None]
     by_rate = unit_force[:, None] * (damping_slope * radial)[None] + (friction_slope * tangent)[:, None] * tangent[None]
     by_law = np.stack(
         [
-            -closed_stiffness * unit_force,
+            -normal_by_depth * unit_force,
             np.maximum(motion.depth_m, 0.0) * motion.pushes * unit_force,
             motion.damping_share * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
-            damping * by_onset * motion.radial_rate_m_per_s * motion.pushes * unit_force,
+            damping * (at_once_share - set_in_share) * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

@@ -59,6 +59,18 @@ def test_between_samples_the_damping_acts_as_long_as_the_ring_is_closed(onset, s
             assert 0 <= at_samples[0] <= closed_n[0]
 
 
+def test_the_moment_at_which_a_damper_sets_in_moves_with_the_displacement():
+    values, step_s = VALUES.copy(), 1 / 4096
+    values[5] = 0.7
+    eta, rate = motions()
+    found = ring_derivatives(values, eta, rate, step_s).by_eta
+    for component in range(2):
+        step = np.zeros((2, 1))
+        step[component] = 1e-9
+        after, before = (ring_force_n(values, *(eta + sign * step), *rate, step_s) for sign in (1, -1))
+        np.testing.assert_allclose(found[:, component], (after - before) / 2e-9, atol=1e-5 * np.abs(found).max())
+
+
 @pytest.mark.parametrize("onset", [0.0, 0.7])
 def test_derivatives_are_those_of_the_force(onset):
     values = VALUES.copy()
