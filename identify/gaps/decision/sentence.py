@@ -139,6 +139,7 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
         f"{_subject(cause)} {_inflected(cause, 'explains', 'explain')} the difference in part: "
         f"{_inflected(cause, 'it', 'they')} {_removal_words(gap, '')}, and {stays_unexplained_words(gap)}.",
         *_veto_sentence(gap),
+        *_fuller_cause_sentence(gap),
         _force_description(gap, "The rest"),
     ]
 
@@ -153,6 +154,7 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
     if cause := _named_cause(gap):
         are, removal = _inflected(cause, "is", "are"), _removal_words(gap, " of the difference")
         verdict_sentences += [f"{_subject(cause)} {are} likely, and {removal}.", *_veto_sentence(gap)]
+        verdict_sentences += _fuller_cause_sentence(gap)
     else:
         verdict_sentences.append(_unnamed_sentence(gap))
     return [*verdict_sentences, *_parameters_beyond(gap), _force_description(gap, "The difference")]
@@ -190,6 +192,22 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
         interval_words = ", whose interval does not exclude that it is nothing" if is_size_uncertain else ""
         return f"No effect of the library is certain enough to be named; {likeliest}{interval_words}."
     return "No effect of the library is named for it."
+
+
+def _fuller_cause_sentence(gap: Diagnosis) -> list[str]:
+    """Sentence on a likelier cause with the named effects and others, whose intervals do not exclude that they are
+    nothing."""
+    named_effects = {strength.effect for strength in gap.causes[0].strengths}
+    for cause in gap.causes[1:]:
+        words_by_effect = {s.effect: words for s, words in zip(cause.strengths, cause.words, strict=True)}
+        if cause.probability > 0.5 and named_effects < words_by_effect.keys():
+            others = joined([words for effect, words in words_by_effect.items() if effect not in named_effects])
+            return [
+                f"Beside {_pronoun(gap.causes[0])}, {others} {'is' if len(cause.effects) == 2 else 'are'} likely "
+                f"({probability(cause.probability)}), of uncertain size: together they remove "
+                f"{percent(cause.explained)}."
+            ]
+    return []
 
 
 def _pronoun(cause: Cause) -> str:

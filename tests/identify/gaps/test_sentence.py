@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from identify.gaps.decision.bounds import contact_bound
 from identify.gaps.decision.sentence import sentence
-from identify.gaps.decision_table import Bounded
+from identify.gaps.decision_table import Bounded, Strength
 from identify.gaps.page.advice import next_steps, place, unexplained_ranges_hz
 from identify.gaps.page.screen import colour
 from identify.gaps.results import Band, Gap
@@ -229,3 +229,21 @@ def test_a_mass_has_no_place_along_it():
     assert place(replace(force, body="barrel", position_error_m=0.01)) == "the barrel near 0.00 m"
     pair = replace(force, body="barrel", position_error_m=0.0, against_body="cradle", against_position_m=0.45)
     assert place(pair) == "the barrel near 0.00 m and the cradle near 0.45 m"
+
+
+def test_a_likelier_cause_with_the_named_effect_and_one_of_uncertain_size_is_said(gaps):
+    gap = gaps["partly_explained"]
+    named, friction = gap.causes[0], "a dry friction of 0.8 ± 1.1 N in contact_2"
+    uncertain = Strength("coulomb_friction:contact_2", 0.984, (-0.3, 1.9), 0.0, ())
+    fuller = replace(
+        named,
+        effects=(*named.effects, "coulomb_friction"),
+        words=(*named.words, friction),
+        strengths=(*named.strengths, uncertain),
+        probability=0.984,
+        explained=0.93,
+    )
+    told = sentence(replace(gap, causes=(named, fuller)))
+    assert f"Beside it, {friction} is likely (98.4 %), of uncertain size: together they remove 93.0 %." in told
+    assert "of uncertain size" not in sentence(replace(gap, causes=(named, replace(fuller, probability=0.4))))
+    assert "of uncertain size" not in gap.sentence
