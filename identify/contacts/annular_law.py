@@ -141,7 +141,7 @@ def ring_derivatives(
     rate_m_per_s: Float[np.ndarray, "2 *samples"],
     step_s: float = 0.0,
 ) -> RingDerivatives:
-    """Derivatives at some motion."""
+    """Derivatives at some motion; how the travel between samples changes with the rate is left out."""
     motion = ring_motion(values, eta_m, rate_m_per_s, step_s)
     damper_n = values[DAMPING] * motion.radial_rate_m_per_s
     normal_by_depth = values[STIFFNESS] * (motion.depth_m > 0) + damper_n * motion.damping_share_slope_per_m

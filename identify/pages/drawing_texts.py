@@ -84,19 +84,19 @@ def contact_text(
 def mark_texts(
     words_at_x: Sequence[tuple[float, str]], text_spans: TextSpans, drawing_px: float = WIDTH
 ) -> list[DrawnText]:
-    """Even lines of text for marks at x, each with its words, whose lines to their rings pass through no words.
+    """Even lines of text for marks at x, each with its words, such that no line to a ring passes through words.
 
-    A text that has room between the marks that have none yet is placed first, the leftmost of them; where none has,
-    the leftmost.
+    Of the marks without a text, the leftmost whose words have room between its neighbours without one is next. Where
+    none has room, the leftmost is, and its words may lie on such a line.
     """
     texts: dict[int, DrawnText] = {}
     unplaced = sorted(range(len(words_at_x)), key=lambda index: words_at_x[index][0])
     while unplaced:
         for index in unplaced:
             x_px, words = words_at_x[index]
-            others_px = [words_at_x[other][0] for other in unplaced]
-            left_px = max([px + MARK_GAP for px in others_px if px < x_px - 1], default=EDGE_GAP)
-            right_px = min([px - MARK_GAP for px in others_px if px > x_px + 1], default=drawing_px - EDGE_GAP)
+            unplaced_px = [words_at_x[unplaced_index][0] for unplaced_index in unplaced]
+            left_px = max([px + MARK_GAP for px in unplaced_px if px < x_px - 1], default=EDGE_GAP)
+            right_px = min([px - MARK_GAP for px in unplaced_px if px > x_px + 1], default=drawing_px - EDGE_GAP)
             if lines := _lines_within(words, right_px - left_px):
                 break
         else:

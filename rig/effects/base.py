@@ -148,8 +148,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     stochastic: ClassVar[bool] = False
     """Whether only the spectrum of its action is known, so that no fit over time finds its parameters."""
     follows_level: ClassVar[bool] = False
-    """Whether its share of a mode's stiffness or damping depends on how far the body moves, so that one machine has
-    other strengths of it at other levels if its law is another."""
+    """Whether what it adds to a mode's stiffness or damping depends on how far the body moves: records of several
+    levels then differ in its strength wherever the machine follows another law."""
     grid_screened: ClassVar[str | None] = None
     """Parameter, if any, that needs a grid of starting values: a frequency, resolved to one over the duration."""
     contains: ClassVar[tuple[str, ...]] = ()

@@ -195,15 +195,16 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
 
 
 def _fuller_cause_sentence(gap: Diagnosis) -> list[str]:
-    """Sentence on a likelier cause with the named effects and others, whose intervals do not exclude that they are
-    nothing."""
+    """Sentence on a likelier cause with the named effects and further ones, whose intervals do not exclude that they
+    are nothing."""
     named_effects = {strength.effect for strength in gap.causes[0].strengths}
     for cause in gap.causes[1:]:
         words_by_effect = {s.effect: words for s, words in zip(cause.strengths, cause.words, strict=True)}
         if cause.probability > 0.5 and named_effects < words_by_effect.keys():
-            others = joined([words for effect, words in words_by_effect.items() if effect not in named_effects])
+            further_words = [words for effect, words in words_by_effect.items() if effect not in named_effects]
+            are = "is" if len(further_words) == 1 else "are"
             return [
-                f"Beside {_pronoun(gap.causes[0])}, {others} {'is' if len(cause.effects) == 2 else 'are'} likely "
+                f"Beside {_pronoun(gap.causes[0])}, {joined(further_words)} {are} likely "
                 f"({probability(cause.probability)}), of uncertain size: together they remove "
                 f"{percent(cause.explained)}."
             ]

@@ -245,5 +245,9 @@ def test_a_likelier_cause_with_the_named_effect_and_one_of_uncertain_size_is_sai
     )
     told = sentence(replace(gap, causes=(named, fuller)))
     assert f"Beside it, {friction} is likely (98.4 %), of uncertain size: together they remove 93.0 %." in told
+    two = replace(
+        fuller, words=(*fuller.words, "a tone"), strengths=(*fuller.strengths, replace(uncertain, effect="tone:all"))
+    )
+    assert f"Beside it, {friction} and a tone are likely" in sentence(replace(gap, causes=(named, two)))
     assert "of uncertain size" not in sentence(replace(gap, causes=(named, replace(fuller, probability=0.4))))
     assert "of uncertain size" not in gap.sentence
