@@ -40,7 +40,7 @@ from identify.contacts.linearization import (
     normal_equations,
 )
 from identify.signals.gauss_newton import Step, gauss_newton
-from identify.signals.law_evaluation import evaluated_law, oversampling
+from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches, law_step_s
 from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import at_force_rate
 
@@ -94,8 +94,7 @@ class AnnularFit:
         """State at some parameters, with its cost for the weights."""
         record, values = self.record, self.with_law_pulls(values, pulls)
         motion = np.concatenate(self.motion(knots, pulls))
-        step_s = 1 / (record.sample_rate_hz * oversampling(record.sample_rate_hz))
-        law = partial(ring_force_n, values, step_s=step_s)
+        law = partial(ring_force_n, values, step_s=law_step_s(record.sample_rate_hz))
         law_force_n = evaluated_law(law, motion, record.sample_rate_hz, record.decimation)
         law_force_n = law_force_n[:, : record.force_n.shape[1]]
         plane_residuals = []
@@ -131,9 +130,18 @@ class AnnularFit:
 
     @property
     def law_slopes(self) -> RingDerivatives:
-        """Derivatives of the law along the motion."""
-        motion = self.motion(self.state.knots, self.state.pulls)
-        return ring_derivatives(self.state.values, *motion, 1 / self.record.sample_rate_hz)
+        """Derivatives of the law along the motion, evaluated like the law and low-passed to half the recorded rate."""
+        motion, rate_hz = np.concatenate(self.motion(self.state.knots, self.state.pulls)), self.record.sample_rate_hz
+
+        def derivatives(*motion: Float[np.ndarray, "*samples"]) -> Float[np.ndarray, "12 2 *samples"]:
+            slopes = ring_derivatives(
+                self.state.values, np.stack(motion[:DIRECTIONS]), np.stack(motion[DIRECTIONS:]), law_step_s(rate_hz)
+            )
+            return np.concatenate([slopes.by_eta, slopes.by_rate, slopes.by_law])
+
+        batches = finer_signal_batches(motion, rate_hz)
+        slopes = evaluated_on_batches(derivatives, batches, motion.shape[1], rate_hz)
+        return RingDerivatives(slopes[:DIRECTIONS], slopes[DIRECTIONS : 2 * DIRECTIONS], slopes[2 * DIRECTIONS :])
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""

@@ -8,9 +8,7 @@ With eta = (eta_y, eta_z) less the centre, r = |eta|, e = eta / r, t = (-e_z, e_
 where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at once. The fitted force is f less the
 force at rest (f_y0, f_z0), which accelerometers do not show.
 
-A damper sets in within less time than passes between samples. At samples a time step_s apart, s is its mean over that
-time about each, with a depth that is linear in time; single values of so short a pulse would be noise, which makes its
-size come out too small.
+At samples a time step_s apart, s is its mean over that time about each, as in `law_form`.
 """
 
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
+from identify.contacts.law_form import DampingShare, damping_share
 
 RING = (
     "clearance_m",
@@ -36,9 +34,6 @@ RING = (
 CLEARANCE, STIFFNESS, DAMPING, FRICTION, LOG_SPEED, ONSET = range(6)
 CENTER, REST = slice(6, 8), slice(8, 10)
 
-LEAST_TRAVEL_M = 1e-12
-"""Least travel between samples over which a mean is taken."""
-
 RingValues = Float[np.ndarray, "10"]
 Signal = Float[np.ndarray, "*samples"]
 
@@ -47,7 +42,7 @@ Signal = Float[np.ndarray, "*samples"]
 class RingMotion:
     """Polar quantities of a motion within a ring: unit vectors, rates along both, depth, and the forces there.
 
-    pushes: True where the normal force is above zero. damping_share is the part s of the damping that acts,
+    pushes: True where the normal force is above zero. damping_share holds the part s of the damping that acts,
     sliding_tanh is tanh(v_t / v_0), unit_force is e + mu tanh(v_t / v_0) t.
     """
 
@@ -58,8 +53,7 @@ class RingMotion:
     tangential_rate_m_per_s: Signal
     radial_rate_m_per_s: Signal
     pushes: Bool[np.ndarray, "*samples"]
-    damping_share: Signal
-    damping_share_slope_per_m: Signal
+    damping_share: DampingShare
     normal_n: Signal
     sliding_tanh: Signal
     unit_force: Float[np.ndarray, "2 *samples"]
@@ -78,8 +72,8 @@ def ring_motion(
     radial_y, radial_z = eta_y / radius_m, eta_z / radius_m
     radial_rate, tangential_rate = radial_y * rate_y + radial_z * rate_z, radial_y * rate_z - radial_z * rate_y
     depth_m = radius_m - values[CLEARANCE]
-    damping_share, damping_share_slope = _damping_share(depth_m, radial_rate, values[ONSET], step_s)
-    normal_n = values[STIFFNESS] * np.maximum(depth_m, 0.0) + values[DAMPING] * damping_share * radial_rate
+    share = damping_share(depth_m, radial_rate, values[ONSET], step_s)
+    normal_n = values[STIFFNESS] * np.maximum(depth_m, 0.0) + values[DAMPING] * share.acting * radial_rate
     pushes = normal_n > 0
     normal_n = normal_n * pushes
     sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
@@ -93,23 +87,11 @@ def ring_motion(
         tangential_rate,
         radial_rate,
         pushes,
-        damping_share,
-        damping_share_slope,
+        share,
         normal_n,
         sliding,
         unit_force,
     )
-
-
-def _damping_share(depth_m: Signal, radial_rate_m_per_s: Signal, onset: float, step_s: float) -> tuple[Signal, Signal]:
-    """Part s of the damping that acts, as its mean over step_s about each sample, and its derivative by the depth."""
-    half_travel_m = np.maximum(np.abs(radial_rate_m_per_s) * step_s / 2, LEAST_TRAVEL_M)
-    ends_m = np.maximum(depth_m + np.stack([half_travel_m, -half_travel_m]), 0.0)
-    rising_m = np.minimum(ends_m, DAMPING_DEPTH_M)
-    integrals_m = ends_m + (1 - onset) * (rising_m * (rising_m / (2 * DAMPING_DEPTH_M) - 1))
-    end_shares = onset * (ends_m > 0) + (1 - onset) * rising_m / DAMPING_DEPTH_M
-    share, slope_per_m = ((signals[0] - signals[1]) / (2 * half_travel_m) for signals in (integrals_m, end_shares))
-    return share, slope_per_m
 
 
 def ring_force_n(
@@ -143,15 +125,13 @@ def ring_derivatives(
 ) -> RingDerivatives:
     """Derivatives at some motion; how the travel between samples changes with the rate is left out."""
     motion = ring_motion(values, eta_m, rate_m_per_s, step_s)
+    share = motion.damping_share
     damper_n = values[DAMPING] * motion.radial_rate_m_per_s
-    normal_by_depth = values[STIFFNESS] * (motion.depth_m > 0) + damper_n * motion.damping_share_slope_per_m
+    normal_by_depth = values[STIFFNESS] * (motion.depth_m > 0) + damper_n * share.by_depth_per_m
     normal_by_depth = normal_by_depth * motion.pushes
-    at_once_share, set_in_share = (
-        _damping_share(motion.depth_m, motion.radial_rate_m_per_s, onset, step_s)[0] for onset in (1.0, 0.0)
-    )
     radial, tangent, unit_force, normal_n = motion.radial, motion.tangent, motion.unit_force, motion.normal_n
     _, _, damping, friction, log_speed, *_ = values.tolist()
-    damping_slope = damping * motion.damping_share * motion.pushes
+    damping_slope = damping * share.acting * motion.pushes
     # of the tangential force by v_t
     friction_slope = friction * normal_n * (1 - motion.sliding_tanh**2) * np.exp(-log_speed)
     turning_slope = damping_slope * motion.tangential_rate_m_per_s / motion.radius_m
@@ -164,10 +144,10 @@ def ring_derivatives(
         [
             -normal_by_depth * unit_force,
             np.maximum(motion.depth_m, 0.0) * motion.pushes * unit_force,
-            motion.damping_share * motion.radial_rate_m_per_s * motion.pushes * unit_force,
+            share.acting * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             normal_n * motion.sliding_tanh * tangent,
             -friction_slope * motion.tangential_rate_m_per_s * tangent,
-            damping * (at_once_share - set_in_share) * motion.radial_rate_m_per_s * motion.pushes * unit_force,
+            damping * share.withheld * motion.radial_rate_m_per_s * motion.pushes * unit_force,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

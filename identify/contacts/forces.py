@@ -156,7 +156,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         # without the zeros of gauges, which are at 0 Hz
         weighed_changes = tuple(change for change in changes if change.parameter.kind is not NuisanceKind.ZERO)
         errors = StationErrors(noise_power, least_noise_power, weighed_changes, lines.correlated_line_count)
-        contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors) * lines.is_in_passband
+        contact_weights = force_weights(accelerance[force_count:] * sensor_response, errors) * lines.force_gain
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.begins_at_rest:
             start_motion = start_free_motion(responses, motion, stations, lines, sensor_response * accelerance, errors)
@@ -208,7 +208,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     )
     force_n = lines.signals(contact_force_spectra, kept_count)
     slow_n_per_m = slow_stiffness(rig, weighed.responses)
-    if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
+    if record.is_single_mass:
         spectral_force_n, force_n = force_n, _force_on_mass(rig, motion, decimation)[:, :kept_count]
         # so that a mass is in proportion to the force that it tells
         force_shares = nuisances.force_n @ spectral_force_n[0] / max(float(np.sum(spectral_force_n**2)), 1e-300)

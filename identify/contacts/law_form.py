@@ -8,17 +8,21 @@ stop and its reference depth d,
 where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at once, p = 1 except for a power law, and
 a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and its damping acts always,
 f = k eta + c rate. It may stand alone or beside stops between the same places.
+
+A damper sets in within less time than passes between samples. Where these are a time step_s apart, what acts of it is
+the mean over that time about each, with a depth that is linear in time: single values of so short a pulse would be
+noise, which makes its size come out too small.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from msgspec.structs import replace
 
 from rig.model.contact_laws import ContactLaw, DeadZone
+from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.parameters import Parameter, ParameterSet
 
 LAW = ParameterSet(
@@ -50,6 +54,8 @@ NominalLaws = Float[np.ndarray, "contacts 4"]
 FormName = Literal["dead zone", "power law", "cannot pull", "spring", "annular"]
 EXPONENT_RANGE = (1.0, 3.0)
 """Range of the exponent of a `DeadZone`."""
+LEAST_TRAVEL_M = 1e-12
+"""Least travel between samples over which a mean is taken."""
 
 Signal = Float[np.ndarray, "*samples"]
 
@@ -88,47 +94,55 @@ class LawForm:
         is_law_within = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
         return bool(is_law_within and least_exponent <= self.exponent(law_parameters) <= most_exponent)
 
-    def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0) -> Signal:
+    def force_n(
+        self,
+        law_parameters: LawParameters,
+        eta_m: Signal,
+        rate_m_per_s: Signal,
+        onset: float = 0.0,
+        step_s: float = 0.0,
+    ) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
         each."""
         force = np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset, step_s):
             force += contribution.force_n
         return force
 
-    def slopes(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
-        """Derivatives of the force by displacement (N/m) and by velocity (N s/m)."""
-        by_displacement, by_velocity = np.zeros_like(eta_m), np.zeros_like(eta_m)
+    def stiffness_n_per_m(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        """Derivative of the springs' force by displacement."""
+        stiffness_n_per_m = np.zeros_like(eta_m)
         for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            by_displacement += contribution.slope_n_per_m
-            by_velocity += contribution.damping_n_s_per_m * contribution.is_closed
-        return by_displacement, by_velocity
-
-    def by_onset_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        """Derivative of the force by the onset of the damping, N."""
-        derivative_n = np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            derivative_n += contribution.damping_n_s_per_m * contribution.is_closed * contribution.withheld_m_per_s
-        return derivative_n
+            stiffness_n_per_m += contribution.stiffness_n_per_m
+        return stiffness_n_per_m
 
     def derivatives(
-        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
-    ) -> list[Signal]:
-        """Derivatives of the force by every parameter of the law."""
-        by_parameters, by_exponent = [], np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
-            by_lower_clearance = contribution.slope_n_per_m * (contribution.depth_m < 0)
-            by_upper_clearance = by_lower_clearance - contribution.slope_n_per_m
-            unit_forces_of_closed = (contribution.unit_spring_m, contribution.unit_damper_m_per_s)
-            by_parameters += [by_lower_clearance, by_upper_clearance]
-            by_parameters += [unit_force * contribution.is_closed for unit_force in unit_forces_of_closed]
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float
+    ) -> Float[np.ndarray, "derivatives *samples"]:
+        """Derivatives of the force by displacement (N/m), by velocity (N s/m), by the onset, and by every parameter of
+        the law; how the travel between samples changes with the velocity is left out."""
+        by_eta, by_rate, by_onset, by_exponent = np.zeros((4, *eta_m.shape))
+        by_parameters = list[Signal]()
+        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset, step_s):
+            slope_n_per_m = part.stiffness_n_per_m + part.edge_n_per_m
+            by_eta += slope_n_per_m
+            by_rate += part.damping_n_s_per_m * part.damping_share
+            by_onset += part.damping_n_s_per_m * part.withheld_share * rate_m_per_s
+            by_parameters += [slope_n_per_m * part.is_lower, -slope_n_per_m * ~part.is_lower]
+            by_parameters += [part.spring_m, part.damper_m_per_s]
             if self.exponent_count:
-                depth_ratio = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += contribution.stiffness_n_per_m * contribution.unit_spring_m * np.log(depth_ratio)
-        return [*by_parameters, by_exponent] if self.exponent_count else by_parameters
+                depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += part.spring_n_per_m * part.spring_m * np.log(depth_ratio)
+        by_law = [*by_parameters, by_exponent] if self.exponent_count else by_parameters
+        return np.stack([by_eta, by_rate, by_onset, *by_law])
 
     def contributions(
-        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
+        self,
+        law_parameters: LawParameters,
+        eta_m: Signal,
+        rate_m_per_s: Signal,
+        onset: float = 0.0,
+        step_s: float = 0.0,
     ) -> "Iterator[ContactContribution]":
         """Contributions of the contacts to the force."""
         exponent = self.exponent(law_parameters)
@@ -142,39 +156,83 @@ class LawForm:
                 exponent=exponent,
                 reference_depth_m=self.reference_depth_m,
             )
-            unit_damper = replace(unit_spring, stiffness_n_per_m=0.0, damping_n_s_per_m=1.0)
-            depth_m, spring_m = unit_spring.penetration_m(eta_m), unit_spring.force_n(eta_m)
-            damper_m_per_s, is_closed = unit_damper.force_n(eta_m, rate_m_per_s), depth_m != 0
-            if contact_index in self.spring_indices:
-                damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
-            withheld_m_per_s = rate_m_per_s * is_closed - damper_m_per_s
-            damper_m_per_s = damper_m_per_s + onset * withheld_m_per_s
-            if self.name == "cannot pull":
-                is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
-            slope_n_per_m = stiffness * unit_spring.by_eta_n_per_m(eta_m) * is_closed
-            yield ContactContribution(
-                depth_m, spring_m, damper_m_per_s, withheld_m_per_s, stiffness, damping, slope_n_per_m, is_closed
+            is_lower, spring_m = eta_m < (upper_m - lower_m) / 2, unit_spring.force_n(eta_m)
+            share = DampingShare(np.ones_like(eta_m), np.zeros_like(eta_m), np.zeros_like(eta_m))
+            if contact_index not in self.spring_indices:
+                distance_m = np.where(is_lower, -lower_m - eta_m, eta_m - upper_m)
+                share = damping_share(distance_m, rate_m_per_s, onset, step_s)
+            contribution = ContactContribution(
+                spring_n_per_m=stiffness,
+                damping_n_s_per_m=damping,
+                rate_m_per_s=rate_m_per_s,
+                is_lower=is_lower,
+                depth_m=unit_spring.penetration_m(eta_m),
+                spring_m=spring_m,
+                damping_share=share.acting,
+                withheld_share=share.withheld,
+                stiffness_n_per_m=stiffness * unit_spring.by_eta_n_per_m(eta_m),
+                edge_n_per_m=damping * rate_m_per_s * np.where(is_lower, -1, 1) * share.by_depth_per_m,
             )
+            yield contribution.without_pull() if self.name == "cannot pull" else contribution
+
+
+class DampingShare(NamedTuple):
+    """Share of a damping that acts, what it lacks until it has set in, and the derivative of the former by depth."""
+
+    acting: Signal
+    withheld: Signal
+    by_depth_per_m: Signal
+
+
+def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float) -> DampingShare:
+    """Share of a damping that acts at a signed distance beyond a wall, as its mean over step_s about each sample."""
+    half_travel_m = np.maximum(np.abs(rate_m_per_s) * (step_s / 2), LEAST_TRAVEL_M)
+    is_closed = (distance_m > 0).astype(float)
+    acting, withheld, by_depth_per_m = is_closed, np.zeros_like(is_closed), np.zeros_like(is_closed)
+    is_near = np.abs(distance_m) < half_travel_m + DAMPING_DEPTH_M
+    half_travel_m = half_travel_m[is_near]
+    ends_m = np.maximum(distance_m[is_near] + np.stack([half_travel_m, -half_travel_m]), 0.0)
+    rising_m = np.minimum(ends_m, DAMPING_DEPTH_M)
+    withheld_m, end_shares = rising_m * (1 - rising_m / (2 * DAMPING_DEPTH_M)), rising_m / DAMPING_DEPTH_M
+    end_shares += onset * ((ends_m > 0) - end_shares)
+    differences = np.stack([ends_m - (1 - onset) * withheld_m, withheld_m, end_shares])
+    acting[is_near], withheld[is_near], by_depth_per_m[is_near] = (differences[:, 0] - differences[:, 1]) / (
+        2 * half_travel_m
+    )
+    return DampingShare(acting, withheld, by_depth_per_m)
 
 
 @dataclass(frozen=True)
 class ContactContribution:
-    """Force of one contact: depth, forces of unit stiffness and of unit damping, what the latter lacks until the
-    damping has set in (withheld), derivative by the displacement."""
+    """Force of one contact: stiffness and damping of the law, force of unit stiffness, shares of the damping that act
+    and that do not yet (withheld), derivatives by the displacement of the spring's force and of the damper's, which the
+    moment of contact moves (edge)."""
 
-    depth_m: Signal
-    unit_spring_m: Signal
-    unit_damper_m_per_s: Signal
-    withheld_m_per_s: Signal
-    stiffness_n_per_m: float
+    spring_n_per_m: float
     damping_n_s_per_m: float
-    slope_n_per_m: Signal
-    is_closed: Bool[np.ndarray, "*samples"]
+    rate_m_per_s: Signal
+    is_lower: Bool[np.ndarray, "*samples"]
+    depth_m: Signal
+    spring_m: Signal
+    damping_share: Signal
+    withheld_share: Signal
+    stiffness_n_per_m: Signal
+    edge_n_per_m: Signal
+
+    @property
+    def damper_m_per_s(self) -> Signal:
+        """Force of unit damping."""
+        return np.asarray(self.damping_share * self.rate_m_per_s)
 
     @property
     def force_n(self) -> Signal:
-        force = self.stiffness_n_per_m * self.unit_spring_m + self.damping_n_s_per_m * self.unit_damper_m_per_s
-        return np.asarray(force * self.is_closed)
+        return np.asarray(self.spring_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper_m_per_s)
+
+    def without_pull(self) -> "ContactContribution":
+        """Contribution of stops that do not draw back what leaves them."""
+        pushes = self.force_n * self.depth_m > 0
+        masked_names = ("spring_m", "damping_share", "withheld_share", "stiffness_n_per_m", "edge_n_per_m")
+        return replace(self, **{name: getattr(self, name) * pushes for name in masked_names})
 
 
 DEAD_ZONE, SPRING = LawForm(), LawForm("spring", spring_indices=(0,))
@@ -189,4 +247,4 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [force for part in contributions for force in (part.unit_spring_m, part.unit_damper_m_per_s)]
+    return [force for part in contributions for force in (part.spring_m, part.damper_m_per_s)]

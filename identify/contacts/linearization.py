@@ -15,7 +15,7 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
-from identify.signals.law_evaluation import evaluated_law
+from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches, law_step_s
 from identify.signals.spectra import at_force_rate
 
 CHUNK_SAMPLES = 1 << 14
@@ -122,7 +122,7 @@ def state_at(
     nuisance_pulls, onset = pulls[:-1], float(pulls[-1])
     eta, velocity = corrected_motion(record, knots, nuisance_pulls)
     law_force_n = evaluated_law(
-        partial(form.force_n, law_parameters, onset=onset),
+        partial(form.force_n, law_parameters, onset=onset, step_s=law_step_s(record.sample_rate_hz)),
         np.stack([eta, velocity]),
         record.sample_rate_hz,
         record.decimation,
@@ -131,7 +131,7 @@ def state_at(
     unexplained_n -= law_force_n[: record.force_n.size]
     force_residual_n = unexplained_n / (1 - nuisance_pulls @ record.force_noise_multiple)
     residual_n = force_residual_n - ground_n_per_m(record) @ knots
-    tangent_n_per_m = _low_passed(record, form.slopes(law_parameters, eta, velocity)[0])
+    tangent_n_per_m = _low_passed(record, form.stiffness_n_per_m(law_parameters, eta, velocity))
     return FitState(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
 
 
@@ -165,12 +165,15 @@ def _weighted_sum(
 def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     """Jacobian of the fitted force at a state."""
     eta, velocity = corrected_motion(record, state.knots, state.nuisance_pulls)
-    by_displacement, by_velocity = state.form.slopes(state.law_parameters, eta, velocity)
-    by_law = state.form.derivatives(state.law_parameters, eta, velocity, state.onset)
-    law_by_knots = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
+    law = partial(
+        state.form.derivatives, state.law_parameters, onset=state.onset, step_s=law_step_s(record.sample_rate_hz)
+    )
+    batches = finer_signal_batches(np.stack([eta, velocity]), record.sample_rate_hz)
+    by_displacement, by_velocity, *by_law = evaluated_on_batches(law, batches, eta.size, record.sample_rate_hz)
+    by_onset_n, *by_law = (_low_passed(record, derivative) for derivative in by_law)
+    law_by_knots = diags(_low_passed(record, by_displacement)) @ record.at_force_samples(record.drift_spline.value)
     ground_matrix, drift_force_n = ground_n_per_m(record), law_by_knots @ state.knots
     force_residual_n = state.residual_n + ground_matrix @ state.knots
-    by_onset_n = _low_passed(record, state.form.by_onset_n(state.law_parameters, eta, velocity))
     by_pulls = np.concatenate([record.nuisance_n, by_onset_n[None]], dtype=np.float32, casting="same_kind")
     for k, noise_multiple in enumerate(record.force_noise_multiple):
         by_pulls[k] -= noise_multiple * force_residual_n
@@ -185,7 +188,7 @@ def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     return Jacobian(
         by_knots=motion_gain / force_gain * law_by_knots + ground_matrix,
         by_pulls=by_pulls.T,
-        by_law=np.stack([_low_passed(record, column) for column in by_law], axis=1) / force_gain,
+        by_law=np.stack(by_law, axis=1) / force_gain,
     )
 
 

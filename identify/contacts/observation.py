@@ -56,6 +56,11 @@ class SeparationInput:
         return SpectralLines(self.decimation * next_fast_len(padded_samples, real=True), self.decimation, rate_hz)
 
     @property
+    def is_single_mass(self) -> bool:
+        """True for one mass with one contact, whose accelerometer alone tells the contact force."""
+        return bool(self.rig.bodies[0].is_mass) and len(self.rig.bodies) == len(self.rig.contacts) == 1
+
+    @property
     def eta_signs(self) -> Float[np.ndarray, "contacts stations"]:
         """Signs of the stations' displacements in the relative ones."""
         stations = self.motion.stations
@@ -64,7 +69,7 @@ class SeparationInput:
 
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
     """Rows of the stations: displacements on slow lines where their zero is known, measured and the body is held, and
-    wherever the sensor of the displacement is quieter than that of the acceleration."""
+    wherever the sensor of the displacement is quieter than that of the acceleration, but on a single mass."""
     motion, omega = record.motion, lines.omega
     sensor_pairs = list(zip(motion.sensors, motion.displaced_by, strict=True))
     orders = np.array([[sensor.measures.order, displaced.measures.order] for sensor, displaced in sensor_pairs])
@@ -75,6 +80,7 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     base_order = motion.base.displaced_by.measures.order if motion.base else None
     has_both_sensors = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
     is_quieter = has_both_sensors[:, None] & ~lines.is_slow & (variance_by_displacement < variance_by_acceleration)
+    is_quieter &= not record.is_single_mass
     shows_zero = motion.zero_known & is_held & (orders[:, 1] == 0)
     is_in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
     scale_per_s2 = np.where(is_quieter.any(axis=1), np.max(omega * is_quieter, axis=1) ** 2, 1.0)

@@ -34,6 +34,9 @@ LEAST_FORCE_BAND_HZ = 64.0
 the low-pass rings over some periods of its corner, by what the force has there."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
+EDGE_SAMPLES = 32
+"""Samples of the force at the end of a record that are not fitted: there a law, low-passed, lacks what follows. Set by
+hand: later ones are within the noise."""
 LEAST_RECORD_S = 1.0
 """Least usable length of a record."""
 WELCH_SEGMENT_S, NOISE_POWER_RATIO = 1.0, 4.0
@@ -228,6 +231,7 @@ def _contact_records(
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
     sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.sample_count)
+    fitted = slice(forces.force_n.shape[1] - EDGE_SAMPLES)
     eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
     velocity_m_per_s = signals_across_contacts(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
@@ -252,7 +256,7 @@ def _contact_records(
                 eta_m=eta_m[j, :sample_count],
                 velocity_m_per_s=velocity_m_per_s[j, :sample_count],
                 sample_rate_hz=motion.sample_rate_hz,
-                force_n=forces.force_n[j],
+                force_n=forces.force_n[j, fitted],
                 decimation=forces.decimation,
                 quiet_deviation_n=float(quiet_deviation_n[j]),
                 noise_n=float(forces.noise_n[j]),
@@ -260,7 +264,7 @@ def _contact_records(
                 eta_noise_m=float(forces.slow_motion.eta_noise_m[j]) if forces.slow_motion else 0.0,
                 drift=drift,
                 drift_spline=spline(sample_count, motion.sample_rate_hz, drift),
-                nuisance_n=nuisances.force_n[:, j],
+                nuisance_n=nuisances.force_n[:, j, fitted],
                 force_noise_multiple=nuisances.force_noise_multiple[:, j],
                 eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, j],
                 shifts_eta=shifts_eta,

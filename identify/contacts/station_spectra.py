@@ -16,6 +16,7 @@ from identify.linear.nuisance import Change, elastic_modes, mode_count_near_band
 from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
+from identify.signals.spectra import edge_gain
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.sensing import PASSBAND
@@ -56,9 +57,10 @@ class SpectralLines:
         return self.omega < 2 * np.pi * CORNER_HZ
 
     @property
-    def is_in_passband(self) -> Bool[np.ndarray, " lines"]:
-        """Lines below which the sensors' own filters do not act."""
-        return self.omega <= 2 * np.pi * PASSBAND * self.rate_hz
+    def force_gain(self) -> Float[np.ndarray, " lines"]:
+        """Gain of the low-pass of forces (`at_force_rate`)."""
+        band_end_hz = min(PASSBAND, 0.5 / self.decimation) * self.rate_hz
+        return edge_gain(self.omega / (2 * np.pi * band_end_hz))
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """Spectra of signals with a tapered end and silence behind it, so that ringing does not wrap to the start."""

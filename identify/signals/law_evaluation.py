@@ -6,6 +6,7 @@ interpolated to LAW_RATE_HZ without new frequencies, and the law's results are l
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +35,11 @@ Law = Callable[..., Float[np.ndarray, "*results blocks fine"]]
 def oversampling(sample_rate_hz: float) -> int:
     """Factor of the rate at which a law is evaluated, over a recording's."""
     return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), MAX_OVERSAMPLING)
+
+
+def law_step_s(sample_rate_hz: float) -> float:
+    """Time between the samples at which a law is evaluated, s."""
+    return 1 / (sample_rate_hz * oversampling(sample_rate_hz))
 
 
 def product_rate_multiple(sample_rate_hz: float, decimation: int) -> int:
@@ -115,8 +121,10 @@ def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, decimati
 def penetration(
     eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float, sample_rate_hz: float
 ) -> Float[np.ndarray, " samples"]:
-    """Dead zone of a band-limited relative displacement."""
-    return evaluated_law(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
+    """Dead zone of a band-limited relative displacement, up to half its rate."""
+    batches = finer_signal_batches(eta_m[None], sample_rate_hz)
+    law = partial(penetration_m, lower_clearance_m=lower_m, upper_clearance_m=upper_m)
+    return evaluated_on_batches(law, batches, eta_m.size, sample_rate_hz)
 
 
 def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Float[np.ndarray, "rows blocks fine"]:

@@ -16,6 +16,8 @@ WINDOW_EXPONENTS = {"hann": 2, "sin4": 4, "sin6": 6}
 """Exponent p of the window sin^p, by its name."""
 RAMP_SAMPLES = 512
 """Samples over which a resampled signal is led to zero at its ends."""
+EDGE_SHARE = 0.9
+"""Share of a band from which on a low-pass falls. Set by hand: its ringing is below the noise after some samples."""
 
 
 class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -149,8 +151,11 @@ def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Flo
     return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
-def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
-    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
+def decimated(
+    signals: Float[np.ndarray, "*rows samples"], factor: int, is_tapered: bool = False
+) -> Float[np.ndarray, "*rows fewer"]:
+    """Every factor-th sample after a low-pass at half the new rate, ideal or tapered by `edge_gain`; the ends of a
+    record are smoothed."""
     if factor == 1:
         return signals
     ramped = _ramped(signals, factor)
@@ -159,20 +164,31 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
     low_spectra = np.einsum("pk,...pk->...k", _phase_factors(new_length, factor), scipy.fft.rfft(subsequences))
     if new_length % 2 == 0:
         low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
+    if is_tapered:
+        low_spectra *= edge_gain(np.linspace(0, 1, new_length // 2 + 1))
     new_count = -(-signals.shape[-1] // factor)
     return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
 
 
 def at_force_rate(signals: Float[np.ndarray, "*rows samples"], decimation: int) -> Float[np.ndarray, "*rows fewer"]:
-    """Every `decimation`-th sample of signals, low-passed as separated forces are: at half the new rate, or, if that is
-    the recorded one, at `PASSBAND` of it, above which the sensors' own filters act."""
+    """Every `decimation`-th sample of signals, low-passed as separated forces are: to half the new rate, or, if that is
+    the recorded one, to `PASSBAND` of it, above which the sensors' own filters act; both by `edge_gain`."""
     if decimation > 1:
-        return decimated(signals, decimation)
+        return decimated(signals, decimation, is_tapered=True)
     ramped = _ramped(signals, 1)
     spectra = scipy.fft.rfft(ramped)
-    spectra[..., int(PASSBAND * ramped.shape[-1]) + 1 :] = 0
+    spectra *= edge_gain(np.linspace(0, 0.5 / PASSBAND, spectra.shape[-1]))
     low_passed = scipy.fft.irfft(spectra, ramped.shape[-1])
     return np.asarray(low_passed[..., RAMP_SAMPLES : RAMP_SAMPLES + signals.shape[-1]])
+
+
+def edge_gain(band_share: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " lines"]:
+    """Gain of a low-pass at shares of its band: 1, and from `EDGE_SHARE` on a cosine that falls to 0 at its end.
+
+    An ideal low-pass rings at its edge for the whole record, of what the record's ends cut off.
+    """
+    falling_share = np.clip((band_share - EDGE_SHARE) / (1 - EDGE_SHARE), 0.0, 1.0)
+    return np.asarray(np.cos(np.pi / 2 * falling_share) ** 2)
 
 
 @lru_cache(maxsize=4)

@@ -64,7 +64,7 @@ def outcomes(rig, rms_n, folder, duration_s=12.0):
 def test_a_spring_between_the_places_of_a_stop_is_found_with_it(quantity, stiffness_n_per_m, tmp_path):
     """The spring may be softer than the stop or stiffer."""
     rig = beside(one_mass(4e-4, quantity=quantity), Spring(stiffness_n_per_m=stiffness_n_per_m, damping_n_s_per_m=5.0))
-    strut, stop = outcomes(rig, 20.0, tmp_path).report.contacts
+    strut, stop = outcomes(rig, 20.0, tmp_path, 24.0).report.contacts
     assert (strut.law, stop.law) == ("spring", "dead zone")
     for estimate, true in (
         (strut.stiffness_n_per_m, stiffness_n_per_m),

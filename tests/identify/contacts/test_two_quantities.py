@@ -14,7 +14,7 @@ from identify.pages.wording import COVERED
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
 from tests.campaigns.spoiling.alteration import mapped
-from tests.campaigns.topologies import RIGS, recorded
+from tests.campaigns.topologies import RIGS, Topology, one_mass, recorded
 
 CASE = RIGS["cantilever with a stop at its tip"]
 TIP = CASE.rig.contacts[0].at
@@ -51,6 +51,25 @@ def assert_answered(contacts):
 def test_the_stated_noise_of_the_forces_is_that_of_the_quiet_second(recording):
     (record,) = separate(recording, "auto", LABORATORY).records
     assert record.noise_n == pytest.approx(record.quiet_deviation_n, rel=0.2)
+
+
+def test_the_force_on_a_single_mass_has_the_errors_of_its_accelerometer(tmp_path):
+    """Its displacement sensor, though quieter, moves the relative displacement alone."""
+    rig = one_mass(1e-3, frequency_hz=0.0, damping_ratio=0.0)
+    (sensor,) = rig.sensors
+    sensors = tuple(
+        replace(sensor, name=quantity, quantity=quantity, noise_density=density)
+        for quantity, density in DENSITIES.items()
+    )
+    path = recorded(Topology(replace(rig, sensors=sensors), 6.0, ""), tmp_path / "r.mcap", duration_s=8.0)
+    separation = separate(read(path), "auto", LABORATORY)
+    ((record,), parameters) = separation.records, separation.forces.nuisances.parameters
+    by_name = dict(zip((p.name for p in parameters), record.nuisance_n, strict=True))
+    assert np.std(by_name["gain of acceleration"]) > 0.5 * LABORATORY.gain * np.std(record.force_n)
+    assert not np.any(by_name["gain of displacement"])
+    assert not np.any(by_name["delay of displacement"])
+    shifted = {p.name for p, shifts in zip(parameters, record.shifts_eta, strict=True) if shifts}
+    assert {"gain of displacement", "delay of displacement"} <= shifted
 
 
 def test_a_clearance_is_found_by_both_sensors_and_no_worse_than_by_displacements(recording):

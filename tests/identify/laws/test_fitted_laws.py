@@ -12,7 +12,7 @@ from identify.laws.fitted_laws import (
     sliding_friction,
     straight_pieces,
 )
-from identify.signals.spectra import decimated
+from identify.signals.spectra import at_force_rate, decimated
 from tests.identify.laws.test_identification import LOWER_M, SECONDS, STIFFNESS, UPPER_M, gap, mass_with, motion_m
 
 LAW = SlidingFriction(upper_n=9.0, lower_n=6.0, backlash_m=1.2e-3, stiffness_n_per_m=2e4)
@@ -20,10 +20,10 @@ NAMES = ("upper_n", "lower_n", "backlash_m", "stiffness_n_per_m")
 
 
 def observed(law, noise_n=0.0, rate_hz=256, seed=0):
-    """A law's force for 40 s, low-passed to half the rate from 65536 Hz."""
+    """A law's force for 40 s, low-passed from 65536 Hz as separated forces are."""
     fine, factor = 16, 4096 // rate_hz
     eta = motion_m(np.arange(40 * fine * 4096) / (fine * 4096))[0]
-    force = decimated(law(eta), fine * factor)
+    force = at_force_rate(decimated(law(eta), fine), factor)
     return ForceSamples(
         eta[::fine], force + noise_n * np.random.default_rng(seed).standard_normal(force.size), 4096.0, factor
     )
@@ -95,7 +95,7 @@ def test_its_standard_errors_are_those_of_the_noise():
     scores = []
     fine = 16
     eta = motion_m(np.arange(24 * fine * 4096) / (fine * 4096))[0]
-    clean = decimated(LAW(eta), fine * 16)
+    clean = at_force_rate(decimated(LAW(eta), fine), 16)
     for seed in range(4):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(clean.size)
         friction = sliding_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))

@@ -133,6 +133,15 @@ def test_decimation_keeps_what_the_new_rate_can_show_and_no_more(factor):
         np.testing.assert_allclose(row[INSIDE], passed[::factor][INSIDE], atol=2e-3)
 
 
+@pytest.mark.parametrize("factor", [1, 6])
+def test_the_end_of_a_record_rings_in_its_last_samples_alone(factor):
+    """What comes behind the end is not known; an ideal low-pass carries that through the whole record."""
+    whole = np.random.default_rng(1).standard_normal(12000)
+    difference = at_force_rate(whole[:9000], factor) - at_force_rate(whole, factor)[: 9000 // factor]
+    assert np.std(difference[-8:]) > 0.03
+    assert np.std(difference[:-64]) < 1e-3  # 5e-3 and more by an ideal one
+
+
 def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
     duration_s, low, high, share = 20.0, 20.0, 80.0, 0.01
     samples = int(duration_s * RATE_HZ)
