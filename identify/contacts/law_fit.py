@@ -297,7 +297,7 @@ def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[n
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
     eta, rate = (record.at_force_samples(signal) for signal in fit.motion)
-    depth_m, is_closed = fit.depth_m(eta), state.form.stiffness_n_per_m(state.law_parameters, eta, rate) > 0
+    depth_m, is_closed = fit.depth_m(eta), state.form.tangent_n_per_m(state.law_parameters, eta, rate) > 0
     is_deep = np.abs(depth_m) > np.median(np.abs(depth_m[is_closed])) if is_closed.any() else is_closed
     is_growing = depth_m * rate > 0
     return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]

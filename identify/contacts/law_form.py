@@ -109,12 +109,12 @@ class LawForm:
             force += contribution.force_n
         return force
 
-    def stiffness_n_per_m(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    def tangent_n_per_m(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """Derivative of the springs' force by displacement."""
-        stiffness_n_per_m = np.zeros_like(eta_m)
+        tangent_n_per_m = np.zeros_like(eta_m)
         for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
-            stiffness_n_per_m += contribution.stiffness_n_per_m
-        return stiffness_n_per_m
+            tangent_n_per_m += contribution.spring_by_eta_n_per_m
+        return tangent_n_per_m
 
     def derivatives(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float
@@ -124,15 +124,15 @@ class LawForm:
         by_eta, by_rate, by_onset, by_exponent = np.zeros((4, *eta_m.shape))
         by_parameters = list[Signal]()
         for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset, step_s):
-            slope_n_per_m = part.stiffness_n_per_m + part.edge_n_per_m
+            slope_n_per_m = part.spring_by_eta_n_per_m + part.damper_by_eta_n_per_m
             by_eta += slope_n_per_m
-            by_rate += part.damping_n_s_per_m * part.damping_share
-            by_onset += part.damping_n_s_per_m * part.withheld_share * rate_m_per_s
+            by_rate += part.law_damping_n_s_per_m * part.damping_share
+            by_onset += part.law_damping_n_s_per_m * part.withheld_share * rate_m_per_s
             by_parameters += [slope_n_per_m * part.is_lower, -slope_n_per_m * ~part.is_lower]
             by_parameters += [part.spring_m, part.damper_m_per_s]
             if self.exponent_count:
                 depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += part.spring_n_per_m * part.spring_m * np.log(depth_ratio)
+                by_exponent += part.law_stiffness_n_per_m * part.spring_m * np.log(depth_ratio)
         by_law = [*by_parameters, by_exponent] if self.exponent_count else by_parameters
         return np.stack([by_eta, by_rate, by_onset, *by_law])
 
@@ -162,16 +162,16 @@ class LawForm:
                 distance_m = np.where(is_lower, -lower_m - eta_m, eta_m - upper_m)
                 share = damping_share(distance_m, rate_m_per_s, onset, step_s)
             contribution = ContactContribution(
-                spring_n_per_m=stiffness,
-                damping_n_s_per_m=damping,
+                law_stiffness_n_per_m=stiffness,
+                law_damping_n_s_per_m=damping,
                 rate_m_per_s=rate_m_per_s,
                 is_lower=is_lower,
                 depth_m=unit_spring.penetration_m(eta_m),
                 spring_m=spring_m,
                 damping_share=share.acting,
                 withheld_share=share.withheld,
-                stiffness_n_per_m=stiffness * unit_spring.by_eta_n_per_m(eta_m),
-                edge_n_per_m=damping * rate_m_per_s * np.where(is_lower, -1, 1) * share.by_depth_per_m,
+                spring_by_eta_n_per_m=stiffness * unit_spring.by_eta_n_per_m(eta_m),
+                damper_by_eta_n_per_m=damping * rate_m_per_s * np.where(is_lower, -1, 1) * share.by_depth_per_m,
             )
             yield contribution.without_pull() if self.name == "cannot pull" else contribution
 
@@ -205,19 +205,19 @@ def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s
 @dataclass(frozen=True)
 class ContactContribution:
     """Force of one contact: stiffness and damping of the law, force of unit stiffness, shares of the damping that act
-    and that do not yet (withheld), derivatives by the displacement of the spring's force and of the damper's, which the
-    moment of contact moves (edge)."""
+    and that do not yet (withheld), and derivatives by the displacement of the spring's force and of the damper's, which
+    moves with the moment of contact."""
 
-    spring_n_per_m: float
-    damping_n_s_per_m: float
+    law_stiffness_n_per_m: float
+    law_damping_n_s_per_m: float
     rate_m_per_s: Signal
     is_lower: Bool[np.ndarray, "*samples"]
     depth_m: Signal
     spring_m: Signal
     damping_share: Signal
     withheld_share: Signal
-    stiffness_n_per_m: Signal
-    edge_n_per_m: Signal
+    spring_by_eta_n_per_m: Signal
+    damper_by_eta_n_per_m: Signal
 
     @property
     def damper_m_per_s(self) -> Signal:
@@ -226,12 +226,12 @@ class ContactContribution:
 
     @property
     def force_n(self) -> Signal:
-        return np.asarray(self.spring_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper_m_per_s)
+        return np.asarray(self.law_stiffness_n_per_m * self.spring_m + self.law_damping_n_s_per_m * self.damper_m_per_s)
 
     def without_pull(self) -> "ContactContribution":
         """Contribution of stops that do not draw back what leaves them."""
         pushes = self.force_n * self.depth_m > 0
-        masked_names = ("spring_m", "damping_share", "withheld_share", "stiffness_n_per_m", "edge_n_per_m")
+        masked_names = ("spring_m", "damping_share", "withheld_share", "spring_by_eta_n_per_m", "damper_by_eta_n_per_m")
         return replace(self, **{name: getattr(self, name) * pushes for name in masked_names})
 
 

@@ -131,7 +131,7 @@ def state_at(
     unexplained_n -= law_force_n[: record.force_n.size]
     force_residual_n = unexplained_n / (1 - nuisance_pulls @ record.force_noise_multiple)
     residual_n = force_residual_n - ground_n_per_m(record) @ knots
-    tangent_n_per_m = _low_passed(record, form.stiffness_n_per_m(law_parameters, eta, velocity))
+    tangent_n_per_m = _low_passed(record, form.tangent_n_per_m(law_parameters, eta, velocity))
     return FitState(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
 
 
