@@ -31,7 +31,7 @@ from identify.contacts.annular_law import (
     ring_force_n,
 )
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, annular_guess, interleaved
-from identify.contacts.law_fit import COST_TOLERANCE, MOST_STEPS, WEIGHT_ROUNDS
+from identify.contacts.law_fit import COST_TOLERANCE, MOST_STEPS, SETTLED_COST_FALL, WEIGHT_ROUNDS
 from identify.contacts.linearization import (
     BorderedEquations,
     Jacobian,
@@ -40,16 +40,13 @@ from identify.contacts.linearization import (
     normal_equations,
 )
 from identify.signals.gauss_newton import Step, gauss_newton
-from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches, law_step_s
+from identify.signals.law_evaluation import evaluated_law, law_step_s
 from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import at_force_rate
 
 ROUGH_RESIDUAL_SHARE = 0.02
 """Standard deviation of the residual over that of the force, before any is known."""
 FRICTION_SCALE = 0.1
-SETTLED_COST_FALL = 0.01
-"""Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
-error."""
 LAW_PULLS = [LOG_SPEED, ONSET]
 """Parameters of the law that have a prior; their pulls are the last ones."""
 LAW_PULL_COUNT = len(LAW_PULLS)
@@ -130,18 +127,9 @@ class AnnularFit:
 
     @property
     def law_slopes(self) -> RingDerivatives:
-        """Derivatives of the law along the motion, evaluated like the law and low-passed to half the recorded rate."""
-        motion, rate_hz = np.concatenate(self.motion(self.state.knots, self.state.pulls)), self.record.sample_rate_hz
-
-        def derivatives(*motion: Float[np.ndarray, "*samples"]) -> Float[np.ndarray, "12 2 *samples"]:
-            slopes = ring_derivatives(
-                self.state.values, np.stack(motion[:DIRECTIONS]), np.stack(motion[DIRECTIONS:]), law_step_s(rate_hz)
-            )
-            return np.concatenate([slopes.by_eta, slopes.by_rate, slopes.by_law])
-
-        batches = finer_signal_batches(motion, rate_hz)
-        slopes = evaluated_on_batches(derivatives, batches, motion.shape[1], rate_hz)
-        return RingDerivatives(slopes[:DIRECTIONS], slopes[DIRECTIONS : 2 * DIRECTIONS], slopes[2 * DIRECTIONS :])
+        """Derivatives of the law along the motion."""
+        motion = self.motion(self.state.knots, self.state.pulls)
+        return ring_derivatives(self.state.values, *motion, 1 / self.record.sample_rate_hz)
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""

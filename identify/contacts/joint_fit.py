@@ -229,7 +229,7 @@ def fit_joint(
             pulls=record_pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
             half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
-            form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=()),
+            form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=(), step_s=0.0),
             open_friction_n=float(np.std(record.force_n) * friction_pulls.sum()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,

@@ -33,10 +33,14 @@ from identify.contacts.linearization import (
 )
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.gauss_newton import Step, gauss_newton
+from identify.signals.law_evaluation import law_step_s
 from identify.signals.refit import refit_until_settled
 from identify.signals.scores import PART_COUNT, part_scores
 
-MOST_STEPS, WEIGHT_ROUNDS, COST_TOLERANCE = 30, 3, 1e-7
+MOST_STEPS, WEIGHT_ROUNDS, COST_TOLERANCE, ROUGH_COST_TOLERANCE = 30, 3, 1e-7, 1e-3
+SETTLED_COST_FALL = 0.01
+"""Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
+error."""
 EXPONENT_SCALE = 0.1
 
 Weights = Float[np.ndarray, " fewer"]
@@ -75,12 +79,13 @@ class LawFit:
         derivatives = jacobian(self.record, self.state)
         return derivatives, normal_equations(self.record, self.state, derivatives, self.scaled_to_laws, self.weights)
 
-    @property
-    def at_least_cost(self) -> "LawFit":
+    def at_least_cost(self, cost_tolerance: float = COST_TOLERANCE) -> "LawFit":
         """Fit at the state of least cost for its weights, by Gauss-Newton."""
-        state, *_ = gauss_newton(
-            self._with_cost(self.state), self._step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
-        )
+
+        def negligible_decrease(current: FitState) -> float:
+            return max(SETTLED_COST_FALL * self.record.samples_per_error, cost_tolerance * current.cost)
+
+        state, *_ = gauss_newton(self._with_cost(self.state), self._step_from, negligible_decrease, MOST_STEPS)
         return replace(self, state=state)
 
     def _step_from(self, state: FitState) -> Step[FitState]:
@@ -118,7 +123,7 @@ class LawFit:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
         return refit_until_settled(
-            self.reweighted, lambda fit: fit.at_least_cost.reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
+            self.reweighted, lambda fit: fit.at_least_cost().reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
         )
 
     def with_form(self, form: LawForm) -> "LawFit":
@@ -126,7 +131,7 @@ class LawFit:
         law_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
         law_parameters = np.concatenate([law_values, np.ones(form.exponent_count)])
         start_state = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=start_state).at_least_cost
+        return replace(self, state=start_state).at_least_cost()
 
     @property
     def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
@@ -157,7 +162,7 @@ def first_fit(
     form: LawForm,
 ) -> LawFit:
     """Fit of a dead zone or a spring: the best of the minima from each guess, with settled weights. The damping begins
-    as in rig.json.
+    as in rig.json, and the moments of contact are followed from that minimum on.
 
     Raises ContactRefusedError if no guess leads to a minimum.
     """
@@ -167,12 +172,16 @@ def first_fit(
         start_state = state_at(record, form, law_parameters, knots, np.append(nuisance_pulls, 0.0))
         weights = residual_weights(record, start_state, initial_noise_n)
         try:
-            fits.append(LawFit(record, free_to_laws, start_state, weights).at_least_cost)
+            fits.append(LawFit(record, free_to_laws, start_state, weights).at_least_cost(ROUGH_COST_TOLERANCE))
         except ContactRefusedError as error:
             latest_refusal = error
     if not fits:
         raise latest_refusal
-    return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
+    best_fit = min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2)))
+    state = best_fit.state
+    fine_form = replace(form, step_s=law_step_s(record.sample_rate_hz))
+    fine_state = state_at(record, fine_form, state.law_parameters, state.knots, state.pulls)
+    return replace(best_fit, state=fine_state).settled
 
 
 def is_open(state: FitState) -> Bool[np.ndarray, " fewer"]:
@@ -208,7 +217,7 @@ def fit_of_chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     """Fit of the preferred form, settled; the fit of the dead zone if no form is preferred."""
     if not form_names:
         return fit
-    base_form = LawForm(reference_depth_m=_rounded_rms_depth_m(fit))
+    base_form = LawForm(reference_depth_m=_rounded_rms_depth_m(fit), step_s=fit.state.form.step_s)
     if not base_form.reference_depth_m:
         return fit
     preferred_fit, least_square_sum = None, np.inf

@@ -9,9 +9,10 @@ where the onset o of the damping is 0 in rig.json and 1 of a damper that acts at
 a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and its damping acts always,
 f = k eta + c rate. It may stand alone or beside stops between the same places.
 
-A damper sets in within less time than passes between samples. Where these are a time step_s apart, what acts of it is
-the mean over that time about each, with a depth that is linear in time: single values of so short a pulse would be
-noise, which makes its size come out too small.
+A damper sets in within less time than passes between samples. Of samples that are a time step_s apart, what acts of it
+is the mean over that time about each, with a depth that is linear in time: single values of so short a pulse would be
+noise, which makes its size come out too small. With step_s = 0 they are single values, and the moment of contact is
+held in the derivatives, as far from the solution it would lead a fit astray.
 """
 
 from collections.abc import Iterator
@@ -69,12 +70,13 @@ def parameters_of_law(law: ContactLaw) -> Float[np.ndarray, " 4"]:
 class LawForm:
     """Form of a law. At the reference depth a power law has the force of a linear stop of the same stiffness.
 
-    spring_indices are those of the contacts that have no stops.
+    spring_indices are those of the contacts that have no stops; step_s is the time between samples, s.
     """
 
     name: FormName = "dead zone"
     reference_depth_m: float = 1e-4
     spring_indices: tuple[int, ...] = ()
+    step_s: float = 0.0
 
     @property
     def exponent_count(self) -> int:
@@ -94,18 +96,11 @@ class LawForm:
         is_law_within = np.all(values_by_contact >= LAW.bounds[0]) and np.all(values_by_contact[:, 2] > 0)
         return bool(is_law_within and least_exponent <= self.exponent(law_parameters) <= most_exponent)
 
-    def force_n(
-        self,
-        law_parameters: LawParameters,
-        eta_m: Signal,
-        rate_m_per_s: Signal,
-        onset: float = 0.0,
-        step_s: float = 0.0,
-    ) -> Signal:
+    def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
         each."""
         force = np.zeros_like(eta_m)
-        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset, step_s):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
             force += contribution.force_n
         return force
 
@@ -117,13 +112,13 @@ class LawForm:
         return tangent_n_per_m
 
     def derivatives(
-        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float
     ) -> Float[np.ndarray, "derivatives *samples"]:
         """Derivatives of the force by displacement (N/m), by velocity (N s/m), by the onset, and by every parameter of
         the law; how the travel between samples changes with the velocity is left out."""
         by_eta, by_rate, by_onset, by_exponent = np.zeros((4, *eta_m.shape))
         by_parameters = list[Signal]()
-        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset, step_s):
+        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
             slope_n_per_m = part.spring_by_eta_n_per_m + part.damper_by_eta_n_per_m
             by_eta += slope_n_per_m
             by_rate += part.law_damping_n_s_per_m * part.damping_share
@@ -137,12 +132,7 @@ class LawForm:
         return np.stack([by_eta, by_rate, by_onset, *by_law])
 
     def contributions(
-        self,
-        law_parameters: LawParameters,
-        eta_m: Signal,
-        rate_m_per_s: Signal,
-        onset: float = 0.0,
-        step_s: float = 0.0,
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal, onset: float = 0.0
     ) -> "Iterator[ContactContribution]":
         """Contributions of the contacts to the force."""
         exponent = self.exponent(law_parameters)
@@ -160,7 +150,7 @@ class LawForm:
             share = DampingShare(np.ones_like(eta_m), np.zeros_like(eta_m), np.zeros_like(eta_m))
             if contact_index not in self.spring_indices:
                 distance_m = np.where(is_lower, -lower_m - eta_m, eta_m - upper_m)
-                share = damping_share(distance_m, rate_m_per_s, onset, step_s)
+                share = damping_share(distance_m, rate_m_per_s, onset, self.step_s)
             contribution = ContactContribution(
                 law_stiffness_n_per_m=stiffness,
                 law_damping_n_s_per_m=damping,
@@ -185,7 +175,8 @@ class DampingShare(NamedTuple):
 
 
 def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float) -> DampingShare:
-    """Share of a damping that acts at a signed distance beyond a wall, as its mean over step_s about each sample."""
+    """Share of a damping that acts at a signed distance beyond a wall, as its mean over step_s about each sample; its
+    derivative is zero where step_s is."""
     half_travel_m = np.maximum(np.abs(rate_m_per_s) * (step_s / 2), LEAST_TRAVEL_M)
     is_closed = (distance_m > 0).astype(float)
     acting, withheld, by_depth_per_m = is_closed, np.zeros_like(is_closed), np.zeros_like(is_closed)
@@ -199,7 +190,7 @@ def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s
     acting[is_near], withheld[is_near], by_depth_per_m[is_near] = (differences[:, 0] - differences[:, 1]) / (
         2 * half_travel_m
     )
-    return DampingShare(acting, withheld, by_depth_per_m)
+    return DampingShare(acting, withheld, by_depth_per_m if step_s else np.zeros_like(acting))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
-from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches, law_step_s
+from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches
 from identify.signals.spectra import at_force_rate
 
 CHUNK_SAMPLES = 1 << 14
@@ -122,7 +122,7 @@ def state_at(
     nuisance_pulls, onset = pulls[:-1], float(pulls[-1])
     eta, velocity = corrected_motion(record, knots, nuisance_pulls)
     law_force_n = evaluated_law(
-        partial(form.force_n, law_parameters, onset=onset, step_s=law_step_s(record.sample_rate_hz)),
+        partial(form.force_n, law_parameters, onset=onset),
         np.stack([eta, velocity]),
         record.sample_rate_hz,
         record.decimation,
@@ -165,9 +165,7 @@ def _weighted_sum(
 def jacobian(record: ContactRecord, state: FitState) -> Jacobian:
     """Jacobian of the fitted force at a state."""
     eta, velocity = corrected_motion(record, state.knots, state.nuisance_pulls)
-    law = partial(
-        state.form.derivatives, state.law_parameters, onset=state.onset, step_s=law_step_s(record.sample_rate_hz)
-    )
+    law = partial(state.form.derivatives, state.law_parameters, onset=state.onset)
     batches = finer_signal_batches(np.stack([eta, velocity]), record.sample_rate_hz)
     by_displacement, by_velocity, *by_law = evaluated_on_batches(law, batches, eta.size, record.sample_rate_hz)
     by_onset_n, *by_law = (_low_passed(record, derivative) for derivative in by_law)

@@ -8,7 +8,12 @@ from rig.model.contact_laws import DeadZone
 
 LAW = np.array([4e-4, 6e-4, 7e4, 20.0])
 STEP_S = 1 / 16384
-FORMS = [LawForm(), LawForm("power law"), LawForm("cannot pull"), LawForm("spring", spring_indices=(0,))]
+FORMS = [
+    LawForm(step_s=STEP_S),
+    LawForm("power law", step_s=STEP_S),
+    LawForm("cannot pull", step_s=STEP_S),
+    LawForm("spring", spring_indices=(0,), step_s=STEP_S),
+]
 
 
 def motions():
@@ -49,10 +54,10 @@ def test_derivatives_are_those_of_the_force(form, onset):
     law = np.append(LAW, 1.2) if form.exponent_count else LAW
     if form.name == "spring":
         law = np.array([0.0, 0.0, 7e4, 20.0])
-    by_eta, _, by_onset, *by_law = form.derivatives(law, eta, rate, onset, STEP_S)
+    by_eta, _, by_onset, *by_law = form.derivatives(law, eta, rate, onset)
 
     def force(law=law, eta=eta, onset=onset):
-        return form.force_n(law, eta, rate, onset, STEP_S)
+        return form.force_n(law, eta, rate, onset)
 
     def assert_slope(derivative, upper, lower, step):
         slope = (upper - lower) / (2 * step)
