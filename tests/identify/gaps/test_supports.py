@@ -44,6 +44,7 @@ def recordings_of(rig, actual, duration_s, seeds):
     return [modal(rig, actual, force_n, seed) for seed, force_n in enumerate(forces)]
 
 
+@pytest.mark.study
 def test_a_tone_is_found_beside_a_damper_that_hides_it(supported_rig):
     """The damper leaves more of the motion than the tone at its line, so that the tone alone explains little."""
     actual = effect_named("ground_damper:damping_n_s_per_m=70,relative_position=0.75").applied_to(supported_rig)
