@@ -7,7 +7,6 @@ from scipy.signal import firwin, lfilter
 from identify.gaps.residual.tangent import MARGIN_SAMPLE_COUNT, LawTangent
 from identify.signals.drift import DriftPrior, spline
 from identify.signals.law_evaluation import (
-    evaluated_law,
     evaluated_on_batches,
     finer_signal_batches,
     product_rate_multiple,
@@ -49,7 +48,9 @@ def motion():
 
 def force_change_n(eta_m, change_m):
     """Central difference of the low-passed force."""
-    above, below = (evaluated_law(force_n, (eta_m + sign * 1e-4 * change_m)[None], RATE_HZ, FACTOR) for sign in (1, -1))
+    above, below = (
+        evaluated_finer(force_n, (eta_m + sign * 1e-4 * change_m)[None], RATE_HZ, FACTOR, 1) for sign in (1, -1)
+    )
     return (above - below) / 2e-4
 
 
