@@ -118,16 +118,16 @@ class LawForm:
         the law; how the travel between samples changes with the velocity is left out."""
         by_eta, by_rate, by_onset, by_exponent = np.zeros((4, *eta_m.shape))
         by_parameters = list[Signal]()
-        for part in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
-            slope_n_per_m = part.spring_by_eta_n_per_m + part.damper_by_eta_n_per_m
+        for contact in self.contributions(law_parameters, eta_m, rate_m_per_s, onset):
+            slope_n_per_m = contact.spring_by_eta_n_per_m + contact.damper_by_eta_n_per_m
             by_eta += slope_n_per_m
-            by_rate += part.law_damping_n_s_per_m * part.damping_share
-            by_onset += part.law_damping_n_s_per_m * part.withheld_share * rate_m_per_s
-            by_parameters += [slope_n_per_m * part.is_lower, -slope_n_per_m * ~part.is_lower]
-            by_parameters += [part.spring_m, part.damper_m_per_s]
+            by_rate += contact.law_damping_n_s_per_m * contact.damping_share
+            by_onset += contact.law_damping_n_s_per_m * contact.withheld_share * rate_m_per_s
+            by_parameters += [slope_n_per_m * contact.is_lower, -slope_n_per_m * ~contact.is_lower]
+            by_parameters += [contact.spring_m, contact.damper_m_per_s]
             if self.exponent_count:
-                depth_ratio = np.maximum(np.abs(part.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += part.law_stiffness_n_per_m * part.spring_m * np.log(depth_ratio)
+                depth_ratio = np.maximum(np.abs(contact.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += contact.law_stiffness_n_per_m * contact.spring_m * np.log(depth_ratio)
         by_law = [*by_parameters, by_exponent] if self.exponent_count else by_parameters
         return np.stack([by_eta, by_rate, by_onset, *by_law])
 
@@ -178,8 +178,8 @@ def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s
     """Share of a damping that acts at a signed distance beyond a wall, as its mean over step_s about each sample; its
     derivative is zero where step_s is."""
     half_travel_m = np.maximum(np.abs(rate_m_per_s) * (step_s / 2), LEAST_TRAVEL_M)
-    is_closed = (distance_m > 0).astype(float)
-    acting, withheld, by_depth_per_m = is_closed, np.zeros_like(is_closed), np.zeros_like(is_closed)
+    acting = (distance_m > 0).astype(float)
+    withheld, by_depth_per_m = np.zeros((2, *acting.shape))
     is_near = np.abs(distance_m) < half_travel_m + DAMPING_DEPTH_M
     half_travel_m = half_travel_m[is_near]
     ends_m = np.maximum(distance_m[is_near] + np.stack([half_travel_m, -half_travel_m]), 0.0)

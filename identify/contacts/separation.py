@@ -35,8 +35,7 @@ the low-pass rings over some periods of its corner, by what the force has there.
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 EDGE_SAMPLES = 32
-"""Samples of the force at the end of a record that are not fitted: there a law, low-passed, lacks what follows. Set by
-hand: later ones are within the noise."""
+"""Samples at the end of a force, at most an eighth, that are not fitted: a low-passed law lacks what follows there."""
 LEAST_RECORD_S = 1.0
 """Least usable length of a record."""
 WELCH_SEGMENT_S, NOISE_POWER_RATIO = 1.0, 4.0
@@ -230,8 +229,9 @@ def _contact_records(
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    sample_count = min(forces.force_n.shape[1] * forces.decimation, motion.sample_count)
-    fitted = slice(forces.force_n.shape[1] - EDGE_SAMPLES)
+    force_count = forces.force_n.shape[1]
+    sample_count = min(force_count * forces.decimation, motion.sample_count)
+    fitted = slice(force_count - min(EDGE_SAMPLES, force_count // 8))
     eta_m = signals_across_contacts(rig, motion, motion.displacement_m)
     velocity_m_per_s = signals_across_contacts(rig, motion, motion.velocity_m_per_s)
     records, nuisances = [], forces.nuisances
