@@ -175,8 +175,12 @@ class DampingShare(NamedTuple):
 
 
 def damping_share(distance_m: Signal, rate_m_per_s: Signal, onset: float, step_s: float) -> DampingShare:
-    """Share of a damping that acts at a signed distance beyond a wall, as its mean over step_s about each sample; its
-    derivative is zero where step_s is."""
+    """Share of a damping that acts at a signed distance d beyond a wall, as its mean over step_s about each sample:
+
+        s = (1 - o) min(1, d / 10 um) + o    for d > 0,  else 0
+
+    with the onset o, and d linear in time between samples. The derivative is zero where step_s is.
+    """
     half_travel_m = np.maximum(np.abs(rate_m_per_s) * (step_s / 2), LEAST_TRAVEL_M)
     acting = (distance_m > 0).astype(float)
     withheld, by_depth_per_m = np.zeros((2, *acting.shape))
