@@ -242,4 +242,4 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [force for part in contributions for force in (part.spring_m, part.damper_m_per_s)]
+    return [force for contact in contributions for force in (contact.spring_m, contact.damper_m_per_s)]
