@@ -127,11 +127,10 @@ class LawFit:
         )
 
     def with_form(self, form: LawForm) -> "LawFit":
-        """Fit of another form with the same weights, from this state and an exponent of one."""
+        """This state and these weights with another form, and an exponent of one; not fitted again."""
         law_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
         law_parameters = np.concatenate([law_values, np.ones(form.exponent_count)])
-        start_state = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=start_state).at_least_cost()
+        return replace(self, state=state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls))
 
     @property
     def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
@@ -178,10 +177,7 @@ def first_fit(
     if not fits:
         raise latest_refusal
     best_fit = min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2)))
-    state = best_fit.state
-    fine_form = replace(form, step_s=law_step_s(record.sample_rate_hz))
-    fine_state = state_at(record, fine_form, state.law_parameters, state.knots, state.pulls)
-    return replace(best_fit, state=fine_state).settled
+    return best_fit.with_form(replace(form, step_s=law_step_s(record.sample_rate_hz))).settled
 
 
 def is_open(state: FitState) -> Bool[np.ndarray, " fewer"]:
@@ -223,7 +219,7 @@ def fit_of_chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     preferred_fit, least_square_sum = None, np.inf
     for name in form_names:
         try:
-            alternative_fit = fit.with_form(replace(base_form, name=name))
+            alternative_fit = fit.with_form(replace(base_form, name=name)).at_least_cost()
         except ContactRefusedError:
             continue
         if is_preferred_form(fit, alternative_fit) and alternative_fit.squared_residuals.sum() < least_square_sum:

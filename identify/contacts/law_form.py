@@ -146,7 +146,7 @@ class LawForm:
                 exponent=exponent,
                 reference_depth_m=self.reference_depth_m,
             )
-            is_lower, spring_m = eta_m < (upper_m - lower_m) / 2, unit_spring.force_n(eta_m)
+            is_lower = eta_m < (upper_m - lower_m) / 2
             share = DampingShare(np.ones_like(eta_m), np.zeros_like(eta_m), np.zeros_like(eta_m))
             if contact_index not in self.spring_indices:
                 distance_m = np.where(is_lower, -lower_m - eta_m, eta_m - upper_m)
@@ -157,7 +157,7 @@ class LawForm:
                 rate_m_per_s=rate_m_per_s,
                 is_lower=is_lower,
                 depth_m=unit_spring.penetration_m(eta_m),
-                spring_m=spring_m,
+                spring_m=unit_spring.force_n(eta_m),
                 damping_share=share.acting,
                 withheld_share=share.withheld,
                 spring_by_eta_n_per_m=stiffness * unit_spring.by_eta_n_per_m(eta_m),

@@ -101,6 +101,9 @@ def show(results: list[dict[str, Any]]) -> None:
     Console(width=150).print(table)
     inside = [abs(value - true) <= half for r in results for _, (value, half, true) in answered(r)]
     print(f"{sum(inside)} of {len(inside)} clearances, stiffnesses and dampings within their 95 % intervals")
+    for quantity in ANSWERED:
+        halves = [half / true for r in results for name, (_, half, true) in answered(r) if name.endswith(quantity)]
+        print(f"half the interval of {quantity}, median: {100 * np.median(halves):.2f} %")
 
 
 def answered(result: dict[str, Any]) -> list[tuple[str, list[float]]]:
