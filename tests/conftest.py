@@ -58,10 +58,9 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item):
-    """Types and shapes of every call are checked but in long tests, where that would take two fifths of the time; what
-    they call is called by others too."""
-    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("long") is not None)
+def pytest_runtest_protocol():
+    """Types and shapes of the first calls of every function are checked in every test."""
+    tests.type_checking.begin_test()
     return (yield)
 
 
