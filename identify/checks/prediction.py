@@ -14,9 +14,13 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED_LINE_COUNT, Spectra
 from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
+from identify.linear.nuisance import ObservedSignals, elastic_modes, mode_count_near_band
+from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import Projection, projection
+from identify.linear.truncation import truncations_of
 from identify.signals.scores import INDEPENDENT_RATE_HZ
 from rig.model.description import Rig, Station
+from rig.model.tolerances import Tolerances
 
 MODEL_ERROR_SHARE = 0.03
 """Rough error of a sound model, as a share of its body's motion at a line: far more than tolerances cause."""
@@ -29,6 +33,9 @@ DRIVEN_LEVEL_SHARE = 0.05
 """A force drives the lines where it has this share of its largest level."""
 STEADY_DURATION_FACTOR = 2.0
 """Motion that lasts for half of the record is taken to last for all of it."""
+MODE_BAND_RATIO = 2.0
+"""Modes up to this multiple of the band's end may be off: the frequency of one there changes the motion at the band's
+end by 0.9 times its own relative error, which is less than `MIN_MODEL_ERROR_SHARE` for the default tolerance."""
 
 
 @dataclass(frozen=True)
@@ -197,3 +204,40 @@ def motion_duration_s(motion: Float[np.ndarray, "sensors times"], samples_per_s:
     """
     power = uniform_filter1d(np.mean(motion**2, axis=0, dtype=float), max(1, round(samples_per_s)))
     return float(min(power.size, STEADY_DURATION_FACTOR * np.sum(power) ** 2 / np.sum(power**2)) / samples_per_s)
+
+
+def observed_motion(
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
+) -> ObservedSignals:
+    """Motion as these channels show it, with the contact forces that explain it best.
+
+    Modes near the band may be off, whether or not as many sensors stand on their body.
+    """
+    sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
+    prediction, response_cache = check.prediction(channel_indices), ResponseCache(omega, 0)
+    accelerations = prediction.accelerations[channel_indices]
+    input_spectra = np.concatenate([prediction.force_spectra, prediction.contact_force_spectra])
+    body_responses = [response_of(rig, body, response_cache) for body in rig.bodies]
+    sensor_by_row, unit_response = dict(enumerate(sensors)), np.ones_like(accelerations)
+    truncations = truncations_of(
+        rig, body_responses, rig.forces, sensor_by_row, unit_response, tolerances.truncation, MODE_BAND_RATIO
+    )
+    return ObservedSignals(
+        sensors=sensors,
+        displaced_by=sensors,
+        tolerances=tolerances,
+        omega=omega,
+        sensor_response=unit_response,
+        signals=accelerations,
+        force_accelerations=check.acceleration_by_force[:, channel_indices],
+        displacements=np.zeros_like(accelerations),
+        bodies=tuple(_body_motion(rig, response, input_spectra) for response in body_responses),
+        further_changes=tuple(truncation.change(input_spectra) for truncation in truncations),
+    )
+
+
+def _body_motion(rig: Rig, response: Response, input_spectra: Complex[np.ndarray, "inputs lines"]) -> BodyMotion:
+    """Modal accelerations of a body by the forces and the contact forces."""
+    modal_force = real_product(input_shapes(rig, response, rig.forces).T, input_spectra)
+    elastic_indices = elastic_modes(response, mode_count_near_band(response, MODE_BAND_RATIO))
+    return BodyMotion(response, response.accelerance * modal_force, elastic_indices)

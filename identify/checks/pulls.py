@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.checks.findings import Cause, Finding, force_in_words
-from identify.checks.observation import observed_motion
-from identify.checks.prediction import LinearCheck, Projector
+from identify.checks.prediction import LinearCheck, Projector, observed_motion
 from identify.linear.model import real_product
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.linear.observed_motion import BodyMotion
@@ -96,7 +95,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "mass": tolerances.mass,
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
-        "modes left out at": 1.0,
+        "modes left out at": tolerances.truncation,
     }[parameter.kind]
     owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Suspect(parameter.kind, owner_name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)

@@ -5,28 +5,24 @@ A gauge at the distance h from the neutral fibre shows
     epsilon = -h w''(x) = sum_m -h phi_m''(x) q_m,   q_m = a_m / -omega^2
 
 the same modal sums as a displacement, down to 0 Hz: the slow bending that accelerometers lose. Rigid-body motion bends
-nothing. Two errors of a gauge are in no tolerance, and are nuisance parameters beside them:
-
-- A bridge has no zero of its own: the mean before the force is subtracted, with the error of a mean.
-- The sum converges slowly where a force acts nearby. The share of the highest modes in a gauge's signal, force by
-  force, is taken as the standard deviation of what the modes beyond them would add.
+nothing. Two errors of a gauge are in no tolerance, and are nuisance parameters beside them: a bridge has no zero of its
+own, so that the mean before the force is subtracted, with the error of a mean; and the sum converges slowly where a
+force acts nearby (`identify.linear.truncation`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 from msgspec.structs import replace as with_fields
 
 from identify.contacts.station_spectra import SpectralLines
-from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import CONVERGED_SHARE, Change, Nuisance, NuisanceKind
+from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, MotionQuantity, taper
 from identify.signals.noise import noise_density_and_certainty
-from rig.model.description import Rig, Sensor
+from rig.model.description import Sensor
 from rig.recording import Recording
 
 
@@ -72,47 +68,14 @@ class GaugeRows:
     zero_error: Complex[np.ndarray, "gauges lines"]
 
 
-@dataclass(frozen=True)
-class GaugeErrors:
-    """Errors of gauges that no tolerance states, as rows behind `station_count` others; truncation is per newton."""
-
-    station_count: int
-    gauge_names: tuple[str, ...]
-    force_names: tuple[str, ...]
-    zero_error: Complex[np.ndarray, "gauges lines"]
-    truncation: dict[tuple[int, int], Complex[np.ndarray, " lines"]]
-
-    def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
-        """Changes by one standard deviation of every error, given the exciting and the contact forces."""
-        first_row, gauge_names = self.station_count, self.gauge_names
-        changes = [
-            Change(Nuisance(NuisanceKind.ZERO, name), [first_row + gauge], self.zero_error[[gauge]])
-            for gauge, name in enumerate(gauge_names)
-        ]
-        for (force, gauge), signal_per_newton in self.truncation.items():
-            parameter = Nuisance(NuisanceKind.TRUNCATION, f"{gauge_names[gauge]} by {self.force_names[force]}")
-            changes.append(Change(parameter, [first_row + gauge], (signal_per_newton * input_spectra[force])[None]))
-        return tuple(changes)
-
-
-def truncation_of(
-    gauges: Sequence[Sensor],
-    rig: Rig,
-    responses: Sequence[Response],
-    gauge_response: Complex[np.ndarray, "gauges lines"],
-) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
-    """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts on
-    its body, by the indices of force and gauge."""
-    truncation_shares = {}
-    for response in responses:
-        highest = slice(int(CONVERGED_SHARE * response.mode_count), None)
-        force_shapes = input_shapes(rig, response, rig.forces)[:, highest]
-        gauge_shapes, accelerance = response.shapes(gauges)[:, highest], response.accelerance[highest]
-        force_indices, gauge_indices = (np.flatnonzero(s.any(1)).tolist() for s in (force_shapes, gauge_shapes))
-        for force_index, gauge_index in product(force_indices, gauge_indices):
-            per_newton = real_product((force_shapes[force_index] * gauge_shapes[gauge_index])[None], accelerance)[0]
-            truncation_shares[force_index, gauge_index] = gauge_response[gauge_index] * per_newton
-    return truncation_shares
+def zero_changes(
+    gauges: Sequence[Sensor], first_row: int, zero_errors: Complex[np.ndarray, "gauges lines"]
+) -> tuple[Change, ...]:
+    """Changes by one standard deviation of each gauge's zero, in rows behind `first_row` others."""
+    return tuple(
+        Change(Nuisance(NuisanceKind.ZERO, gauge.name), [first_row + index], zero_errors[[index]])
+        for index, gauge in enumerate(gauges)
+    )
 
 
 def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 
-from identify.contacts.gauges import GaugeErrors, Gauges, truncation_of
+from identify.contacts.gauges import Gauges, zero_changes
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import (
     SpectralLines,
@@ -21,9 +21,10 @@ from identify.contacts.station_spectra import (
     sensed_accelerations,
 )
 from identify.linear.model import Response
-from identify.linear.nuisance import ObservedSignals
+from identify.linear.nuisance import Change, ObservedSignals
 from identify.linear.observed_motion import ObservedBase, ObservedTransverse
 from identify.linear.slow_stiffness import has_high_passed_springs
+from identify.linear.truncation import Truncation, truncations_of
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import body_force_count
 from rig.model.description import Rig
@@ -67,6 +68,18 @@ class SeparationInput:
         return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in self.rig.contacts])
 
 
+@dataclass(frozen=True)
+class UnstatedErrors:
+    """Errors that no tolerance states: the zeros of gauges, and the modes that a description leaves out."""
+
+    zeros: tuple[Change, ...]
+    truncations: tuple[Truncation, ...]
+
+    def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
+        """Changes by one standard deviation of each, given the exciting and the contact forces."""
+        return (*self.zeros, *(truncation.change(input_spectra) for truncation in self.truncations))
+
+
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
     """Rows of the stations: displacements on slow lines where their zero is known, measured and the body is held, and
     wherever the sensor of the displacement is quieter than that of the acceleration, but on a single mass."""
@@ -95,9 +108,9 @@ def observation_of(
     responses: tuple[Response, ...],
     stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
-) -> tuple[ObservedSignals, GaugeErrors, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of the stations' rows and of strain; the errors of gauges beside the tolerances; the
-    power of the noise.
+) -> tuple[ObservedSignals, UnstatedErrors, Float[np.ndarray, "rows lines"]]:
+    """Observation by the spectra of the stations' rows and of strain; the errors that no tolerance states; the power of
+    the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
@@ -126,11 +139,12 @@ def observation_of(
         transverse=_observed_transverse(record, lines, stations),
         is_from_displacement=np.concatenate([stations.is_in_metres, np.zeros(gauge_rows.spectra.shape, dtype=bool)]),
     )
-    gauge_names = tuple(sensor.name for sensor in gauges.sensors)
-    input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
-    truncation = truncation_of(gauges.sensors, rig, responses, gauge_rows.response)
-    gauge_errors = GaugeErrors(len(signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
-    return observed, gauge_errors, np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
+    sensor_by_row = dict(enumerate(observed.sensors))
+    truncations = truncations_of(
+        rig, responses, rig.inputs, sensor_by_row, observed.sensor_response, record.tolerances.truncation
+    )
+    unstated_errors = UnstatedErrors(zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error), truncations)
+    return observed, unstated_errors, np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
 
 
 def _station_spectra(
@@ -181,10 +195,10 @@ def with_driven_modes(
     observed: ObservedSignals,
     input_spectra: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
-    gauge_errors: GaugeErrors,
+    unstated_errors: UnstatedErrors,
 ) -> ObservedSignals:
-    """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
-    and the contact forces."""
+    """Observation with the hidden modes, all held ones below a corner, and the errors that no tolerance states, driven
+    by the exciting and the contact forces."""
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
@@ -193,7 +207,7 @@ def with_driven_modes(
         driven_body_motion(rig, body.response, motion, accelerations, exciting_spectra, contact_force_spectra)
         for body in observed.bodies
     )
-    driven_signals = replace(observed, bodies=bodies, further_changes=gauge_errors.changes(input_spectra))
+    driven_signals = replace(observed, bodies=bodies, further_changes=unstated_errors.changes(input_spectra))
     return with_slow_modes(rig, driven_signals, input_spectra, corner_hz) if corner_hz else driven_signals
 
 
@@ -202,10 +216,10 @@ def with_modes_at_rest(
     observed: ObservedSignals,
     exciting_spectra: Complex[np.ndarray, "forces lines"],
     corner_hz: float,
-    gauge_errors: GaugeErrors,
+    unstated_errors: UnstatedErrors,
 ) -> ObservedSignals:
-    """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
-    contact force is known."""
+    """Observation in which held modes rest below a corner, and exciting forces alone move the modes left out, as long
+    as no contact force is known."""
     input_spectra = np.concatenate([exciting_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting_signals = replace(observed, further_changes=gauge_errors.changes(input_spectra))
+    resting_signals = replace(observed, further_changes=unstated_errors.changes(input_spectra))
     return with_slow_modes(record.rig, resting_signals, 0 * input_spectra, corner_hz) if corner_hz else resting_signals

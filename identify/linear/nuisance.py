@@ -23,8 +23,6 @@ SINGLE_FORCE_NAME = "the force"
 RECORD_NAME = "the record"
 BAND_MARGIN = 1.25
 """Modes up to this multiple of the band's end have tolerances; those beyond are taken as exact."""
-CONVERGED_SHARE = 0.4
-"""Share of a body's modes, the lowest, whose sum is certain."""
 
 
 class NuisanceKind(StrEnum):

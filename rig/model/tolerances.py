@@ -65,6 +65,10 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Frequency, relative: common to all modes of a body, and of each mode."""
     damping: float = 0.3
     """Damping ratio, relative; likewise."""
+    truncation: float = 1.0
+    """What the modes that the description leaves out add to a sensor's signal, relative to what the highest three
+    fifths of those that it has do; of every force at every place. Used by `identify check` and `contact`, and of
+    strain gauges by `gap`."""
     clearance: float = 0.01
     stiffness: float = 0.01
     contact_damping_s: float = 1e-5
@@ -117,6 +121,7 @@ EXACT = Tolerances(
     mass=0.0,
     frequency=0.0,
     damping=0.0,
+    truncation=0.0,
     clearance=0.0,
     stiffness=0.0,
     contact_damping_s=0.0,

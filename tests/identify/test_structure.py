@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from identify.contacts import identify_contact
+from identify.contacts.acceptance import checked_contacts
 from identify.contacts.report import write_results
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import nuisance_columns_of
@@ -24,10 +25,10 @@ pytestmark = pytest.mark.long
 FINELY = np.linspace(0, 1, 401)
 
 
-def as_data(rig: Rig) -> Rig:
-    """With all modes that a beam has, finely enough for slopes; the shapes at the stations are exact in any case."""
+def as_data(rig: Rig, n: int = 40) -> Rig:
+    """With all modes that a beam has, or the first n, finely enough for slopes; exact at the stations in any case."""
     bodies = tuple(
-        structure_of(b.name, b.length_m, b.frequencies_hz(40), b.damping_ratios(40), FINELY, b.shapes(FINELY, 40))
+        structure_of(b.name, b.length_m, b.frequencies_hz(n), b.damping_ratios(n), FINELY, b.shapes(FINELY, n))
         for b in rig.bodies
     )
     return msgspec.structs.replace(rig, bodies=bodies)
@@ -62,6 +63,18 @@ def test_contacts_come_out_the_same_to_rounding(identified, use):
         for a, b in zip(one.stiffness, other.stiffness, strict=True):
             assert a.mean_n_per_m.value == pytest.approx(b.mean_n_per_m.value, rel=1e-6)
     assert [m.frequency_hz for m in data.modes] == pytest.approx([m.frequency_hz for m in beams.modes], rel=1e-6)
+
+
+def test_modes_left_out_are_in_the_intervals(recordings):
+    beams, _ = recordings
+    seven_modes = Recording(as_data(beams.rig, 7), beams.signals, beams.provenance)
+    pulls = []
+    for tolerances in (LABORATORY, msgspec.structs.replace(LABORATORY, truncation=0.0)):
+        estimates = checked_contacts(seven_modes, "acceleration", tolerances).outcomes.estimates
+        assert len(estimates) == 2
+        pulls.append([(e.stiffness_n_per_m - 1e5) / e.errors[2] for e in estimates.values()])
+    assert np.abs(pulls[0]).max() < 1.96
+    assert np.abs(pulls[1]).min() > 1.96
 
 
 def test_the_page_is_accessible(inaccessible, identified, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.contacts.gauges import GaugeErrors, truncation_of
+from identify.contacts.gauges import zero_changes
 from identify.gaps.residual.extent import RecordBeginning, read_sensors
 from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
@@ -19,6 +19,7 @@ from identify.gaps.residual.unfolding import IN_Z
 from identify.linear.joined import group_rig_of
 from identify.linear.model import Response, ResponseCache, responses_of
 from identify.linear.nuisance import Change
+from identify.linear.truncation import truncations_of
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
 
@@ -92,11 +93,10 @@ def gauge_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:
         return ()
     measured_forces_n = [force_n for _, force_n in model.known_forces[: len(rig.forces)]]
     unit_zero = -(record.omega**2) * record.spectrum(np.ones(record.sample_count))
-    errors = GaugeErrors(
-        motion_count,
-        tuple(gauge.name for gauge in gauges),
-        (*rig.force_names, *(contact.name for contact in rig.contacts)),
-        np.outer(record.zero_errors[motion_count:], unit_zero),
-        truncation_of(gauges, rig, model.responses, model.sensor_response[motion_count:]),
+    zeros = zero_changes(gauges, motion_count, np.outer(record.zero_errors[motion_count:], unit_zero))
+    gauge_by_row = dict(enumerate(gauges, motion_count))
+    truncations = truncations_of(
+        rig, model.responses, rig.forces, gauge_by_row, model.sensor_response, record.tolerances.truncation
     )
-    return errors.changes(np.stack([*measured_forces_n, *model.contact_force_n]))
+    input_spectra = np.stack([*measured_forces_n, *model.contact_force_n])
+    return (*zeros, *(truncation.change(input_spectra) for truncation in truncations))

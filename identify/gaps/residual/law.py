@@ -21,8 +21,8 @@ from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import open_contact_knots, regressed_guess
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, ForceAndEta, LawValues, Signal
-from identify.gaps.residual.tangent import LawTangent
 from identify.linear.joined import GroupLaw
+from identify.signals.law_evaluation import LawTangent
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from identify.linear.modal import ModalEquation, modal_equations, receptance
-from identify.paper.nifo import Nifo, fit_mode, nifo
+from identify.paper.nifo import Nifo, fit_mode, nifo, weights_by_line
 from identify.paper.surface import clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
-from identify.signals.regression import weights_by_line
 from identify.signals.spectra import Averaging, blocks
 from rig.errors import RigError
 from rig.recording import read

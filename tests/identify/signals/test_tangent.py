@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import firwin, lfilter
 
-from identify.gaps.residual.tangent import MARGIN_SAMPLE_COUNT, LawTangent
 from identify.signals.drift import DriftPrior, spline
 from identify.signals.law_evaluation import (
+    TANGENT_MARGIN_SAMPLES,
+    LawTangent,
     evaluated_on_batches,
     finer_signal_batches,
     product_rate_multiple,
@@ -84,7 +85,7 @@ def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     drift_m = curve.value @ coefficients
     fine_m = np.interp(np.arange(SAMPLES), FACTOR * np.arange(drift_m.size), drift_m)
     assert relative_error(columns @ coefficients, force_change_n(eta_m, 1e-3 * fine_m) / 1e-3) < 0.02
-    assert np.max(np.diff(columns.indptr)) < MARGIN_SAMPLE_COUNT * 2 + 200
+    assert np.max(np.diff(columns.indptr)) < TANGENT_MARGIN_SAMPLES * 2 + 200
 
 
 @pytest.mark.parametrize(
