@@ -83,9 +83,10 @@ class Opened:
 
 
 @pytest.fixture(scope="session")
-def framed(tmp_path_factory):
-    """Function that opens HTML in a frame of so many pixels, runs a script when it has loaded, and returns what this
-    wrote as the frame's title, and the messages of the browser; skips the test where there is no Chromium.
+def framed_in(tmp_path_factory):
+    """Function that opens HTML in a frame of so many pixels for each colour scheme, runs a script when it has loaded,
+    and returns what this wrote as each frame's title, and the messages of the browser; skips the test where there is no
+    Chromium.
 
     The variable CHROMIUM says where it is; what is not there then fails the test.
     """
@@ -93,12 +94,16 @@ def framed(tmp_path_factory):
     if browser is None:
         pytest.skip("no Chromium")
 
-    def open_frame(content, width_px, script, colour_scheme="light"):
+    def open_frames(content, width_px, script, colour_schemes):
         folder = tmp_path_factory.mktemp("browser")
-        style = f"border:0;width:{width_px}px;height:800px;color-scheme:{colour_scheme}"
-        frame = f'<iframe style="{style}" onload="{html.escape(script)}" srcdoc="{html.escape(content)}"></iframe>'
+        frames = ""
+        for scheme in colour_schemes:
+            style = f"border:0;width:{width_px}px;height:800px;color-scheme:{scheme}"
+            frames += (
+                f'<iframe style="{style}" onload="{html.escape(script)}" srcdoc="{html.escape(content)}"></iframe>'
+            )
         outer = folder / "outer.html"
-        outer.write_text(frame, encoding="utf-8")
+        outer.write_text(frames, encoding="utf-8")
         words = (
             "--headless",
             "--no-sandbox",
@@ -109,7 +114,20 @@ def framed(tmp_path_factory):
         )
         told = ("--enable-logging=stderr", "--dump-dom", outer.as_uri())
         done = subprocess.run([browser, *words, *told], capture_output=True, text=True, check=True, timeout=180)
-        return json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1])), done.stderr.splitlines()
+        titles = re.findall(r'title="(\[.*?\])"', done.stdout)
+        assert len(titles) == len(colour_schemes)
+        return [json.loads(html.unescape(title)) for title in titles], done.stderr.splitlines()
+
+    return open_frames
+
+
+@pytest.fixture(scope="session")
+def framed(framed_in):
+    """Function as `framed_in` of a single frame in light colours."""
+
+    def open_frame(content, width_px, script):
+        (title,), lines = framed_in(content, width_px, script, ["light"])
+        return title, lines
 
     return open_frame
 
@@ -128,7 +146,7 @@ def opened(framed):
 
 
 @pytest.fixture(scope="session")
-def inaccessible(framed):
+def inaccessible(framed_in):
     """Function that returns what axe-core finds wrong with an HTML file, in light and dark colours; skips the test
     without axe-core."""
     axe_core = pytest.importorskip("axe_core_python", reason="no axe-core")
@@ -136,7 +154,7 @@ def inaccessible(framed):
 
     def check_page(path, width_px):
         content = f"{path.read_text(encoding='utf-8')}<script>{axe}</script>"
-        schemes = ("light", "dark")
-        return [finding for scheme in schemes for finding in framed(content, width_px, _CHECK, scheme)[0]]
+        light_and_dark, _ = framed_in(content, width_px, _CHECK, ["light", "dark"])
+        return [finding for findings in light_and_dark for finding in findings]
 
     return check_page

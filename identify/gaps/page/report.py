@@ -65,15 +65,18 @@ def write_all(
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    drawn_marks = marks(gap, corrected_rig)
-    caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
-    caption += _instead_sentence(gap)
-    drawing = (
-        f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{page.unbroken_html(escape(caption))}</figcaption>"
-    )
+    drawing = captioned_drawing(gap, corrected_rig)
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")
     write_json(gap, folder / "gap.json")
+
+
+def captioned_drawing(gap: Gap, corrected_rig: Rig) -> str:
+    """Drawing of the rig with what differs marked, and its caption, as HTML."""
+    drawn_marks = marks(gap, corrected_rig)
+    caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
+    caption_html = page.unbroken_html(escape(caption + _instead_sentence(gap)))
+    return f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{caption_html}</figcaption>"
 
 
 def write_page(
