@@ -24,11 +24,12 @@ def mapped(
     runs: Sequence[Run],
     processes: int | None = None,
     report_finished: Callable[[int], None] = lambda _: None,
+    min_remaining_s: float = MIN_REMAINING_S,
 ) -> list[Result]:
     """Results of `function` for every run, in their order, over so many processes; by default one a core.
 
     Runs are done in this process until their time says that the remaining ones would take longer than
-    `MIN_REMAINING_S`. The processes end with the last run, as they keep their memory. LOKY_MAX_CPU_COUNT limits the
+    `min_remaining_s`. The processes end with the last run, as they keep their memory. LOKY_MAX_CPU_COUNT limits the
     cores. Errors are raised as they occur.
     """
     process_count = processes or min(cpu_count(), MAX_PROCESSES)
@@ -42,7 +43,7 @@ def mapped(
     for run in runs:
         remaining_count = len(runs) - len(results)
         mean_run_s = (time.monotonic() - started_s) / max(len(results), 1)
-        if results and min(process_count, remaining_count) > 1 and remaining_count * mean_run_s > MIN_REMAINING_S:
+        if results and min(process_count, remaining_count) > 1 and remaining_count * mean_run_s > min_remaining_s:
             break
         add_result(function(run))
     if remaining_runs := runs[len(results) :]:

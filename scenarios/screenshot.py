@@ -9,7 +9,7 @@ import argparse
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -85,13 +85,13 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="A picture of an .rrd file, taken without a screen.")
     parser.add_argument("rrd", type=Path)
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of the record")
     parser.add_argument("--out", type=Path, help="the .png to write; without it the names of the views are printed")
     parser.add_argument("--view", help="one view instead of the window")
-    options = parser.parse_args()
+    options = parser.parse_args(words)
     try:
         if options.out is None:
             print("\n".join(view_names(options.rrd)))

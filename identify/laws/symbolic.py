@@ -148,7 +148,14 @@ def pyoperon() -> Any:
         return importlib.import_module("pyoperon.sklearn")
 
 
-def search(x: Points, y: Points, seconds: float, seed: int, thread_count: int = THREAD_COUNT) -> FormulaSearch:
+def search(
+    x: Points,
+    y: Points,
+    seconds: float,
+    seed: int,
+    thread_count: int = THREAD_COUNT,
+    generation_count: int = GENERATION_COUNT,
+) -> FormulaSearch:
     """Search formulas y = f(x) of + - * min max abs and constants, by error and length; x and y are of order 1.
 
     Genetic programming with two objectives (pyoperon's NSGA-II), with constants fitted by Levenberg-Marquardt. The same
@@ -163,7 +170,7 @@ def search(x: Points, y: Points, seconds: float, seed: int, thread_count: int = 
         objectives=["r2", "length"],
         optimizer_iterations=FIT_ITERATION_COUNT,
         population_size=POPULATION_SIZE,
-        generations=GENERATION_COUNT,
+        generations=generation_count,
         max_evaluations=10**9,
         max_length=MAX_NODE_COUNT,
         max_time=max(1, int(seconds)),
@@ -171,7 +178,8 @@ def search(x: Points, y: Points, seconds: float, seed: int, thread_count: int = 
         n_threads=min(thread_count, os.cpu_count() or 1),
         random_state=seed,
     ).fit(x[:, None], y)
-    out_of_time = regressor.stats_["generations"] < GENERATION_COUNT and time.monotonic() - start_s > 0.9 * int(seconds)
+    elapsed_s = time.monotonic() - start_s
+    out_of_time = regressor.stats_["generations"] < generation_count and elapsed_s > 0.9 * int(seconds)
     formulas, least_square_error = list[Formula](), np.inf
     trees = (individual["tree"] for individual in regressor.pareto_front_)
     for formula in sorted(map(_formula_of_tree, trees), key=lambda formula: formula.length):

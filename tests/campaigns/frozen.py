@@ -51,6 +51,7 @@ def frozen(
     against: Annotated[
         Path | None, typer.Option(help="A frozen.json of before; every number is set beside its own there.")
     ] = None,
+    only: Annotated[str | None, typer.Option(help="One step by its name.")] = None,
     shake: Annotated[
         float, typer.Option(min=0, help="Every sample is off by about this share; 1e-15 shows what rounding does.")
     ] = 0.0,
@@ -62,7 +63,7 @@ def frozen(
     """
     before = decoded(against, Frozen) if against else None
     now: Frozen = {}
-    for name, step in STEPS.items():
+    for name, step in STEPS.items() if only is None else [(only, STEPS[only])]:
         (out / name).mkdir(parents=True, exist_ok=True)
         with working(name), threadpool_limits(1):  # the number of threads changes the order of sums
             now[name] = step.tell(*(shaken(one, shake) for one in step.make(out / name)))

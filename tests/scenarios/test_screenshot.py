@@ -1,6 +1,5 @@
 """Which view is photographed; the viewer itself, which needs a driver of graphics, is replaced."""
 
-import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -39,8 +38,7 @@ def shot(monkeypatch, in_folder, capsys):
         yield Viewer()
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["screenshot", "r.rrd", *words])
-        screenshot.main()
+        screenshot.main(["r.rrd", *words])
         return capsys.readouterr().out
 
     del in_folder

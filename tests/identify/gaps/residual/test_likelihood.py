@@ -1,6 +1,6 @@
 """The statistic that decides, on residuals whose size is known."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -137,10 +137,15 @@ def test_probabilities_sum_to_one_and_follow_the_odds():
 
 def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit:
     """-2 ln p of the contacts, of the rest, and the part of the worst band."""
+
+    class MisfitOfCosts(Misfit):
+        contact_cost = law
+        peak_band_cost = peak
+
     bare = misfit_of_level(1.0)
-    misfit = replace(bare, input_cost=other_costs - (bare.minus_two_log - bare.contact_cost))
-    vars(misfit).update(contact_cost=law, peak_band_cost=peak)
-    return misfit
+    input_cost = other_costs - (bare.minus_two_log - bare.contact_cost)
+    values = {field.name: getattr(bare, field.name) for field in fields(bare)}
+    return MisfitOfCosts(**values | {"input_cost": input_cost})
 
 
 def null(other_costs: float, law: float = -60.0, peak: float = 1.0) -> NullSimulation:
