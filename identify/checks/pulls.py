@@ -95,7 +95,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "mass": tolerances.mass,
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
-        "modes left out at": tolerances.truncation,
+        "truncated response": tolerances.truncation,
     }[parameter.kind]
     owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Suspect(parameter.kind, owner_name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)

@@ -34,7 +34,7 @@ class NuisanceKind(StrEnum):
     HIGH_PASS = "high-pass"
     CROSS_AXIS = "cross-axis share"
     ZERO = "zero"
-    TRUNCATION = "modes left out at"
+    TRUNCATION = "truncated response"
     CROSSTALK = "crosstalk"
     FORCE_GAIN = "force gain"
     MASS = "mass"
