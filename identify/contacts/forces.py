@@ -20,7 +20,6 @@ from identify.contacts.observation import (
     observation_of,
     station_rows,
     with_driven_modes,
-    with_modes_at_rest,
 )
 from identify.contacts.slow_motion import (
     LOWEST_CORNER_HZ,
@@ -29,6 +28,7 @@ from identify.contacts.slow_motion import (
     quietest_corner_and_noise,
     slow_model,
     slow_motion,
+    with_slow_modes,
 )
 from identify.contacts.station_spectra import (
     SpectralLines,
@@ -147,8 +147,9 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     if motion.zero_known:
         lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
-    observed = with_modes_at_rest(record, observed, excitations, corner_hz, unstated_errors)
-    observed_noise = with_modes_at_rest(record, observed_noise, 0 * excitations, corner_hz, unstated_errors)
+    if corner_hz:  # held modes rest as long as no contact force is known
+        no_inputs = np.zeros((len(accelerance), lines.omega.size), dtype=complex)
+        observed, observed_noise = (with_slow_modes(rig, o, no_inputs, corner_hz) for o in (observed, observed_noise))
     start_motion, eta_noise_m = None, np.zeros(len(rig.contacts))
     has_hidden = any(has_hidden_modes(response, motion) for response in responses)
     has_driven_modes = corner_hz > 0 or bool(unstated_errors.truncations) or has_hidden
@@ -170,6 +171,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
             )
         if is_first_pass:
             input_spectra = np.concatenate([excitations, contact_spectra(contact_weights, unexplained_signals)])
+            unstated_errors = unstated_errors.without_negligible(input_spectra, signals)
             observed = with_driven_modes(record, observed, input_spectra, corner_hz, unstated_errors)
             input_spectra = np.concatenate([0 * excitations, contact_spectra(contact_weights, observed_noise.signals)])
             observed_noise = with_driven_modes(record, observed_noise, input_spectra, corner_hz, unstated_errors)

@@ -32,6 +32,9 @@ from rig.model.tolerances import Tolerances
 
 RINGING_S = 12.0
 """Time in which the beams' ringing decays."""
+NEGLIGIBLE_SHARE = 1e-4
+"""Share of a sensor's signal below which modes left out are no nuisance parameter: a twentieth of a usual error of its
+gain. Set by hand, for speed and memory."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,17 @@ class UnstatedErrors:
         """Changes by one standard deviation of each, given the exciting and the contact forces."""
         return (*self.zeros, *(truncation.change(input_spectra) for truncation in self.truncations))
 
+    def without_negligible(
+        self, input_spectra: Complex[np.ndarray, "inputs lines"], signals: Complex[np.ndarray, "rows lines"]
+    ) -> "UnstatedErrors":
+        """Errors without the truncations that these forces make less than `NEGLIGIBLE_SHARE` of the signals (rms)."""
+        truncations = []
+        for truncation in self.truncations:
+            change = truncation.change(input_spectra)
+            if np.linalg.norm(change.signals) > NEGLIGIBLE_SHARE * np.linalg.norm(signals[change.sensors]):
+                truncations.append(truncation)
+        return replace(self, truncations=tuple(truncations))
+
 
 def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
     """Rows of the stations: displacements on slow lines where their zero is known, measured and the body is held, and
@@ -109,8 +123,8 @@ def observation_of(
     stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
 ) -> tuple[ObservedSignals, UnstatedErrors, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of the stations' rows and of strain; the errors that no tolerance states; the power of
-    the noise.
+    """Observation by the spectra of the stations' rows and of strain, in which modes left out rest; the errors that no
+    tolerance states; the power of the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
@@ -125,6 +139,7 @@ def observation_of(
         acceleration, displacement = lines.spectra(base.acceleration_m_per_s2), lines.spectra(base.displacement_m)
         base_accelerations = input_accelerations[-1]
         observed_base = ObservedBase(base.sensor, base.displaced_by, acceleration, displacement, base_accelerations)
+    zeros = zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error)
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
@@ -135,6 +150,7 @@ def observation_of(
         force_accelerations=input_accelerations[: body_force_count(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.spectra)]),
         bodies=tuple(observed_body_motion(rig, body, motion, signals / station_response) for body in responses),
+        further_changes=zeros,
         base=observed_base,
         transverse=_observed_transverse(record, lines, stations),
         is_from_displacement=np.concatenate([stations.is_in_metres, np.zeros(gauge_rows.spectra.shape, dtype=bool)]),
@@ -143,8 +159,8 @@ def observation_of(
     truncations = truncations_of(
         rig, responses, rig.inputs, sensor_by_row, observed.sensor_response, record.tolerances.truncation
     )
-    unstated_errors = UnstatedErrors(zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error), truncations)
-    return observed, unstated_errors, np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
+    noise_power = np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
+    return observed, UnstatedErrors(zeros, truncations), noise_power
 
 
 def _station_spectra(
@@ -209,17 +225,3 @@ def with_driven_modes(
     )
     driven_signals = replace(observed, bodies=bodies, further_changes=unstated_errors.changes(input_spectra))
     return with_slow_modes(rig, driven_signals, input_spectra, corner_hz) if corner_hz else driven_signals
-
-
-def with_modes_at_rest(
-    record: SeparationInput,
-    observed: ObservedSignals,
-    exciting_spectra: Complex[np.ndarray, "forces lines"],
-    corner_hz: float,
-    unstated_errors: UnstatedErrors,
-) -> ObservedSignals:
-    """Observation in which held modes rest below a corner, and exciting forces alone move the modes left out, as long
-    as no contact force is known."""
-    input_spectra = np.concatenate([exciting_spectra, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting_signals = replace(observed, further_changes=unstated_errors.changes(input_spectra))
-    return with_slow_modes(record.rig, resting_signals, 0 * input_spectra, corner_hz) if corner_hz else resting_signals

@@ -4,10 +4,10 @@ A body is described by its first N modes. Those beyond follow a force almost at 
 
     dA(x) = sum_{m > N} phi_m(x) A_m phi_m(x_F) F,
 
-most where the force acts. Nobody knows them. The same sum over the highest modes of the description, from
-CONVERGED_SHARE of them on, times the tolerance `truncation`, is taken as one standard deviation, for each force and
-place by itself. The sum of a plate's terms falls as 1/N, as its modes are equally dense, that of a beam's as 1/N^3,
-and so what is left beyond N modes is at most about that of the highest ones.
+most where the force acts. Nobody knows them. The same sum over the highest modes of the description, beyond the band
+and from CONVERGED_SHARE of them on, times the tolerance `truncation`, is taken as one standard deviation, for each
+force and place by itself. What N modes leave of a plate's sum falls as 1/N, as its modes are equally dense, and of a
+beam's as 1/N^3: it is at most about as large as what the highest ones add.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import Change, Nuisance, NuisanceKind, mode_count_near_band
+from identify.linear.nuisance import BAND_MARGIN, Change, Nuisance, NuisanceKind, mode_count_near_band
 from rig.model.description import Rig, Sensor, Station, force_names
 
 CONVERGED_SHARE = 0.4
@@ -45,12 +45,13 @@ def truncations_of(
     sensors: Mapping[int, Sensor],
     sensor_response: Complex[np.ndarray, "rows lines"],
     tolerance: float,
-    band_margin: float = 0.0,
+    band_margin: float = BAND_MARGIN,
 ) -> tuple[Truncation, ...]:
     """Truncations by each exciting and contact force at each place of its body, of sensors by their rows; a force on
     the ground is that of a base. None if the tolerance is zero.
 
-    Sensors of one kind of motion at one place share theirs. Modes up to `band_margin` times the band's end are certain.
+    Sensors of one kind of motion at one place share theirs. Modes up to `band_margin` times the band's end are seen,
+    and have tolerances of their own: a chain of masses whose modes all lie there leaves nothing out.
     """
     names = zip(force_stations, force_names(len(force_stations)), strict=True)
     exciting_names = ("the base" if rig.is_on_ground(station) else name for station, name in names)

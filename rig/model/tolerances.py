@@ -67,8 +67,8 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Damping ratio, relative; likewise."""
     truncation: float = 1.0
     """What the modes that the description leaves out add to a sensor's signal, relative to what the highest three
-    fifths of those that it has do; of every force at every place. Used by `identify check` and `contact`, and of
-    strain gauges by `gap`."""
+    fifths of those that it has do, as far as they lie beyond the band; of every force at every place. Used by `identify
+    check` and `contact`, and of strain gauges by `gap`."""
     clearance: float = 0.01
     stiffness: float = 0.01
     contact_damping_s: float = 1e-5
