@@ -56,9 +56,9 @@ CAUSES: dict[NuisanceKind, Cause] = {
 same."""
 SENSOR_KINDS = (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
 UNRECORDED_LIMIT = 0.002
-"""Motion of a contact beyond the recorded band from which on it is a finding, over its depth. Set by hand: of plates with
-0.003 to 0.005 (`tests.campaigns.fifteen_rigs`) a third of the contacts are off by 1 to 2 %; other rigs have 0.001 at
-most."""
+"""Motion of a contact beyond the recorded band from which on it is a finding, over its depth. Set by hand: on plates
+that have 0.003 to 0.005 (`tests.campaigns.fifteen_rigs`) a third of the contacts are off by 1 to 2 %; other rigs have
+0.001 at most."""
 UNRECORDED_MEND = "sample at a higher rate: what the record does not show may bias clearance and stiffness"
 DOUBT = "do not rely on it: look at its force over the relative displacement, and ask identify gap what differs"
 

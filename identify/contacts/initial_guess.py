@@ -177,7 +177,10 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
 
 
 def _guesses_with_spring(
-    record: ContactRecord, nominal_laws: NominalLaws, form: LawForm, stop_guesses: Sequence[LawGuess]
+    record: ContactRecord,
+    nominal_laws: NominalLaws,
+    form: LawForm,
+    stop_guesses: Sequence[tuple[Float[np.ndarray, " stop_laws"], Float[np.ndarray, " knots"]]],
 ) -> list[LawGuess]:
     """Guesses of stops with the spring of `nominal_laws` beside them."""
     candidates: list[LawGuess] = []
