@@ -1,4 +1,4 @@
-"""What the modes beyond a description add is of the size that its own highest modes tell."""
+"""Modes beyond a description add about as much as its own highest modes tell."""
 
 import numpy as np
 import pytest
