@@ -27,7 +27,7 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # as a worker of the suite has one core
 
 LONG_FOLDERS = {"commands", "contacts", "history", "laws", "planning", "robustness", "scenarios", "test_campaigns"}
-"""Folders of tests that run whole commands and identifications, without checks of types and shapes at every call."""
+"""Folders of tests that run whole commands and identifications."""
 
 settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
@@ -58,8 +58,9 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol():
-    """Types and shapes of the first calls of every function are checked in every test."""
+def pytest_runtest_protocol(item):
+    """Types and shapes of the first calls of every function are checked in every test, but where fakes stand in."""
+    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("fakes") is not None)
     tests.type_checking.begin_test()
     return (yield)
 

@@ -77,6 +77,19 @@ class ContactForces:
     slow_force_density: Float[np.ndarray, " contacts"]
     slow_motion: SlowMotion | None = None
 
+    def of_contacts(self, indices: list[int]) -> "ContactForces":
+        """Forces of some contacts, without slow motion."""
+        pairs = np.ix_(indices, indices)
+        return ContactForces(
+            self.force_n[indices],
+            self.decimation,
+            self.noise_n[indices],
+            self.nuisances.of_contacts(indices),
+            self.slow_n_per_m[pairs],
+            self.slow_n_s_per_m[pairs],
+            self.slow_force_density[indices],
+        )
+
     def without_start(self, sample_count: int) -> "ContactForces":
         """Contact forces without their first samples."""
         nuisances = self.nuisances.without_start(sample_count)
@@ -147,6 +160,8 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     if motion.zero_known:
         lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
+    observed = replace(observed, further_changes=unstated_errors.changes(excitations))
+    observed_noise = replace(observed_noise, further_changes=unstated_errors.changes(0 * excitations))
     if corner_hz:  # held modes rest as long as no contact force is known
         no_inputs = np.zeros((len(accelerance), lines.omega.size), dtype=complex)
         observed, observed_noise = (with_slow_modes(rig, o, no_inputs, corner_hz) for o in (observed, observed_noise))

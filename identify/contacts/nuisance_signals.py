@@ -42,6 +42,16 @@ class NuisanceSignals:
             np.concatenate([self.eta_noise_multiple, zero_multiples]),
         )
 
+    def of_contacts(self, indices: list[int]) -> "NuisanceSignals":
+        """Signals of some contacts."""
+        return NuisanceSignals(
+            self.parameters,
+            self.force_n[:, indices],
+            self.eta_m[:, indices],
+            self.force_noise_multiple[:, indices],
+            self.eta_noise_multiple[:, indices],
+        )
+
     def without_start(self, sample_count: int) -> "NuisanceSignals":
         """Signals without their first samples."""
         return replace(self, force_n=self.force_n[..., sample_count:], eta_m=self.eta_m[..., sample_count:])

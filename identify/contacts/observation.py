@@ -79,8 +79,9 @@ class UnstatedErrors:
     truncations: tuple[Truncation, ...]
 
     def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
-        """Changes by one standard deviation of each, given the exciting and the contact forces."""
-        return (*self.zeros, *(truncation.change(input_spectra) for truncation in self.truncations))
+        """Changes by one standard deviation of each, given the exciting forces, or these and the contact forces."""
+        given = (truncation for truncation in self.truncations if truncation.input_index < len(input_spectra))
+        return (*self.zeros, *(truncation.change(input_spectra) for truncation in given))
 
     def without_negligible(
         self, input_spectra: Complex[np.ndarray, "inputs lines"], signals: Complex[np.ndarray, "rows lines"]
@@ -123,8 +124,8 @@ def observation_of(
     stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
 ) -> tuple[ObservedSignals, UnstatedErrors, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of the stations' rows and of strain, in which modes left out rest; the errors that no
-    tolerance states; the power of the noise.
+    """Observation by the spectra of the stations' rows and of strain; the errors that no tolerance states; the power of
+    the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
@@ -150,7 +151,6 @@ def observation_of(
         force_accelerations=input_accelerations[: body_force_count(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.spectra)]),
         bodies=tuple(observed_body_motion(rig, body, motion, signals / station_response) for body in responses),
-        further_changes=zeros,
         base=observed_base,
         transverse=_observed_transverse(record, lines, stations),
         is_from_displacement=np.concatenate([stations.is_in_metres, np.zeros(gauge_rows.spectra.shape, dtype=bool)]),

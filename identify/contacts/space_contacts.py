@@ -195,10 +195,9 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
         indices = [k for k, g in enumerate(groups) if not annular_names & {contacts[i].name for i in g.contact_indices}]
         if not indices:
             continue
-        slow_n_per_m = separation.forces.slow_n_per_m[np.ix_(indices, indices)]
         plane_separation = replace(
             separation,
-            forces=replace(separation.forces, slow_n_per_m=slow_n_per_m),
+            forces=separation.forces.of_contacts(indices),
             contact_groups=tuple(groups[k] for k in indices),
             records=tuple(separation.records[k] for k in indices),
         )

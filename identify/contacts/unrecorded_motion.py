@@ -18,7 +18,7 @@ from scipy.fft import rfft, rfftfreq
 
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.separation import Separation
-from identify.linear.model import ResponseCache, real_product, relative_shapes, responses_of
+from identify.linear.model import ResponseCache, real_product, relative_shapes, response_of
 from identify.signals.law_evaluation import interpolated, oversampling
 
 SECTION_SAMPLES = 1 << 14
@@ -64,9 +64,10 @@ def _rms_beyond_band_m(
     frequency_hz = rfftfreq(sample_count, 1 / fine_rate_hz)
     is_beyond = frequency_hz > separation.motion.trusted_hz[1]
     omega, spectra = 2 * np.pi * frequency_hz[is_beyond], rfft(forces_n * window)[:, is_beyond]
-    accelerations = np.zeros((len(separation.rig.contacts), omega.size), dtype=complex)
-    for response in responses_of(separation.rig, ResponseCache(omega, 0), True):
-        shapes = relative_shapes(separation.rig, response)
+    rig, cache = separation.rig, ResponseCache(omega, 0)
+    accelerations = np.zeros((len(rig.contacts), omega.size), dtype=complex)
+    for response in (response_of(rig, body, cache) for body in rig.bodies):
+        shapes = relative_shapes(rig, response)
         modal_forces = real_product(shapes[force_indices].T, spectra)
         accelerations += real_product(shapes, response.accelerance * modal_forces)
     power = 2 * np.sum(np.abs(accelerations / omega**2) ** 2, axis=1) / sample_count

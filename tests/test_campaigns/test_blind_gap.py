@@ -31,6 +31,8 @@ from tests.campaigns.tolerance_sensitivity import settings
 from tests.campaigns.true_effect import Best
 from tests.test_campaigns.blind_cases import ABOVE, gap
 
+pytestmark = pytest.mark.fakes
+
 CASES = ["case_000", "case_001", "case_002"]
 
 
