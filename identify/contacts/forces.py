@@ -152,7 +152,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     accelerance = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     excitations = lines.spectra(motion.forces_n)
     input_accelerations = accelerance[:force_count] * excitations[:, None]
-    observed, unstated_errors, noise_power = observation_of(record, lines, responses, stations, input_accelerations)
+    observed, further_errors, noise_power = observation_of(record, lines, responses, stations, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
     least_noise_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
     observed_noise = noise_observation(rig, motion, observed, random_noise(noise_power, least_noise_power, lines))
@@ -160,14 +160,14 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     if motion.zero_known:
         lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
-    observed = replace(observed, further_changes=unstated_errors.changes(excitations))
-    observed_noise = replace(observed_noise, further_changes=unstated_errors.changes(0 * excitations))
+    observed = replace(observed, further_changes=further_errors.changes(excitations))
+    observed_noise = replace(observed_noise, further_changes=further_errors.changes(0 * excitations))
     if corner_hz:  # held modes rest as long as no contact force is known
         no_inputs = np.zeros((len(accelerance), lines.omega.size), dtype=complex)
         observed, observed_noise = (with_slow_modes(rig, o, no_inputs, corner_hz) for o in (observed, observed_noise))
     start_motion, eta_noise_m = None, np.zeros(len(rig.contacts))
     has_hidden = any(has_hidden_modes(response, motion) for response in responses)
-    has_driven_modes = corner_hz > 0 or bool(unstated_errors.truncations) or has_hidden
+    has_driven_modes = corner_hz > 0 or bool(further_errors.truncations) or has_hidden
     for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
         # without the zeros of gauges, which are at 0 Hz
@@ -186,10 +186,10 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
             )
         if is_first_pass:
             input_spectra = np.concatenate([excitations, contact_spectra(contact_weights, unexplained_signals)])
-            unstated_errors = unstated_errors.without_negligible(input_spectra, signals)
-            observed = with_driven_modes(record, observed, input_spectra, corner_hz, unstated_errors)
+            further_errors = further_errors.without_negligible(input_spectra, signals)
+            observed = with_driven_modes(record, observed, input_spectra, corner_hz, further_errors)
             input_spectra = np.concatenate([0 * excitations, contact_spectra(contact_weights, observed_noise.signals)])
-            observed_noise = with_driven_modes(record, observed_noise, input_spectra, corner_hz, unstated_errors)
+            observed_noise = with_driven_modes(record, observed_noise, input_spectra, corner_hz, further_errors)
     return _WeightedRows(
         responses=responses,
         input_accelerances=accelerance,

@@ -72,8 +72,8 @@ class SeparationInput:
 
 
 @dataclass(frozen=True)
-class UnstatedErrors:
-    """Errors that no tolerance states: the zeros of gauges, and the modes that a description leaves out."""
+class FurtherErrors:
+    """Errors of no single sensor or mode: the zeros of gauges, and the modes that a description leaves out."""
 
     zeros: tuple[Change, ...]
     truncations: tuple[Truncation, ...]
@@ -85,7 +85,7 @@ class UnstatedErrors:
 
     def without_negligible(
         self, input_spectra: Complex[np.ndarray, "inputs lines"], signals: Complex[np.ndarray, "rows lines"]
-    ) -> "UnstatedErrors":
+    ) -> "FurtherErrors":
         """Errors without the truncations that these forces make less than `NEGLIGIBLE_SHARE` of the signals (rms)."""
         truncations = []
         for truncation in self.truncations:
@@ -123,9 +123,8 @@ def observation_of(
     responses: tuple[Response, ...],
     stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
-) -> tuple[ObservedSignals, UnstatedErrors, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of the stations' rows and of strain; the errors that no tolerance states; the power of
-    the noise.
+) -> tuple[ObservedSignals, FurtherErrors, Float[np.ndarray, "rows lines"]]:
+    """Observation by the spectra of the stations' rows and of strain; the further errors; the power of the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
@@ -160,7 +159,7 @@ def observation_of(
         rig, responses, rig.inputs, sensor_by_row, observed.sensor_response, record.tolerances.truncation
     )
     noise_power = np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
-    return observed, UnstatedErrors(zeros, truncations), noise_power
+    return observed, FurtherErrors(zeros, truncations), noise_power
 
 
 def _station_spectra(
@@ -211,10 +210,10 @@ def with_driven_modes(
     observed: ObservedSignals,
     input_spectra: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
-    unstated_errors: UnstatedErrors,
+    further_errors: FurtherErrors,
 ) -> ObservedSignals:
-    """Observation with the hidden modes, all held ones below a corner, and the errors that no tolerance states, driven
-    by the exciting and the contact forces."""
+    """Observation with the hidden modes, all held ones below a corner, and the further errors, driven by the exciting
+    and the contact forces."""
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
@@ -223,5 +222,5 @@ def with_driven_modes(
         driven_body_motion(rig, body.response, motion, accelerations, exciting_spectra, contact_force_spectra)
         for body in observed.bodies
     )
-    driven_signals = replace(observed, bodies=bodies, further_changes=unstated_errors.changes(input_spectra))
+    driven_signals = replace(observed, bodies=bodies, further_changes=further_errors.changes(input_spectra))
     return with_slow_modes(rig, driven_signals, input_spectra, corner_hz) if corner_hz else driven_signals
