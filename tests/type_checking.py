@@ -5,7 +5,7 @@ import functools
 import sys
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from beartype import beartype
 
@@ -28,16 +28,20 @@ def checked(function: Checked) -> Checked:
     def counted(*arguments: object, **keywords: object) -> object:
         _calls[function] += 1
         if _calls[function] >= CALLS_PER_TEST:
-            _release(sys._getframe(1).f_locals["fn"])
+            _release(sys._getframe(1).f_locals.get("fn"))
         return with_types(*arguments, **keywords)
 
-    return counted  # type: ignore[return-value]
+    return cast("Checked", counted)
 
 
 def _release(product_function: Any) -> None:
-    """Leave further calls of a function of the product unchecked: jaxtyping, which calls the checks, asks this mark."""
-    product_function.__no_type_check__ = True
-    _released.append(product_function)
+    """Leave further calls of a function of the product unchecked by the mark that jaxtyping asks at each call.
+
+    The frame of jaxtyping that calls the checks has the function as `fn`; in a version without, all calls are checked.
+    """
+    if product_function is not None:
+        product_function.__no_type_check__ = True
+        _released.append(product_function)
 
 
 def begin_test() -> None:

@@ -127,7 +127,7 @@ class LawFit:
         )
 
     def with_form(self, form: LawForm) -> "LawFit":
-        """This state and these weights with another form, and an exponent of one; not fitted again."""
+        """Fit of another form, with an exponent of one, at this state and with these weights; not fitted again."""
         law_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
         law_parameters = np.concatenate([law_values, np.ones(form.exponent_count)])
         return replace(self, state=state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls))

@@ -80,8 +80,8 @@ class FurtherErrors:
 
     def changes(self, input_spectra: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
         """Changes by one standard deviation of each, given the exciting forces, or these and the contact forces."""
-        given = (truncation for truncation in self.truncations if truncation.input_index < len(input_spectra))
-        return (*self.zeros, *(truncation.change(input_spectra) for truncation in given))
+        driven = (truncation for truncation in self.truncations if truncation.input_index < len(input_spectra))
+        return (*self.zeros, *(truncation.change(input_spectra) for truncation in driven))
 
     def without_negligible(
         self, input_spectra: Complex[np.ndarray, "inputs lines"], signals: Complex[np.ndarray, "rows lines"]

@@ -6,8 +6,8 @@ the contacts by
     eta_j = sum_i G_ji f_i / omega^2
 
 with the accelerances G of the relative motion and the forces f_i of the fitted laws, at the rate at which laws are
-evaluated. Where that is no small share of the depth to which a contact closes, clearance and stiffness are off by more
-than their intervals: the law is fitted to the recorded motion alone.
+evaluated. Where that is no small share of the depth to which a contact closes, clearance and stiffness may be off by
+more than their intervals: the law is fitted to the recorded motion alone.
 """
 
 from collections.abc import Mapping
@@ -23,6 +23,8 @@ from identify.signals.law_evaluation import interpolated, oversampling
 
 SECTION_SAMPLES = 1 << 14
 """Samples of the record that are looked at: those in which the contacts push most. Effort."""
+TINY_POWER = 1e-300
+"""Power by which a force that is zero throughout is divided."""
 
 
 def unrecorded_shares(separation: Separation, estimates: Mapping[str, JointEstimate]) -> dict[str, float]:
@@ -46,9 +48,10 @@ def unrecorded_shares(separation: Separation, estimates: Mapping[str, JointEstim
 
 
 def _hardest_section(separation: Separation) -> slice:
-    """Samples in which the separated forces have most power."""
+    """Samples in which the separated forces have most power, each over its own in the record."""
     records = separation.records
-    power = np.sum([(record.force_n / np.linalg.norm(record.force_n)) ** 2 for record in records], axis=0)
+    powers = [record.force_n**2 / max(float(np.sum(record.force_n**2)), TINY_POWER) for record in records]
+    power = np.sum(powers, axis=0)
     count = max(1, min(SECTION_SAMPLES // records[0].decimation, power.size))
     power_so_far = np.concatenate([[0.0], np.cumsum(power)])
     first = int(np.argmax(power_so_far[count:] - power_so_far[:-count])) * records[0].decimation

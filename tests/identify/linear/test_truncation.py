@@ -10,7 +10,6 @@ from rig.model.description import Rig, Sensor, Station
 from rig.model.structure import structure_of
 
 PLACES_M = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
-KNOWN_COUNT = 40
 OMEGA = 2 * np.pi * np.linspace(1.0, 50.0, 5)
 BEAM = Beam(name="body", ends="clamped-free", length_m=1.0, width_m=0.04, thickness_m=0.01)
 
