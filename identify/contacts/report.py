@@ -1,7 +1,7 @@
 """Results of an identification on disk: contact.json, the identified rig.json, the figures, and contact.html."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 
@@ -15,16 +15,15 @@ from identify.contacts.results import ContactEstimate, ContactReport, Estimate, 
 from identify.pages import page
 from identify.pages.drawing import drawing_html as rig_drawing_html
 from identify.pages.style import Picture
-from identify.pages.wording import COVERED, interval, number, percent
+from identify.pages.wording import COVERED, interval, joined, number, percent
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
-    "the law, if one was found. Between the stops no force acts, and half their distance is the clearance; beyond them "
-    "the slope is the stiffness. The forces are separated up to a highest frequency, which rounds the corners of the "
-    "dots.",
+    "the law, if one was found. Within the clearance no force acts; beyond it the slope is the stiffness. The forces "
+    "are separated up to a highest frequency, which rounds the corners of the dots.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement. Dots that fan "
     "out at one place belong to the ends of the record, where derivatives ring.",
@@ -171,15 +170,15 @@ def _sentences(report: ContactReport) -> list[str]:
 
 def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> list[str]:
     """Sentence on the reference values that lie outside the intervals, or that none does."""
-    values = [
-        (f"{name} of {contact.name}", _agrees(estimate, reference))
-        for contact in report.contacts
-        for name, estimate, reference, *_ in _values_with_reference(contact, laws[contact.name])
-        if np.isfinite(reference)
-    ]
-    if differing := [words for words, agrees in values if not agrees]:
-        return [f"The {laws_name} value lies outside the 95 % interval of the {', '.join(differing)}."]
-    return [f"Every 95 % interval holds the {laws_name} value."] if values else []
+    compared_count, differing = 0, list[str]()
+    for contact in report.contacts:
+        values = [v for v in _compared_values(contact, laws[contact.name]) if np.isfinite(v.reference)]
+        compared_count += len(values)
+        if names := [value.name for value in values if not _agrees(value.estimate, value.reference)]:
+            differing.append(f"{joined(names)} of {contact.name}")
+    if differing:
+        return [f"Outside their 95 % intervals are these {laws_name} values: {'; '.join(differing)}."]
+    return [f"Every 95 % interval holds the {laws_name} value."] if compared_count else []
 
 
 def _interval_text(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
@@ -193,7 +192,10 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
         return ""
     table_rows = [row for contact in contacts for row in _value_rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    clearance_words = "" if all(contact.ring for contact in contacts) else " The clearance is half the total play."
+    has_total_play = any(
+        v.name == "clearance" for c in contacts if not c.ring for v in _compared_values(c, laws[c.name])
+    )
+    clearance_words = " The clearance is half the total play." if has_total_play else ""
     if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
         clearance_words = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
@@ -208,33 +210,48 @@ def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
     return 2 * estimate.standard_error < reference.standard_error
 
 
-def _values_with_reference(
-    contact: ContactEstimate, law: ContactLaw
-) -> Iterator[tuple[str, Estimate, float, str, float]]:
-    """Name, estimate, reference value, unit and scale to it of each identified quantity."""
-    for name, estimate, reference, unit, scale in (
-        ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
+@dataclass(frozen=True)
+class _ComparedValue:
+    """Identified quantity beside its reference value, both times `scale` in the printed unit."""
+
+    name: str
+    estimate: Estimate
+    reference: float
+    unit: str
+    scale: float
+
+
+def _compared_values(contact: ContactEstimate, law: ContactLaw) -> list[_ComparedValue]:
+    """Every identified quantity; where a single stop is touched, its clearance by its side."""
+    sides = (contact.lower_clearance_m, contact.upper_clearance_m)
+    has_own_clearance = not contact.is_spring and (None in sides) == (sides == (None, None))
+    friction, sliding_speed = (getattr(law, name, 0.0) for name in ("friction_coefficient", "sliding_speed_m_per_s"))
+    quantities = (
+        ("clearance", contact.clearance_m if has_own_clearance else None, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
         ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
         ("stiffness", contact.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
         ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
-        ("friction", contact.friction_coefficient, getattr(law, "friction_coefficient", 0.0), "1", 1.0),
-        ("sliding speed", contact.sliding_speed_m_per_s, getattr(law, "sliding_speed_m_per_s", 0.0), "mm/s", 1e3),
-    ):
-        if estimate is not None and not (contact.is_spring and name == "clearance"):
-            yield name, estimate, reference, unit, scale
+        ("friction", contact.friction_coefficient, friction, "1", 1.0),
+        ("sliding speed", contact.sliding_speed_m_per_s, sliding_speed, "mm/s", 1e3),
+    )
+    return [
+        _ComparedValue(name, estimate, reference, unit, scale)
+        for name, estimate, reference, unit, scale in quantities
+        if estimate is not None
+    ]
 
 
 def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
-    first_quantity = "stiffness" if contact.is_spring else "clearance"
-    for name, estimate, reference, unit, scale in _values_with_reference(contact, law):
+    for row, value in enumerate(_compared_values(contact, law)):
+        has_reference = np.isfinite(value.reference)
         yield (
-            contact.name if name == first_quantity else "",
-            name if unit == "1" else f"{name}, {unit}",
-            _interval_text(estimate, "1", scale),
-            number(scale * reference) if np.isfinite(reference) else "no stop",
-            _difference_text(estimate, reference) if np.isfinite(reference) else "",
+            "" if row else contact.name,
+            value.name if value.unit == "1" else f"{value.name}, {value.unit}",
+            _interval_text(value.estimate, "1", value.scale),
+            number(value.scale * value.reference) if has_reference else "no stop",
+            _difference_text(value.estimate, value.reference) if has_reference else "",
         )
 
 

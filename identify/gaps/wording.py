@@ -1,7 +1,6 @@
 """Words and numbers of a diagnosis, alike in its sentence, on the page, in the pictures and on the screen."""
 
 import math
-from collections.abc import Sequence
 
 from identify.gaps.decision_table import Bounded, Verdict
 from identify.gaps.results import (
@@ -14,7 +13,7 @@ from identify.gaps.results import (
     UnexplainedShares,
 )
 from identify.pages import wording
-from identify.pages.wording import change_words, number, percent
+from identify.pages.wording import change_words, joined, number, percent
 from rig.effects import effects
 from rig.model.unmeasured_force import Value
 
@@ -222,12 +221,6 @@ def stays_unexplained_words(gap: Diagnosis) -> str:
     return ", and ".join(
         f"{joined(words)} {'stay' if len(words) > 1 else 'stays'} {state}" for words, state in clauses if words
     )
-
-
-def joined(words: Sequence[str], conjunction: str = "and") -> str:
-    """Enumeration "a, b and c"."""
-    *leading_words, last_word = words
-    return f"{', '.join(leading_words)} {conjunction} {last_word}" if leading_words else last_word
 
 
 def between_records_sentence(between: RecordDifferences) -> str:

@@ -3,13 +3,23 @@
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
+import numpy as np
+
 from identify.pages.drawing_texts import NARROW_WIDTH, WIDTH
-from identify.pages.machine import DrawnMark, rig_drawing
+from identify.pages.machine import DrawnMark, has_spring, rig_drawing
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 _BODY = '<rect class="body" x="2" y="7" width="32" height="10"/>'
 _FORK = '<path class="{}" d="M9,3h18V23M9,21h18"/>' + _BODY
+_HALF_FORK = '<path class="{}" d="M9,3h18V23"/>' + _BODY
 _SPRING = '<path class="{}" d="M18,1v3l-6,1.5l12,3l-12,3l12,3l-12,3l6,1.5v4"/>'
+_CONTACT_ICONS = {
+    "contact, two stops": _FORK,
+    "contact, one stop": _HALF_FORK,
+    "contact, a ring": _FORK,
+    "spring": _SPRING,
+}
 _RING = '<circle class="{}" cx="18" cy="12" r="9"/>'
 
 
@@ -23,6 +33,15 @@ def drawing_html(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Se
     return f'<div class="broad">{wide}</div><div class="narrow">{narrow}</div><ul class="key">{"".join(items)}</ul>'
 
 
+def _contact_kind(law: ContactLaw) -> str:
+    """Words of the key for a contact."""
+    if not law.has_stops:
+        return "spring"
+    if law.spatial:
+        return "contact, a ring"
+    return "contact, two stops" if np.isfinite(law.lower_clearance_m + law.upper_clearance_m) else "contact, one stop"
+
+
 def _key(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark]) -> Iterator[tuple[str, str]]:
     """Icon and words of each symbol that occurs."""
     if any(not body.is_mass for body in rig.bodies):
@@ -32,10 +51,10 @@ def _key(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[D
     if any(body.clamped for body in rig.bodies):
         hatch = "".join(f"M18,{2 + 5 * k}l-7,6" for k in range(4))
         yield f'<path class="ink" d="M18,1v22"/><path class="thin" d="{hatch}"/>', "clamp"
-    if any(body.is_mass and body.frequencies_hz(1)[0] > 0 for body in rig.bodies):
+    if any(map(has_spring, rig.bodies)):
         yield _SPRING.format("thin") + '<path class="ink" d="M8,23h20"/>', "spring to the ground"
-    for has_stops, name, icon in ((True, "contact, two stops", _FORK), (False, "spring", _SPRING)):
-        has_values = [bool(contact_lines.get(c.name)) for c in rig.contacts if c.law.has_stops == has_stops]
+    for name, icon in _CONTACT_ICONS.items():
+        has_values = [bool(contact_lines.get(c.name)) for c in rig.contacts if _contact_kind(c.law) == name]
         if True in has_values:
             yield icon.format("found"), f"{name}, with its values"
         if False in has_values:

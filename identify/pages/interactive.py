@@ -9,7 +9,7 @@ from typing import Any
 from identify.pages.artists import COLOUR_BAR, draw_artists, is_drawable, tick_names, tick_places
 
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
-_LEAST_HEIGHT_PX, _LEAST_WIDTH_PX = 180, 290
+_LEAST_HEIGHT_PX, _LEAST_WIDTH_PX = 220, 290
 """Least height of a panel, and least width, below which panels stand one below the other."""
 _LONG_LABEL_LETTERS = 30
 """Characters from which labels of a legend stand one below the other, as a phone has no room for two."""

@@ -14,8 +14,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
+import numpy as np
+
 from identify.pages.drawing_texts import (
-    LETTER_WIDTH,
     LINE_HEIGHT,
     RING_RADIUS,
     STOP_DISTANCE,
@@ -37,8 +38,10 @@ RING_SHARE = 0.38
 """Place of a mass's ring, in shares of its width from its middle."""
 ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
-HELD_WORDS = "held: no rigid-body mode"
-"""Words below a body that is given by its modes and held somewhere: they do not tell where."""
+GROUND_HALF_WIDTH = 20.0
+"""Half the width of the hatched ground, px."""
+HELD_WORDS = "is held: no rigid-body mode"
+"""Words on a body that is given by its modes and held somewhere: they do not tell where."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,9 @@ def rig_drawing(
     spans_below, spans_above = ({body.name: TextSpans() for body in rig.bodies} for _ in range(2))
     for station in layout.drawn_forces:
         spans_below[station.body].line_for(*layout.force_span_px(station))
+    for body in filter(has_spring, rig.bodies):
+        ground_px = _spring_x_px(layout, body)
+        spans_below[body.name].line_for(ground_px - GROUND_HALF_WIDTH, ground_px + GROUND_HALF_WIDTH)
     contact_texts: list[tuple[Contact, DrawnText]] = []
     for contact in rig.contacts:
         lines, body = [contact.name, *contact_lines.get(contact.name, ())], layout.upper_body(contact)
@@ -131,8 +137,6 @@ def rig_drawing(
         posts_px = [layout.contact_x_px(neighbour) + STOP_HALF_WIDTH for neighbour in neighbours]
         text = contact_text(layout.contact_x_px(contact), lines, spans_below[body.name], posts_px, width_px)
         contact_texts.append((contact, text))
-    held_bodies = [body.name for body in rig.bodies if _is_held_somewhere(body)]
-    held_lines = {name: spans_below[name].line_for(*_held_span_px(layout, name)) for name in held_bodies}
     marks_and_texts = list(_mark_texts(layout, marks, spans_below, spans_above))
     places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in marks_and_texts]
     rings_px = {body.name: [float(x_px) for name, x_px in places if name == body.name] for body in rig.bodies}
@@ -141,21 +145,22 @@ def rig_drawing(
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
         y_px += _height_px(body) + LINE_HEIGHT * len(spans_below[body.name].spans_by_line)
+    notes = _notes(rig)
+    height_px = y_px + FOOT_HEIGHT + LINE_HEIGHT * max(0, len(notes) - 1)
     svg_elements = [
         *(element for body in rig.bodies for element in _clamp_or_spring(layout, body)),
         *(element for contact, text in contact_texts for element in _contact(layout, contact, text)),
         *(element for contact, text in contact_texts for element in _contact_words(layout, contact, text)),
         *(element for body in rig.bodies for element in _body(layout, body, rings_px[body.name])),
         *_supports(layout),
-        *(element for body_name, line in held_lines.items() for element in _held_words(layout, body_name, line)),
         *_sensors(layout),
         *_forces(layout),
-        *_measured_base(layout, y_px + FOOT_HEIGHT),
+        *_foot_notes(notes, y_px + FOOT_HEIGHT - 6),
         *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
         *(element for mark, text in marks_and_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
-        f'<svg viewBox="0 0 {width_px:g} {y_px + FOOT_HEIGHT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
+        f'<svg viewBox="0 0 {width_px:g} {height_px:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
         f'class="machine">{"".join(svg_elements)}</svg>'
     )
 
@@ -170,16 +175,26 @@ def _clamp_or_spring(layout: _Layout, body: Body) -> Iterator[str]:
     if body.clamped:
         yield _path_element("ink", f"M{x_px:g},{middle_px - 26:g}v52")
         yield _path_element("thin", "".join(f"M{x_px:g},{middle_px - 22 + 9 * k:g}l-10,9" for k in range(6)))
-    if body.is_mass and body.frequencies_hz(1)[0] > 0:
-        spring_px, foot_px = x_px - MASS_SIZE[0] / 2 - 26, layout.bottom_px(body) + 16
+    if has_spring(body):
+        spring_px, foot_px = _spring_x_px(layout, body), layout.bottom_px(body) + 16
         coil = "l-7,2.5" + "l14,5l-14,5" * 2 + "l7,2.5"
         yield _path_element("thin", f"M{spring_px + 26:g},{middle_px:g}h-26v7{coil}V{foot_px:g}")
         yield from _ground(spring_px, foot_px)
 
 
+def has_spring(body: Body) -> bool:
+    """True of a mass that a spring holds to the ground."""
+    return body.is_mass and bool(body.frequencies_hz(1)[0] > 0)
+
+
+def _spring_x_px(layout: _Layout, mass: Body) -> float:
+    """Place along x of the spring of a mass."""
+    return layout.x_px(Station(mass.name)) - MASS_SIZE[0] / 2 - 26
+
+
 def _ground(x_px: float, y_px: float) -> Iterator[str]:
     """Hatched ground about x."""
-    yield _path_element("ink", f"M{x_px - 20:g},{y_px:g}h40")
+    yield _path_element("ink", f"M{x_px - GROUND_HALF_WIDTH:g},{y_px:g}h{2 * GROUND_HALF_WIDTH:g}")
     yield _path_element("thin", "".join(f"M{x_px - 16 + 8 * k:g},{y_px:g}l-6,8" for k in range(5)))
 
 
@@ -202,7 +217,7 @@ def _body(layout: _Layout, body: Body, rings_px: Sequence[float]) -> Iterator[st
 
 
 def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
-    """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground."""
+    """Fork with its stops around the upper body, or a spring below it, from the lower body or the ground."""
     body = layout.upper_body(contact)
     left_px, post_px = layout.contact_x_px(contact) - STOP_HALF_WIDTH, layout.contact_x_px(contact) + STOP_HALF_WIDTH
     top_px, bottom_px = layout.tops_px[body.name], layout.bottom_px(body)
@@ -213,14 +228,31 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
     css_class = "found" if len(text.lines) > 1 else "fork"
     if contact.law.has_stops:
         foot_path = f"V{foot_px:g}" + f"h{-STOP_HALF_WIDTH:g}" * bool(carriers)  # back to the carrier's station
-        yield _path_element(css_class, f"M{left_px:g},{top_px - STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}{foot_path}")
-        yield _path_element(css_class, f"M{left_px:g},{bottom_px + STOP_DISTANCE:g}h{2 * STOP_HALF_WIDTH:g}")
+        stop_heights_px = top_px - STOP_DISTANCE, bottom_px + STOP_DISTANCE
+        stops_px = [
+            y_px
+            for y_px, has_stop in zip(stop_heights_px, _stops_above_and_below(contact, body), strict=True)
+            if has_stop
+        ]
+        stop_paths = [f"M{left_px:g},{y_px:g}h{2 * STOP_HALF_WIDTH:g}" for y_px in stops_px]
+        yield _path_element(css_class, stop_paths[0] + foot_path)
+        yield from (_path_element(css_class, stop_path) for stop_path in stop_paths[1:])
     else:
         step_px = (foot_px - bottom_px) / 8
         coil = f"l16,{step_px:g}l-16,{step_px:g}" * 2 + f"l16,{step_px:g}l-8,{step_px / 2:g}"
         yield _path_element(css_class, f"M{post_px:g},{bottom_px:g}v{step_px:g}l-8,{step_px / 2:g}{coil}V{foot_px:g}")
     if not carriers:
         yield from _ground(post_px, foot_px)
+
+
+def _stops_above_and_below(contact: Contact, upper_body: Body) -> tuple[bool, bool]:
+    """Whether a stop stands above the upper body, and whether one stands below it.
+
+    The stop at the upper clearance is touched as `at` moves up from `against`: it is above `at`, or below `against`.
+    """
+    law = contact.law
+    has_upper, has_lower = bool(np.isfinite(law.upper_clearance_m)), bool(np.isfinite(law.lower_clearance_m))
+    return (has_upper, has_lower) if contact.at.body == upper_body.name else (has_lower, has_upper)
 
 
 def _contact_words(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
@@ -236,23 +268,6 @@ def _supports(layout: _Layout) -> Iterator[str]:
         x_px, y_px = layout.x_px(support.station), layout.bottom_px(layout.rig.body(support.station.body))
         yield _path_element("support", f"M{x_px:g},{y_px:g}l-7,14h14z", f"support at {support.station.position_m:g} m")
         yield _path_element("thin", "".join(f"M{x_px - 8 + 6 * k:g},{y_px + 14:g}l-5,6" for k in range(4)))
-
-
-def _is_held_somewhere(body: Body) -> bool:
-    """True of a body given by its modes that has no rigid-body motion."""
-    return not (body.is_mass or body.clamped) and body.rigid_modes == 0
-
-
-def _held_span_px(layout: _Layout, body_name: str) -> tuple[float, float]:
-    """Left and right end of the words, right of a force at the left end."""
-    left_px = layout.x_px(Station(body_name)) + 24
-    return left_px, left_px + LETTER_WIDTH * len(HELD_WORDS)
-
-
-def _held_words(layout: _Layout, body_name: str, line: int) -> Iterator[str]:
-    left_px, _ = _held_span_px(layout, body_name)
-    y_px = layout.bottom_px(layout.rig.body(body_name)) + 30 + LINE_HEIGHT * line
-    yield _text_element(left_px, y_px, "start", HELD_WORDS, "dim")
 
 
 def _sensors(layout: _Layout) -> Iterator[str]:
@@ -271,10 +286,18 @@ def _forces(layout: _Layout) -> Iterator[str]:
         yield _text_element(x_px + 9, y_px + 33, "start", "F", "dim")
 
 
-def _measured_base(layout: _Layout, foot_px: float) -> Iterator[str]:
-    """Words on the sensors of a base that shakes, at the foot of the drawing."""
-    if names := ", ".join(sensor.name for sensor in layout.rig.base_sensors):
-        yield _text_element(LEFT_MARGIN, foot_px - 6, "start", f"the ground shakes, measured by {names}", "dim")
+def _notes(rig: Rig) -> list[str]:
+    """Sentences on what cannot be drawn: that a body is held somewhere, and that the base shakes."""
+    is_held = [not (body.is_mass or body.clamped) and body.rigid_modes == 0 for body in rig.bodies]
+    notes = [f"{body.name} {HELD_WORDS}" for body, held in zip(rig.bodies, is_held, strict=True) if held]
+    base_names = ", ".join(sensor.name for sensor in rig.base_sensors)
+    return [*notes, *([f"the ground shakes, measured by {base_names}"] if base_names else [])]
+
+
+def _foot_notes(notes: Sequence[str], baseline_px: float) -> Iterator[str]:
+    """Notes at the foot of the drawing, the first of them at this height."""
+    for line, note in enumerate(notes):
+        yield _text_element(LEFT_MARGIN, baseline_px + LINE_HEIGHT * line, "start", note, "dim")
 
 
 def _baseline_px(layout: _Layout, mark: DrawnMark, text: DrawnText) -> float:

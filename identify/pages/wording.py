@@ -1,6 +1,7 @@
 """Numbers as text, for the pages, the figures and the screen."""
 
 import math
+from collections.abc import Sequence
 
 from rig.model.quantities import printed_unit
 
@@ -77,6 +78,12 @@ def change_words(change: float, standard_error: float) -> str:
 
 def _unit_text(unit: str) -> str:
     return "" if unit == "1" else f" {printed_unit(unit)}"
+
+
+def joined(words: Sequence[str], conjunction: str = "and") -> str:
+    """Enumeration "a, b and c"."""
+    *leading_words, last_word = words
+    return f"{', '.join(leading_words)} {conjunction} {last_word}" if leading_words else last_word
 
 
 def p_value_words(p_value: float) -> str:

@@ -2,6 +2,8 @@
 by accelerometers alone: errors of radial clearance, stiffness, damping and friction, and coverage of their intervals.
 
 python -m tests.campaigns.annular --rigs 20 --seed 1 --out out/annular
+
+With `--ancf-every 5` Exudyn simulates every fifth, built as `scenarios.jitter` says.
 """
 
 import csv
@@ -12,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec.structs import replace as msgspec_replace
 
 import identify
 from identify.contacts.results import ContactEstimate
@@ -22,8 +25,13 @@ from rig.model.contact_laws.annular import Annular
 from rig.model.description import Contact, Direction, Rig, Station
 from rig.model.sensing import named_sensor
 from rig.model.tolerances import EXACT, LABORATORY
-from rig.recording import channel_groups, writing
+from rig.recording import channel_groups, truth_path, writing
+from rig.simulation.excitation import excitation_of
+from rig.simulation.plants import plant_named
+from rig.simulation.record import record
+from scenarios.jitter import jittered
 from tests.campaigns.space_simulator import (
+    BAND_HZ,
     GRAVITY_M_PER_S2,
     Accelerometer,
     Ring,
@@ -40,6 +48,7 @@ RATE_HZ = 4096.0
 OPEN_SHARE = (0.15, 0.75)
 """Shares of the time in which each ring is open, between which the level of the forces is sought."""
 LEVEL_S, LEVELS = 6.0, 8
+EXUDYN_STEP_S = 2.0**-16
 DIRECTIONS: tuple[Direction, ...] = ("y", "z")
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
 
@@ -177,9 +186,36 @@ def level_n(machine: SpaceMachine, seed: int) -> float:
     return best
 
 
-def write(path: Path, rig: Rig, record: SpaceRecord) -> None:
+def record_with_exudyn(path: Path, machine: SpaceMachine, rms_n: float, seconds: float, seed: int) -> None:
+    """Recording by the plant `ancf` of the machine's jittered rig, whose laws are the true ones."""
+    rig = believed_rig(machine)
+    true_laws = (
+        Annular(
+            clearance_m=ring.clearance_m,
+            stiffness_n_per_m=ring.stiffness_n_per_m,
+            damping_n_s_per_m=ring.damping_n_s_per_m,
+            friction_coefficient=ring.friction,
+            sliding_speed_m_per_s=ring.sliding_speed_m_per_s,
+        )
+        for ring in machine.rings
+    )
+    contacts = tuple(msgspec_replace(c, law=law) for c, law in zip(rig.contacts, true_laws, strict=True))
+    record(
+        rig,
+        excitation_of("gaussian", rms_n=rms_n, seed=seed, low_hz=BAND_HZ[0], high_hz=BAND_HZ[1]),
+        plant=plant_named("ancf"),
+        duration_s=seconds,
+        step_s=EXUDYN_STEP_S,
+        path=path,
+        progress=lambda _: None,
+        actual=jittered(msgspec_replace(rig, contacts=contacts), np.random.default_rng(seed)),
+    )
+    truth_path(path).unlink()
+
+
+def write(path: Path, rig: Rig, space_record: SpaceRecord) -> None:
     """Recording of a rig in space."""
-    rows = {"force": record.forces_n, "acceleration": record.accelerations.reshape(len(rig.sensors), -1)}
+    rows = {"force": space_record.forces_n, "acceleration": space_record.accelerations.reshape(len(rig.sensors), -1)}
     with writing(path, rig, channel_groups(rig), {"made_by": "tests.campaigns.annular"}) as recording:
         recording.append_all(rows)
 
@@ -212,16 +248,19 @@ def score(rows: list[dict[str, float | str]]) -> None:
 
 
 def one_rig(
-    number: int, seed: int, out: Path, *, exact: bool, seconds: float, crossing: float
+    number: int, seed: int, out: Path, *, exact: bool, seconds: float, crossing: float, with_exudyn: bool
 ) -> list[dict[str, float | str]]:
-    """Rows of one rig's contacts."""
+    """Rows of one rig's contacts. Of a rig on Exudyn, shares of the time and rest are those of `simulated`, too."""
     rng, of_building = np.random.default_rng([seed, number]).spawn(2)
     nominal = drawn_machine(rng)
     rms_n, force_seed = level_n(nominal, number), int(rng.integers(2**31))
     built = nominal if exact else as_built(nominal, of_building, crossing)
-    record = simulated(built, rms_n, round(seconds * RATE_HZ), RATE_HZ, force_seed)
+    space_record = simulated(built, rms_n, round(seconds * RATE_HZ), RATE_HZ, force_seed)
     path = out / f"rig_{number:03d}.mcap"
-    write(path, believed_rig(nominal), record)
+    if with_exudyn:
+        record_with_exudyn(path, nominal, rms_n, seconds, force_seed)
+    else:
+        write(path, believed_rig(nominal), space_record)
     start_s, reasons, estimates = time.process_time(), {}, {}
     try:
         report = identify.contact(path, tolerances=EXACT if exact else LABORATORY).report
@@ -234,10 +273,11 @@ def one_rig(
             print(f"  rig {number}: not to be relied on: {finding.sentence}")
     rows = []
     for ring, open_share, angle_share, rest_m in zip(
-        nominal.rings, record.open_share, record.angle_share, record.rest_m, strict=True
+        nominal.rings, space_record.open_share, space_record.angle_share, space_record.rest_m, strict=True
     ):
         row: dict[str, float | str] = {
             "rig": number,
+            "plant": "ancf" if with_exudyn else "own",
             "contact": ring.name,
             "gravity": float(nominal.gravity),
             "rms_n": rms_n,
@@ -272,13 +312,15 @@ def annular(
     seconds: Annotated[float, typer.Option(help="Length of each record, s.")] = 60.0,
     exact: Annotated[bool, typer.Option("--exact", help="Build exactly as described, and believe it.")] = False,
     crossing: Annotated[float, typer.Option(help="Largest share of the other axis in each axis.")] = 0.0,
+    ancf_every: Annotated[int, typer.Option(help="Every how manyth rig is simulated with Exudyn; 0 for none.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("out/annular"),
 ) -> None:
     """Errors and coverage of annular contacts of random rigs."""
     out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, float | str]] = []
     for number in range(first, first + rigs):
-        rows += one_rig(number, seed, out, exact=exact, seconds=seconds, crossing=crossing)
+        with_exudyn = ancf_every > 0 and number % ancf_every == 0
+        rows += one_rig(number, seed, out, exact=exact, seconds=seconds, crossing=crossing, with_exudyn=with_exudyn)
         print(*(f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in rows[-2].items()), flush=True)
         print(*(f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in rows[-1].items()), flush=True)
     names = list(dict.fromkeys(name for row in rows for name in row))

@@ -9,13 +9,12 @@ from identify.gaps.wording import (
     between_records_sentence,
     bound_words,
     capitalised,
-    joined,
     look_alikes_of,
     probability,
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import number, p_value_words, percent
+from identify.pages.wording import joined, number, p_value_words, percent
 
 UNSCALED = (
     "No force was measured, so that all forces rest on the mass in rig.json: an error that scales mass and stiffnesses "

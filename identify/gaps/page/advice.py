@@ -10,12 +10,11 @@ from identify.gaps.wording import (
     MIN_HINT_SHARE,
     capitalised,
     is_effective,
-    joined,
     look_alikes_of,
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import length_words, number, percent
+from identify.pages.wording import joined, length_words, number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
 MAX_RANGES = 3

@@ -7,7 +7,7 @@ from identify.gaps.residual.unfolding import IN_Z
 from identify.gaps.results import Gap
 from identify.gaps.wording import MIN_DESCRIPTION_SHARE, MIN_HINT_SHARE
 from identify.pages.machine import DrawnMark
-from identify.pages.wording import change_words, estimate_words, percent
+from identify.pages.wording import change_words, estimate_words, number, percent
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
 
@@ -79,7 +79,7 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
             unknown.position_m, unknown.position_error_m or 0.0, "m", f"{unknown.position_m:.2f} m"
         )
         place_words = "" if rig.body(unknown.body).is_mass else f", near {position_words}"
-        size_words = f"{hint}{force_words}, {unknown.rms_n:.3g} N rms{place_words}"
+        size_words = f"{hint}{force_words}, {number(unknown.rms_n, 3)} N rms{place_words}"
         yield DrawnMark(Station(unknown.body, unknown.position_m), size_words, is_hint)
     if against:
         yield DrawnMark(against, "its opposite", is_hint)

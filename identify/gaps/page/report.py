@@ -54,6 +54,8 @@ DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("deci
 }
 """Figures beside the drawing of the rig, by verdict: the first that there is."""
 
+QUANTITY_ROW_PX = 34
+"""Height of a quantity in the decisive figure, px. Display."""
 MAX_FINDINGS = 2
 """Findings of the check that the page lists. Display."""
 
@@ -79,6 +81,12 @@ def captioned_drawing(gap: Gap, corrected_rig: Rig) -> str:
     return f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{caption_html}</figcaption>"
 
 
+def _decisive_height_px(figure_name: str, gap: Gap) -> int:
+    """Height of the decisive figure; of the quantities, such that each has room for a name of two lines."""
+    row_count = len(gap.evidence.quantities) if figure_name == "decided_quantities" else 0
+    return max(page.FIRST_PLOT_PX, QUANTITY_ROW_PX * row_count)
+
+
 def write_page(
     gap: Gap,
     figure_by_name: Mapping[str, Picture],
@@ -101,7 +109,7 @@ def write_page(
     second_column = ""
     if decisive := next((name for name in _decisive_figures(gap) if name in pictures), None):
         caption = CAPTION_BY_FIGURE.get(decisive, "")
-        second_column = page.figure(decisive, pictures.pop(decisive), caption, page.FIRST_PLOT_PX)
+        second_column = page.figure(decisive, pictures.pop(decisive), caption, _decisive_height_px(decisive, gap))
     experiment_figures = _figures_html(pictures, "next")
     sections = [
         ("How large is the difference?", "large", mismatch_size_html(gap)),

@@ -13,7 +13,7 @@ from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceHistory, explained_share, force_history
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
-from identify.pages.wording import change_words, estimate_words
+from identify.pages.wording import change_words, estimate_words, number
 from identify.signals.beginning import QUIET_S
 from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
@@ -249,7 +249,7 @@ def _sentence(law: ForceLaw | None, size: _ForceSize, timing: _ForceTiming, plac
         is_random = timing.before_excitation_ratio > RANDOM_RMS_RATIO
         noun = "a random force" if is_random else "a force that follows no law tried,"
         return (
-            f"{noun} from {low_hz:.3g} to {high_hz:.3g} Hz, {size.rms_value:.2g} N rms, "
+            f"{noun} from {low_hz:.3g} to {high_hz:.3g} Hz, {number(size.rms_value, 2)} N rms, "
             f"{place_text}{timing_texts[timing.pattern]}"
         )
     if law.form.is_tone:

@@ -74,12 +74,23 @@ def test_the_answer_says_whether_the_reference_agrees(identification, tmp_path):
         (contact.law, "Every 95 % interval holds the rig.json value."),
         (
             wide,
-            f"The rig.json value lies outside the 95 % interval of the clearance of {contact.name}, lower clearance",
+            "Outside their 95 % intervals are these rig.json values: clearance, lower clearance and upper clearance of "
+            f"{contact.name}.",
         ),
     ):
         path = tmp_path / "contact.html"
         write_page(identification, {}, "mass", {contact.name: law}, "rig.json", path)
         assert expected in _text(path.read_text(encoding="utf-8"))
+
+
+def test_a_single_touched_stop_has_one_clearance_by_its_side(identification, page):
+    (contact,) = identification.report.contacts
+    upper = msgspec.structs.replace(contact, clearance_m=contact.upper_clearance_m, lower_clearance_m=None)
+    report = msgspec.structs.replace(identification.report, contacts=(upper,))
+    text = _text(page(replace(identification, report=report)))
+    assert "<td>upper clearance, mm</td>" in text
+    assert "<td>clearance, mm</td>" not in text
+    assert "half the total play" not in text
 
 
 def test_what_was_assumed_is_said(identification, silent, page):

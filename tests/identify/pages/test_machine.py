@@ -1,5 +1,6 @@
 """The drawing of a rig on a page: what touches stands one above the other, and no text lies over another."""
 
+import math
 import re
 from itertools import combinations
 from xml.etree import ElementTree
@@ -72,6 +73,24 @@ def test_no_text_of_a_contact_lies_on_the_post_of_another(name):
                 NUMBER, text
             )  # which hides the post
             assert is_on_body or not (left < x + wide < right and top < y < foot), text
+
+
+@pytest.mark.parametrize("touched_from", ["below", "above"])
+def test_a_stop_that_is_not_there_is_not_drawn(touched_from):
+    """The upper stop is touched as `at` moves up: it stands above `at`, and below the body that `at` lies under."""
+    rig = BarrelCradle().rig()
+    (contact, _), law = rig.contacts, replace(rig.contacts[0].law, lower_clearance_m=math.inf)
+    swapped = {"at": contact.against, "against": contact.at} if touched_from == "below" else {}
+    one_sided = replace(rig, contacts=(replace(contact, law=law, **swapped),))
+    svg = drawing(one_sided)
+    barrel_px = min(float(rect.get("y")) for rect in svg.iter("rect"))
+    stops_px = [
+        float(re.match(r"M[-0-9.]+,([-0-9.]+)h", path.get("d"))[1])
+        for path in svg.iter("path")
+        if path.get("class") == "found"
+    ]
+    assert [stop_px < barrel_px for stop_px in stops_px] == [touched_from == "above"]
+    assert "contact, one stop" in drawing_html(one_sided, {})
 
 
 @pytest.mark.parametrize("width_px", [WIDTH, NARROW_WIDTH])
