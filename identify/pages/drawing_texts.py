@@ -27,6 +27,8 @@ EDGE_GAP = 4.0
 """Distance of the words of a mark from the drawing's edges, px."""
 MARK_GAP = 8.0
 """Distance between the words of a mark and the line of the next one, px."""
+NO_BREAK = "\u00a0"
+"""Space at which no line breaks."""
 
 
 @dataclass
@@ -67,18 +69,32 @@ class DrawnText:
 def contact_text(
     x_px: float, text_lines: Sequence[str], text_spans: TextSpans, posts_px: Sequence[float], drawing_px: float = WIDTH
 ) -> DrawnText:
-    """Lines of text beside a contact, on the side without posts of others, the right one if both or none is free; over
-    it, from the left edge on, where neither side has room."""
-    offset_px, width_px = STOP_HALF_WIDTH + 8, LETTER_WIDTH * max(map(len, text_lines))
-    left_px, right_px = x_px - offset_px - width_px, x_px + offset_px + width_px
-    is_right_free = not any(x_px < post_px < right_px for post_px in posts_px)
-    is_left_free = left_px >= 0 and not any(left_px < post_px < x_px for post_px in posts_px)
-    if right_px <= drawing_px and (is_right_free or not is_left_free):
+    """Lines of text beside a contact, on the right side if they have room there before the next post of another, else
+    on the left; wrapped on the right where neither side has room, or if that is too narrow for a word, over the post
+    of the contact from the left edge on."""
+    offset_px = STOP_HALF_WIDTH + 8
+    right_room_px = min([post_px for post_px in posts_px if post_px > x_px], default=drawing_px) - x_px - offset_px
+    left_room_px = x_px - offset_px - max([post_px for post_px in posts_px if post_px < x_px], default=0.0)
+    if LETTER_WIDTH * max(map(len, text_lines)) > max(left_room_px, right_room_px):
+        text_lines = _wrapped(text_lines, right_room_px) or text_lines
+    width_px = LETTER_WIDTH * max(map(len, text_lines))
+    if width_px <= right_room_px:
+        right_px = x_px + offset_px + width_px
         first_line = text_spans.line_for(x_px - STOP_HALF_WIDTH, right_px, len(text_lines))
         return DrawnText(x_px + offset_px, "start", text_lines, first_line)
     end_px = max(x_px - offset_px, width_px)
     first_line = text_spans.line_for(end_px - width_px, max(end_px, x_px + STOP_HALF_WIDTH), len(text_lines))
     return DrawnText(end_px, "end", text_lines, first_line)
+
+
+def _wrapped(text_lines: Sequence[str], width_px: float) -> list[str]:
+    """Lines wrapped to a width, an interval with its unit unbroken; none where a word is wider."""
+    lines = []
+    for line in text_lines:
+        value, *interval = line.split(" ± ")
+        breakable = " ".join([value, *(f"± {half_and_unit}".replace(" ", NO_BREAK) for half_and_unit in interval)])
+        lines += wrap(breakable, max(1, int(width_px / LETTER_WIDTH)), break_long_words=False)
+    return lines if LETTER_WIDTH * max(map(len, lines)) <= width_px else []
 
 
 def mark_texts(

@@ -50,8 +50,9 @@ def test_every_contact_has_its_values_and_no_text_lies_over_another(name, width_
     marks = [DrawnMark(Station(last.name, share * last.length_m), f"effect at {share}") for share in (0.3, 0.4, 0.9)]
     texts = list(boxes(drawing(rig, *marks, width_px=width_px)))
     written = [text for text, *_ in texts]
+    all_words = " ".join(written).replace("\u00a0", " ")
     assert {c.name for c in rig.contacts} | {b.name for b in rig.bodies} | {m.words for m in marks} <= set(written)
-    assert [written.count(word) for word in WORDS] == [len(rig.contacts)] * 2
+    assert [all_words.count(word) for word in WORDS] == [len(rig.contacts)] * 2
     for (one, left, right, y), (other, other_left, other_right, other_y) in combinations(texts, 2):
         assert abs(y - other_y) > 12 or right < other_left + 2 or other_right < left + 2, (one, other)
     assert all(left > -2 and right < width_px + 2 for _, left, right, _ in texts)
