@@ -109,15 +109,18 @@ def recommendations(result: Identification) -> Iterator[str]:
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
-            "Only half the total play is known: displacement sensors at both sides of a contact, which also show a "
-            "constant displacement, would tell its two clearances apart."
+            "The mean of a contact's two clearances is known, not each of them: for that, measure the displacement on "
+            "both sides of the contact, by sensors that also show a constant one."
         )
     if not is_unforced(result.motion) and result.motion.excited_from < SHORTEST_QUIET_S * result.motion.sample_rate_hz:
         yield (
             f"The sensors' noise is taken from {result.report.noise_from}: let the record begin with a second or more "
             "without force to measure it."
         )
-    yield "These intervals take the linear bodies of rig.json as right: identify gap checks whether they are."
+    yield (
+        "Simulate with the identified rig.json, which stands beside this page. The intervals hold if its bodies are "
+        "right: identify gap checks whether they are."
+    )
 
 
 def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:

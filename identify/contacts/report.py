@@ -98,7 +98,7 @@ def write_page(
         ],
         sections=[
             *([("What was refused", refusals_html(report))] if report.unanswered else []),
-            ("What would make it surer", page.list_html(recommendations(result))),
+            ("What to do next", page.list_html(recommendations(result))),
         ],
         folded_sections=[
             *folded_sections,
@@ -177,7 +177,7 @@ def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> l
         if names := [value.name for value in values if not _agrees(value.estimate, value.reference)]:
             differing.append(f"{joined(names)} of {contact.name}")
     if differing:
-        return [f"Outside their 95 % intervals are these {laws_name} values: {'; '.join(differing)}."]
+        return [f"These {laws_name} values lie outside the 95 % intervals: {'; '.join(differing)}."]
     return [f"Every 95 % interval holds the {laws_name} value."] if compared_count else []
 
 
@@ -201,7 +201,8 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
     table = page.table(("", "", "identified", laws_name, "differs by"), table_rows)
-    note = f"<p>Value ± 1.96 standard errors: 95 % interval; agrees: it holds the value beside it.{clearance_words}</p>"
+    note = "Identified: value ± 1.96 standard errors, the 95 % interval. A value beside it that lies within agrees."
+    note = f"<p>{note}{clearance_words}</p>"
     return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 

@@ -137,7 +137,16 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
 def _label_words(label: str) -> str:
     """Label of an effect in words: "added mass of the barrel" of added_mass:barrel."""
     effect, _, place = label.partition(":")
-    return effect.replace("_", " ") + (f" of the {place}" if place not in ("", "all") else "")
+    return spoken_effect(effect) + (f" of the {place}" if place not in ("", "all") else "")
+
+
+def spoken_effect(effect_name: str) -> str:
+    """Name of an effect in words: "added mass"."""
+    return effect_name.replace("_", " ").replace("youngs", "Young's")
+
+
+_UNMEASURED_WORDS = {"distributed": "changing stiffness", "contact": "swinging clearance"}
+"""Words for what is not measured, by its kind, where that is no force."""
 
 
 def findings_heading(gap: Diagnosis) -> str:
@@ -149,9 +158,12 @@ def findings_heading(gap: Diagnosis) -> str:
         if strength.is_named and (effects()[effect].stochastic or effects()[effect].of_a_record)
     ]
     if gap.unknown and gap.unknown.kind != "sensor" and gap.unknown.explained >= MIN_DESCRIPTION_SHARE:
-        unmeasured.append("the unmeasured force described above")
+        unmeasured.append(f"the {_UNMEASURED_WORDS.get(gap.unknown.kind, 'unmeasured force')} described above")
     reservation = f", which does not know {joined(unmeasured)}," if unmeasured else ""
-    cause_words = ", perhaps because of the difference above" * gap.evidence.difference_matters
+    cause_words = (
+        ", perhaps because of the difference above (mend no channel before that is explained)"
+        * gap.evidence.difference_matters
+    )
     return f"The check of the recordings{reservation} says{cause_words}:"
 
 

@@ -6,6 +6,7 @@ from itertools import count
 from textwrap import wrap
 
 from identify.pages.page import unbroken_html
+from rig.model.description import Rig
 
 WIDTH = 540.0
 """Width of the drawing, px."""
@@ -29,6 +30,8 @@ MARK_GAP = 8.0
 """Distance between the words of a mark and the line of the next one, px."""
 NO_BREAK = "\u00a0"
 """Space at which no line breaks."""
+HELD_WORDS = "is held: no rigid-body mode"
+"""Words on a body that is given by its modes and held somewhere: they do not tell where."""
 
 
 @dataclass
@@ -149,7 +152,7 @@ def ruler_numbers(
     numbers: list[tuple[float, float, str]] = []
     taken_px = [(ring_px - RING_RADIUS - 2, ring_px + RING_RADIUS + 2) for ring_px in rings_px]
     for place_m in (length_m, *(step_m * k for k in range(int(length_m / step_m) + 1))):
-        text = f"{place_m:.6g}" + " m" * (place_m == length_m)
+        text = f"{place_m:.4g}" + " m" * (place_m == length_m)
         half_px, place_px = RULER_LETTER_WIDTH * len(text) / 2, left_px + length_px * place_m / length_m
         middle_px = max(min(place_px, left_px + length_px - 3 - half_px), left_px + 6 + half_px)
         first_px, last_px = middle_px - half_px - 2, middle_px + half_px + 2
@@ -157,6 +160,14 @@ def ruler_numbers(
             taken_px.append((first_px, last_px))
             numbers.append((place_px, middle_px, text))
     return numbers
+
+
+def foot_notes(rig: Rig) -> list[str]:
+    """Sentences on what cannot be drawn: that a body is held somewhere, and that the base shakes."""
+    is_held = [not (body.is_mass or body.clamped) and body.rigid_modes == 0 for body in rig.bodies]
+    notes = [f"{body.name} {HELD_WORDS}" for body, held in zip(rig.bodies, is_held, strict=True) if held]
+    base_names = ", ".join(sensor.name for sensor in rig.base_sensors)
+    return [*notes, *([f"the ground shakes, measured by {base_names}"] if base_names else [])]
 
 
 def bold_width_px(text: str) -> float:

@@ -26,6 +26,7 @@ from identify.pages.drawing_texts import (
     TextSpans,
     bold_width_px,
     contact_text,
+    foot_notes,
     mark_texts,
     ruler_numbers,
 )
@@ -40,17 +41,16 @@ ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
 GROUND_HALF_WIDTH = 20.0
 """Half the width of the hatched ground, px."""
-HELD_WORDS = "is held: no rigid-body mode"
-"""Words on a body that is given by its modes and held somewhere: they do not tell where."""
 
 
 @dataclass(frozen=True)
 class DrawnMark:
-    """Mark of an effect or force at a station, with its words; a hint is drawn fainter."""
+    """Mark of an effect or force with its words: at a station, or around the whole of its body; a hint is fainter."""
 
     station: Station
     words: str
     is_hint: bool = False
+    of_whole_body: bool = False
 
     @property
     def css_class(self) -> str:
@@ -138,14 +138,14 @@ def rig_drawing(
         text = contact_text(layout.contact_x_px(contact), lines, spans_below[body.name], posts_px, width_px)
         contact_texts.append((contact, text))
     marks_and_texts = list(_mark_texts(layout, marks, spans_below, spans_above))
-    places = [(mark.station.body, round(layout.x_px(mark.station))) for mark, _ in marks_and_texts]
-    rings_px = {body.name: [float(x_px) for name, x_px in places if name == body.name] for body in rig.bodies}
+    places = [(mark.station.body, round(layout.x_px(mark.station)), mark.of_whole_body) for mark, _ in marks_and_texts]
+    rings_px = {b.name: [float(x) for name, x, whole in places if name == b.name and not whole] for b in rig.bodies}
     ringed = dict(zip(places[::-1], marks_and_texts[::-1], strict=True))  # the first mark of each place
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
         y_px += _height_px(body) + LINE_HEIGHT * len(spans_below[body.name].spans_by_line)
-    notes = _notes(rig)
+    notes = foot_notes(rig)
     height_px = y_px + FOOT_HEIGHT + LINE_HEIGHT * max(0, len(notes) - 1)
     svg_elements = [
         *(element for body in rig.bodies for element in _clamp_or_spring(layout, body)),
@@ -286,14 +286,6 @@ def _forces(layout: _Layout) -> Iterator[str]:
         yield _text_element(x_px + 9, y_px + 33, "start", "F", "dim")
 
 
-def _notes(rig: Rig) -> list[str]:
-    """Sentences on what cannot be drawn: that a body is held somewhere, and that the base shakes."""
-    is_held = [not (body.is_mass or body.clamped) and body.rigid_modes == 0 for body in rig.bodies]
-    notes = [f"{body.name} {HELD_WORDS}" for body, held in zip(rig.bodies, is_held, strict=True) if held]
-    base_names = ", ".join(sensor.name for sensor in rig.base_sensors)
-    return [*notes, *([f"the ground shakes, measured by {base_names}"] if base_names else [])]
-
-
 def _foot_notes(notes: Sequence[str], baseline_px: float) -> Iterator[str]:
     """Notes at the foot of the drawing, the first of them at this height."""
     for line, note in enumerate(notes):
@@ -325,15 +317,21 @@ def _mark_texts(
 
 
 def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
-    """Ring about the station, and a line to its words."""
+    """Ring about the station, or frame about the body, and a line to its words."""
     body = layout.rig.body(mark.station.body)
-    x_px, middle_px = layout.corner_x_px(mark.station, RING_SHARE), layout.tops_px[body.name] + _height_px(body) / 2
+    height_px, top_px = _height_px(body), layout.tops_px[body.name]
+    x_px, middle_px = layout.corner_x_px(mark.station, RING_SHARE), top_px + height_px / 2
+    reach_px = height_px / 2 if mark.of_whole_body else RING_RADIUS
     words_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * (len(text.lines) - 1) + 5
-    ends_px = (middle_px - RING_RADIUS, words_px)
+    ends_px = (middle_px - reach_px, words_px)
     if layout.is_marked_below(body):
-        ends_px = (middle_px + RING_RADIUS, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
+        ends_px = (middle_px + reach_px, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
     yield _path_element(mark.css_class, f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
-    yield f'<circle class="{mark.css_class}" cx="{x_px:g}" cy="{middle_px:g}" r="{RING_RADIUS:g}"/>'
+    if mark.of_whole_body and not body.is_mass:
+        left_px, width_px = layout.x_px(Station(body.name)), layout.px_per_m * body.length_m
+        yield _path_element(mark.css_class, f"M{left_px:g},{top_px:g}h{width_px:g}v{height_px:g}h{-width_px:g}z")
+    else:
+        yield f'<circle class="{mark.css_class}" cx="{x_px:g}" cy="{middle_px:g}" r="{RING_RADIUS:g}"/>'
 
 
 def _mark_words(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:

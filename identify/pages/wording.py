@@ -15,7 +15,7 @@ P_VALUE_WORDS = (
     (0.05, "chance alone would do this in fewer than 1 of 20 machines"),
     (0.2, "chance alone would do this in fewer than 1 of 5 machines"),
     (0.8, "as likely by chance as not"),
-    (math.inf, "chance alone mostly leaves more"),
+    (math.inf, "tolerances and noise mostly leave more"),
 )
 """Words for a p-value below each of these."""
 SMALLEST_P_VALUE = 1e-12

@@ -65,10 +65,15 @@ def _consistent_sentences(gap: Diagnosis) -> list[str]:
 
 def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
     p_words = p_value_words(gap.before.p_value)
-    clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
-    exceeding = [bound_words(bound) for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
+    quantities = gap.evidence.quantities
+    unsettled_count = sum(not bound.holds for bound in quantities)
+    clause = (
+        f"No difference from rig.json stands out ({p_words}), but these records do not settle {unsettled_count} of "
+    )
+    clause += f"the {len(quantities)} quantities that matter"
+    exceeding = [bound_words(bound) for bound in quantities if not bound.holds and not bound.not_seen]
     if exceeding:
-        clause += f", though the best value is beyond what matters for {joined(exceeding)}"
+        clause += f", and the best value is beyond what matters for {joined(exceeding)}"
     verdict_sentences = [f"{clause}."]
     if cause := _named_cause(gap):
         verdict_sentences.append(f"{_subject(cause)} would explain what is left{_taken_up_words(gap)}.")
@@ -183,13 +188,13 @@ def _named_cause(gap: Diagnosis) -> Cause | None:
 def _unnamed_sentence(gap: Diagnosis) -> str:
     """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
     if gap.causes and gap.causes[0].probability > 0.5:
-        likeliest = f"the likeliest is {joined(gap.causes[0].words)} ({probability(gap.causes[0].probability)})"
         is_size_uncertain = any(
             strength.inclusion_probability >= NAMED_PROBABILITY and not strength.is_named
             for strength in gap.causes[0].strengths
         )
-        interval_words = ", whose interval does not exclude that it is nothing" if is_size_uncertain else ""
-        return f"No effect of the library is certain enough to be named; {likeliest}{interval_words}."
+        cause_words, probability_words = joined(gap.causes[0].words), probability(gap.causes[0].probability)
+        doubt = "may be nothing: its interval includes zero" if is_size_uncertain else f"has {probability_words}"
+        return f"No effect of the library is certain enough to be named; the likeliest, {cause_words}, {doubt}."
     return "No effect of the library is named for it."
 
 
@@ -201,11 +206,9 @@ def _fuller_cause_sentence(gap: Diagnosis) -> list[str]:
         words_by_effect = {s.effect: words for s, words in zip(cause.strengths, cause.words, strict=True)}
         if cause.probability > 0.5 and named_effects < words_by_effect.keys():
             further_words = [words for effect, words in words_by_effect.items() if effect not in named_effects]
-            are = "is" if len(further_words) == 1 else "are"
             return [
-                f"Beside {_pronoun(gap.causes[0])}, {joined(further_words)} {are} likely "
-                f"({probability(cause.probability)}), of uncertain size: together they remove "
-                f"{percent(cause.explained)}."
+                f"Beside {_pronoun(gap.causes[0])} there may be {joined(further_words)}, of uncertain size "
+                f"({probability(cause.probability)}): together they remove {percent(cause.explained)}."
             ]
     return []
 

@@ -11,6 +11,7 @@ from identify.gaps.wording import (
     capitalised,
     is_effective,
     look_alikes_of,
+    spoken_effect,
     stays_unexplained_words,
     unexplained_words,
 )
@@ -258,7 +259,7 @@ def _discriminating_steps(gap: Gap) -> list[str]:
             for effect, look_alikes in look_alikes_of(gap)
         ),
         *_experiment_steps(gap),
-        *(f"To test {name.replace('_', ' ')}: {test}." for name, _, test in test_parts),
+        *(f"To test for {spoken_effect(name)}: {test}." for name, _, test in test_parts),
     ]
 
 

@@ -42,15 +42,15 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
             if not strength.is_named:
                 continue
             position_share = cause.parameters.get(f"{label}.relative_position")
-            places = (
-                station_named(rig, place.removesuffix(IN_Z), 0.5 if position_share is None else position_share.value)
-                for place_label, place in cause.places.items()
-                if place_label.partition(".")[0] == label
-            )
-            station, is_on_all = next(filter(None, places), None), cause.places.get(f"{label}.contact") == "all"
+            names = [name.removesuffix(IN_Z) for key, name in cause.places.items() if key.partition(".")[0] == label]
+            of_whole_body = position_share is None and any(body.name in names for body in rig.bodies)
+            length_share = 0.5 if position_share is None else position_share.value
+            station = next(filter(None, (station_named(rig, name, length_share) for name in names)), None)
+            is_on_all = cause.places.get(f"{label}.contact") == "all"
             stations = [station] if station else [contact.at for contact in rig.contacts if is_on_all]
             for index, station in enumerate(stations):
-                yield DrawnMark(station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}")
+                words = "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}"
+                yield DrawnMark(station, words, of_whole_body=of_whole_body)
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -69,7 +69,8 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     for body_name, growth in unknown.growth.items():
         change = change_words(growth.value, growth.standard_error)
         middle = Station(body_name, rig.body(body_name).length_m / 2)
-        yield DrawnMark(middle, f"{hint}stiffness of the {body_name} changes by {change}", is_hint)
+        words = f"{hint}stiffness of the {body_name} changes by {change}"
+        yield DrawnMark(middle, words, is_hint, of_whole_body=True)
     against = None
     if unknown.against_body is not None and unknown.against_position_m is not None:
         against = Station(unknown.against_body, unknown.against_position_m)

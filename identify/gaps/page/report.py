@@ -34,13 +34,13 @@ CAPTION_BY_FIGURE = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
-    "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
-    "Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share of the "
-    "whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
-    "decided_quantities": "What decides: the difference in the motion, the contact forces and the contact parameters. "
-    "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. A quantity is settled "
-    "as too small to matter if its line ends left of the dashed one, at its limit. Differences below a hundredth of it "
-    "stand at the left edge.",
+    "large_bands": "The share of the mean square of the acceleration that each rig leaves unexplained, in bands of "
+    "frequency. Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share "
+    "of the whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
+    "decided_quantities": "What decides: the difference in the motion and the contact forces, as a share of the mean "
+    "square (1 % is a tenth of the amplitude), and in the contact parameters. A line goes to the upper end of the 95 % "
+    "interval, or to the right edge where nothing bounds it. A quantity is settled as too small to matter if its line "
+    "ends left of the dashed one, at its limit. Differences below a hundredth of the limit stand at a hundredth.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
     "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "

@@ -74,7 +74,7 @@ def test_the_answer_says_whether_the_reference_agrees(identification, tmp_path):
         (contact.law, "Every 95 % interval holds the rig.json value."),
         (
             wide,
-            "Outside their 95 % intervals are these rig.json values: clearance, lower clearance and upper clearance of "
+            "These rig.json values lie outside the 95 % intervals: clearance, lower clearance and upper clearance of "
             f"{contact.name}.",
         ),
     ):

@@ -30,7 +30,7 @@ from identify.gaps.wording import (
     unexplained_words,
 )
 from identify.pages.drawing import drawing_html
-from identify.pages.machine import HELD_WORDS
+from identify.pages.drawing_texts import HELD_WORDS
 from identify.pages.page import unbroken_html
 from identify.pages.style import picture
 from identify.pages.wording import number, p_value_words, percent
@@ -169,7 +169,8 @@ def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
 
 def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
     gap = gaps["cannot_tell"]
-    assert gap.sentence.startswith("These records do not tell whether rig.json is right")
+    assert gap.sentence.startswith("No difference from rig.json stands out")
+    assert "but these records do not settle 1 of the" in gap.sentence
     assert "Not settled: the force of contact_1 (noise hides it); excite the rig more strongly." in gap.sentence
     assert next_steps(gap)[:2] == ["Do not rely on rig.json yet.", "Excite the rig more strongly, and diagnose again."]
     assert '<div class="verdict yellow"><b>cannot tell</b>' in html_of(gap, tmp_path)
@@ -200,7 +201,7 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
         "</table>",
         "</title>",
         "Channel <b> is dead and was left out.",
-        "To test added mass: <script>alert(1)</script>.",
+        "To test for added mass: <script>alert(1)</script>.",
     }
     assert said <= set(page.texts)
     assert page.tags.count("b") == 1  # the verdict
@@ -210,7 +211,7 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
 
 def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
     assert findings_heading(gaps["consistent"]) == "The check of the recordings says:"
-    cause_words = "perhaps because of the difference above"
+    cause_words = "perhaps because of the difference above (mend no channel before that is explained)"
     hum = "an unmeasured tone of 12.2 Hz on the frame at 0.30 m"
     frequency = {"tone.frequency_hz": (12.2, 0.1, "Hz")}
     tone = diagnoses.cause(("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, frequency)

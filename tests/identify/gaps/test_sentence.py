@@ -70,12 +70,11 @@ def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
 def test_a_small_difference_without_a_name_is_described(gaps):
     drag = gaps["unexplained"].unknown
     assert drag is not None
-    likeliest = f"the likeliest is {gaps['small'].causes[0].words[0]}"
-    uncertain = "whose interval does not exclude that it is nothing"
+    likeliest = f"the likeliest, {gaps['small'].causes[0].words[0]}"
     for chance, lower, reason in (
         (0.4, 0.1, "named for it"),
-        (0.8, 0.1, f"{likeliest} (80.0 %)"),
-        (0.99, -0.1, f"{likeliest} (99.0 %), {uncertain}"),
+        (0.8, 0.1, f"{likeliest}, has 80.0 %"),
+        (0.99, -0.1, f"{likeliest}, may be nothing: its interval includes zero"),
     ):
         causes = tuple(
             replace(
@@ -110,7 +109,7 @@ def test_what_to_do_depends_on_the_verdict(gaps):
     steps = {name: " ".join(next_steps(gap)) for name, gap in gaps.items()}
     assert "Nothing needs to be done" in steps["consistent"]
     assert "corrected rig.json" in steps["explained"]
-    assert "To test clamp compliance: measure close to the clamp." in steps["explained"]
+    assert "To test for clamp compliance: measure close to the clamp." in steps["explained"]
     for word in ("better rig, not as the right one", "the cradle near 0.80 m", "50.0 Hz", "weigh the part"):
         assert word in steps["partly_explained"]
     for word in ("Do not rely on rig.json", "the barrel near 0.89 m", "follows the displacement"):
@@ -244,10 +243,12 @@ def test_a_likelier_cause_with_the_named_effect_and_one_of_uncertain_size_is_sai
         explained=0.93,
     )
     told = sentence(replace(gap, causes=(named, fuller)))
-    assert f"Beside it, {friction} is likely (98.4 %), of uncertain size: together they remove 93.0 %." in told
+    assert f"Beside it there may be {friction}, of uncertain size (98.4 %): together they remove 93.0 %." in told
     two = replace(
         fuller, words=(*fuller.words, "a tone"), strengths=(*fuller.strengths, replace(uncertain, effect="tone:all"))
     )
-    assert f"Beside it, {friction} and a tone are likely" in sentence(replace(gap, causes=(named, two)))
+    assert f"Beside it there may be {friction} and a tone, of uncertain size" in sentence(
+        replace(gap, causes=(named, two))
+    )
     assert "of uncertain size" not in sentence(replace(gap, causes=(named, replace(fuller, probability=0.4))))
     assert "of uncertain size" not in gap.sentence

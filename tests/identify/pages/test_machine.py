@@ -76,6 +76,16 @@ def test_no_text_of_a_contact_lies_on_the_post_of_another(name):
             assert is_on_body or not (left < x + wide < right and top < y < foot), text
 
 
+def test_an_effect_of_a_whole_body_is_a_frame_around_it():
+    rig = BarrelCradle().rig()
+    svg = drawing(rig, DrawnMark(Station("cradle", 0.5), "a softer cradle", of_whole_body=True))
+    cradle = max(svg.iter("rect"), key=lambda rect: float(rect.get("y")))
+    left, top, wide, high = (float(cradle.get(key)) for key in ("x", "y", "width", "height"))
+    frame = f"M{left:g},{top:g}h{wide:g}v{high:g}h{-wide:g}z"
+    assert frame in [path.get("d") for path in svg.iter("path") if path.get("class") == "mark"]
+    assert not [circle for circle in svg.iter("circle") if circle.get("class") == "mark"]
+
+
 @pytest.mark.parametrize("touched_from", ["below", "above"])
 def test_a_stop_that_is_not_there_is_not_drawn(touched_from):
     """The upper stop is touched as `at` moves up: it stands above `at`, and below the body that `at` lies under."""
