@@ -53,8 +53,10 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     timing = _force_timing(history)
     station, opposite_station = place.stations[0], place.stations[1] if len(place.stations) > 1 else None
     rig = located.whitened_record.record.rig
-    position_error_m = None if rig.body(station.body).is_mass else located.position_error_m
-    near_text = _near_text(rig, station, located.position_error_m)
+    station_error_m = located.whitened_record.record.tolerances.position_m  # as places are told by the sensors
+    place_error_m = float(np.hypot(located.position_error_m, station_error_m))
+    position_error_m = None if rig.body(station.body).is_mass else place_error_m
+    near_text = _near_text(rig, station, place_error_m)
     place_text = (
         f"between {near_text} and {_near_text(rig, opposite_station)}" if opposite_station else f"on {near_text}"
     )
