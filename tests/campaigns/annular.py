@@ -48,7 +48,7 @@ RATE_HZ = 4096.0
 OPEN_SHARE = (0.15, 0.75)
 """Shares of the time in which each ring is open, between which the level of the forces is sought."""
 LEVEL_S, LEVELS = 6.0, 8
-EXUDYN_STEP_S = 2.0**-16
+EXUDYN_STEP_S = 2.0**-15
 DIRECTIONS: tuple[Direction, ...] = ("y", "z")
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
 

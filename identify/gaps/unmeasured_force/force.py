@@ -1,6 +1,6 @@
 """Fit of one unmeasured force: located on the fit record, then validated on a second record."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex
@@ -10,7 +10,7 @@ from identify.gaps.unmeasured_force.evidence import evidence_with_force
 from identify.gaps.unmeasured_force.location import LocatedForce, locate_force, response_of
 from identify.gaps.unmeasured_force.nuisance import drift_accelerations, whitened_record
 from identify.gaps.unmeasured_force.time_history import force_spectrum
-from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, without_columns
 from rig.model.description import Rig
 
 SAME_PLACE_M = 0.05
@@ -64,6 +64,10 @@ def likeliest_force(fit_record: Record, rig: Rig, validation: Record) -> Unmeasu
     whitened_validation = whitened_record(validation, rig)
     on_validation_record = locate_force(whitened_validation)
     at_fit_place = _fit_at_place(on_fit_record, whitened_validation, on_validation_record)
+    on_validation_record, at_fit_place = (
+        replace(located, whitened_record=without_columns(located.whitened_record))
+        for located in (on_validation_record, at_fit_place)
+    )
     return UnmeasuredForceFit(on_fit_record, on_validation_record, at_fit_place)
 
 

@@ -17,7 +17,7 @@ from identify.gaps.unmeasured_force.evidence import (
     residual_without_nuisance,
 )
 from identify.gaps.unmeasured_force.nuisance import modulus_drift_column
-from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns, without_columns
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
@@ -254,7 +254,7 @@ def _locate_drift(
         )
         with_force = evidence_without_force(with_drift)
         place = ForcePlace("distributed", body_names=bodies)
-        located = LocatedForce(place, without_force, with_force, with_drift, no_response)
+        located = LocatedForce(place, without_force, with_force, without_columns(with_drift), no_response)
         best_decrease = best.criterion_decrease if best else -np.inf
         if located.criterion_decrease > max(best_decrease, 1.05 * best_decrease):
             covariance = np.linalg.inv(nuisance_equations(with_drift, with_force.noise_variance)[0])

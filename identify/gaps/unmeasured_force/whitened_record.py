@@ -60,7 +60,7 @@ class WhitenedRecord:
     force_noise_shares: Float[np.ndarray, "lines modes"]
     whitened_residual: Complex[np.ndarray, "lines rows"]
     nuisance_parameters: tuple[Nuisance, ...]
-    nuisance_columns: Complex[np.ndarray, "columns lines rows"]
+    nuisance_columns: Complex[np.ndarray, "kept lines rows"]
     modal_accelerations: tuple[Complex[np.ndarray, "_ alllines"], ...]
     band_first_lines: Int[np.ndarray, " bands"]
     residual_squares: Float[np.ndarray, " bands"]
@@ -206,6 +206,11 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     noise_shares = 1 - 1 / np.sqrt(1 + singular_values**2)
     whitened = replace(unwhitened_record, force_noise_modes=noise_modes, force_noise_shares=noise_shares)
     return replace(whitened, whitened_residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
+
+
+def without_columns(whitened: WhitenedRecord) -> WhitenedRecord:
+    """Record with the band sums of its nuisance columns alone, where no force is described by it: the columns are large."""
+    return replace(whitened, nuisance_columns=whitened.nuisance_columns[:0].copy())
 
 
 def with_columns(
