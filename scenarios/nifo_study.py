@@ -76,13 +76,13 @@ class NifoEstimate(msgspec.Struct, frozen=True, kw_only=True):
 class NifoOutcome(msgspec.Struct, frozen=True):
     """Result of a study: the estimates, and the share of the time for which each contact is closed.
 
-    incoherent_shares are those of force and penetrations, without noise.
+    incoherent_rms_shares are those of force and penetrations, without noise.
     """
 
     estimates: tuple[NifoEstimate, ...]
     contacts: tuple[str, ...]
     closed_shares: tuple[float, ...]
-    incoherent_shares: tuple[float, ...]
+    incoherent_rms_shares: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,11 @@ def nifo_outcome(study: Study) -> NifoOutcome:
                 nifo_result = nifo(equation, force_n, np.array(penetrations_m), block_set, form)
                 estimates += _estimates(rig, nifo_result, form, block_s, noise_density)
             if noise_index == 0 and block_s == max(study.block_s):
-                incoherent = incoherent_shares([force_n, *penetrations_m], block_set)
+                incoherent = incoherent_rms_shares([force_n, *penetrations_m], block_set)
     return NifoOutcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed_shares.tolist()), incoherent)
 
 
-def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_set: Blocks) -> tuple[float, ...]:
+def incoherent_rms_shares(signals: Sequence[Float[np.ndarray, " samples"]], block_set: Blocks) -> tuple[float, ...]:
     """Share of each signal's amplitude that is no linear response to the others: rms over frequency.
 
     With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.

@@ -100,7 +100,7 @@ def nifo_sweep(
         closed_shares = dict(zip(outcome.contacts, outcome.closed_shares, strict=True))
         for estimate in outcome.estimates:
             axis_value = 1 / estimate.block_s if of_resolution else sweep.unit_factor * value
-            points.append(Point(axis_value, estimate, closed_shares[estimate.contact], outcome.incoherent_shares))
+            points.append(Point(axis_value, estimate, closed_shares[estimate.contact], outcome.incoherent_rms_shares))
     noisy_points = [point for point in points if point.estimate.noise_density]
     ideal = ideal_range(noisy_points) if noisy_points else None
     print_and_draw(f"NIFO against {sweep.quantity}", sweep.axis, points, folder / f"{varied}.png", ideal)
@@ -114,13 +114,13 @@ def nifo_sweep(
 class Point:
     """Estimate of a contact at a value of the varied quantity, and the share of the time for which it is closed.
 
-    incoherent_shares are those of force and penetrations (`nifo_study.incoherent_shares`).
+    incoherent_rms_shares are those of force and penetrations (`nifo_study.incoherent_rms_shares`).
     """
 
     value: float
     estimate: NifoEstimate
     closed_share: float
-    incoherent_shares: tuple[float, ...]
+    incoherent_rms_shares: tuple[float, ...]
 
     @property
     def case(self) -> str:
@@ -204,7 +204,7 @@ def _table(title: str, quantity: str, points: Sequence[Point]) -> Table:
             )
             for column in columns
         )
-        incoherent_text = ", ".join(f"{100 * share:.0f}" for share in row_points[0].incoherent_shares)
+        incoherent_text = ", ".join(f"{100 * share:.0f}" for share in row_points[0].incoherent_rms_shares)
         table.add_row(f"{value:.3g}{case and ', ' + case}", closed_text, incoherent_text, *cells)
     return table
 

@@ -224,7 +224,7 @@ def observed_motion(
     )
     return ObservedSignals(
         sensors=sensors,
-        displaced_by=sensors,
+        displacement_sensors=sensors,
         tolerances=tolerances,
         omega=omega,
         sensor_response=unit_response,

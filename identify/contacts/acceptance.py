@@ -33,7 +33,7 @@ PULL_LIMIT = 4.5
 USUAL_PULL = 1.5
 """Tolerances by which `BODY_AND_FORCE_KINDS` may be pulled before the intervals widen: see `widened_estimate`."""
 BODY_AND_FORCE_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
-HALF_DIFFERENCE_LIMIT = 3.7
+SPLIT_HALF_Z_LIMIT = 3.7
 """Standard errors by which the halves of a record may differ; 4 is the largest value that 16 equal parts can give."""
 UNEXPLAINED_LIMIT, FREE_DECAY_UNEXPLAINED_LIMIT = 0.3, 0.03
 """Share of a contact force's root mean square that the fit may leave. In a free decay less is left, unless a force acts
@@ -172,7 +172,7 @@ def fit_findings(
         damping, error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
         if damping < -NEGATIVE_DAMPING_ERRORS * error:
             yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-        if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
+        if max(np.abs(estimate.split_half_z)) > SPLIT_HALF_Z_LIMIT:
             yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
         if isinstance(estimate, JointEstimate) and estimate.open_friction_n:
             friction_text = f"while {name} is open, {number(estimate.open_friction_n)} N act against its motion"

@@ -12,8 +12,8 @@ from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_s
 from identify.contacts.joint_fit import (
     check_bridged,
     check_drift,
-    half_differences,
     small_sample_factor,
+    split_half_z,
     unexplained_share,
 )
 from identify.contacts.law_fit import LEAST_HALF_SAMPLES, difference_and_excess_of_halves
@@ -51,7 +51,7 @@ class AnnularEstimate:
     rate_m_per_s: Float[np.ndarray, "2 samples"]
     force_n: Float[np.ndarray, "2 fewer"]
     unexplained_share: float
-    half_differences: tuple[float, float]
+    split_half_z: tuple[float, float]
     widening_factor: float = 1.0
 
     @property
@@ -130,7 +130,7 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         rate_m_per_s=rate_m_per_s,
         force_n=record.force_n + state.values[REST][:, None],
         unexplained_share=unexplained_share(residual_force_noise_n),
-        half_differences=half_differences(scores[:, [CLEARANCE, STIFFNESS]]),
+        split_half_z=split_half_z(scores[:, [CLEARANCE, STIFFNESS]]),
     )
 
 

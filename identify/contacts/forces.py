@@ -158,7 +158,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     observed_noise = noise_observation(rig, motion, observed, random_noise(noise_power, least_noise_power, lines))
     lacks_slow_motion = bool(gauges.sensors)
     if motion.zero_known:
-        lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displaced_by)
+        lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displacement_sensors)
     corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
     observed = replace(observed, further_changes=further_errors.changes(excitations))
     observed_noise = replace(observed_noise, further_changes=further_errors.changes(0 * excitations))

@@ -59,7 +59,7 @@ class JointEstimate:
     sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
     drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
-    sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
+    sensors' noise; split_half_z are those of clearance and stiffness between the record's halves in standard
     errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
     open_friction_n is friction that rig.json lacks, zero where none is clear.
     widening_factor is that of the standard errors by pulls, which the covariances hold (`widened_estimate`).
@@ -73,7 +73,7 @@ class JointEstimate:
     drift_m_per_s: Float[np.ndarray, " samples"]
     pulls: Float[np.ndarray, " nuisances"]
     unexplained_share: float = 0.0
-    half_differences: tuple[float, float] = (0.0, 0.0)
+    split_half_z: tuple[float, float] = (0.0, 0.0)
     form: LawForm = DEAD_ZONE
     exponent: float = 1.0
     exponent_error: float = 0.0
@@ -228,7 +228,7 @@ def fit_joint(
             drift_m_per_s=drift_m_per_s,
             pulls=record_pulls,
             unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
-            half_differences=half_differences(scores @ scaled_to_laws[law_slice].T @ gradients),
+            split_half_z=split_half_z(scores @ scaled_to_laws[law_slice].T @ gradients),
             form=SPRING if not (lower_touched or upper_touched) else replace(state.form, spring_indices=(), step_s=0.0),
             open_friction_n=float(np.std(record.force_n) * friction_pulls.sum()),
             exponent=state.form.exponent(state.law_parameters),
@@ -294,7 +294,7 @@ def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, flo
     return float(np.sqrt(residual_power / force_power)) if force_power > 0 else 0.0
 
 
-def half_differences(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
+def split_half_z(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     scatter = np.maximum(np.sqrt(np.sum(influence_by_part**2, axis=0)), 1e-300)
     middle = len(influence_by_part) // 2

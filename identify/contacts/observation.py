@@ -99,13 +99,13 @@ def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np
     """Rows of the stations: displacements on slow lines where their zero is known, measured and the body is held, and
     wherever the sensor of the displacement is quieter than that of the acceleration, but on a single mass."""
     motion, omega = record.motion, lines.omega
-    sensor_pairs = list(zip(motion.sensors, motion.displaced_by, strict=True))
+    sensor_pairs = list(zip(motion.sensors, motion.displacement_sensors, strict=True))
     orders = np.array([[sensor.measures.order, displaced.measures.order] for sensor, displaced in sensor_pairs])
     differentiations, nyquist_omega = np.maximum(0, 2 - orders), np.pi * lines.rate_hz
     noise_colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
     variance_by_acceleration = record.noise_m_per_s2[:, None] ** 2 * noise_colour
     variance_by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])
-    base_order = motion.base.displaced_by.measures.order if motion.base else None
+    base_order = motion.base.displacement_sensor.measures.order if motion.base else None
     has_both_sensors = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
     is_quieter = has_both_sensors[:, None] & ~lines.is_slow & (variance_by_displacement < variance_by_acceleration)
     is_quieter &= not record.is_single_mass
@@ -138,11 +138,13 @@ def observation_of(
     if base := motion.base:
         acceleration, displacement = lines.spectra(base.acceleration_m_per_s2), lines.spectra(base.displacement_m)
         base_accelerations = input_accelerations[-1]
-        observed_base = ObservedBase(base.sensor, base.displaced_by, acceleration, displacement, base_accelerations)
+        observed_base = ObservedBase(
+            base.sensor, base.displacement_sensor, acceleration, displacement, base_accelerations
+        )
     zeros = zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error)
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
-        displaced_by=(*motion.displaced_by, *gauges.sensors),
+        displacement_sensors=(*motion.displacement_sensors, *gauges.sensors),
         tolerances=record.tolerances,
         omega=lines.omega,
         sensor_response=np.concatenate([station_response, gauge_rows.response]),

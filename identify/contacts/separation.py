@@ -20,7 +20,7 @@ from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import HIGHEST_DRIFT_HZ, SLOW_DRIFT_HZ, DriftPrior, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
-from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
+from identify.signals.noise import NOISE_BAND_RATE_SHARES, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.modes import condensed
@@ -163,7 +163,7 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     segment_samples = min(motion.sample_count, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     line_hz, density = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
-    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND)
+    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND_RATE_SHARES)
     noise_power = np.median(density[:, (line_hz > noise_low_hz) & (line_hz < noise_high_hz)], axis=1, keepdims=True)
     exceeds_noise = density > NOISE_POWER_RATIO * noise_power
     highest_hz = line_hz[density.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]

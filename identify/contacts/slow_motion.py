@@ -86,7 +86,7 @@ def slow_model(
     motion of the modes."""
     station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
     omega = lines.omega[:slow_count]
-    is_integrated = [float(sensor.measures.order > 0) for sensor in motion.displaced_by]
+    is_integrated = [float(sensor.measures.order > 0) for sensor in motion.displacement_sensors]
     low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
     sensor_free_tolerances = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
@@ -95,7 +95,7 @@ def slow_model(
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
     slow_signals = ObservedSignals(
         sensors=motion.sensors,
-        displaced_by=motion.sensors,
+        displacement_sensors=motion.sensors,
         tolerances=sensor_free_tolerances,
         omega=omega,
         sensor_response=(low_pass_gain / -(omega**2)).astype(complex),

@@ -160,7 +160,7 @@ def _with_whole_band(
     for sign, station in ((1.0, contact.at), (-1.0, contact.against)):
         if station is None or (row := motion.row(station)) is None:
             continue
-        sensor_name = motion.displaced_by[row].name
+        sensor_name = motion.displacement_sensors[row].name
         tolerance = tolerances.of_sensor(sensor_name)
         changes_m = {
             NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],

@@ -66,8 +66,8 @@ class ContactLawFit:
     """
 
     result: ContactLawEstimate
-    eta_m: Float[np.ndarray, " points"]
-    force_n: Float[np.ndarray, " points"]
+    searched_eta_m: Float[np.ndarray, " points"]
+    searched_force_n: Float[np.ndarray, " points"]
     formula: Formula
     pieces: PiecewiseLinear
     sliding: SlidingFriction | None
@@ -172,8 +172,8 @@ class _FormulaFit:
 
     formula: Formula
     least_error_n: float
-    eta_m: Float[np.ndarray, " points"]
-    force_n: Float[np.ndarray, " points"]
+    searched_eta_m: Float[np.ndarray, " points"]
+    searched_force_n: Float[np.ndarray, " points"]
     out_of_time: bool
 
 
@@ -184,7 +184,11 @@ def _contact_law_fit(
     samples = _contact_samples(contacts, group, contact_record)
     record = samples.record
     formula_fit = _search_formula(samples, search_s, seed)
-    formula, low_m, high_m = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    formula, low_m, high_m = (
+        formula_fit.formula,
+        float(formula_fit.searched_eta_m.min()),
+        float(formula_fit.searched_eta_m.max()),
+    )
     knees_m = law_knees_m(formula, low_m, high_m)
     pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
     law_by_name: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
@@ -213,11 +217,13 @@ def _contact_law_fit(
         force_rms_n=float(np.std(record.force_n[samples.excited_rows])),
         hysteresis_share=hysteresis_share(record, samples.velocity_m_per_s, pieces, samples.held_out_rows),
         sides_known=contact_record.sides_known,
-        points=formula_fit.eta_m.size,
+        points=formula_fit.searched_eta_m.size,
         repeatable=not formula_fit.out_of_time,
     )
     time_s = contacts.separation.motion.time_s(record.force_n.size, contact_record.decimation)
-    return ContactLawFit(estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, friction, record, time_s)
+    return ContactLawFit(
+        estimate, formula_fit.searched_eta_m, formula_fit.searched_force_n, formula, pieces, friction, record, time_s
+    )
 
 
 def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord) -> _ContactSamples:
@@ -270,7 +276,7 @@ def _fit_straight_pieces(
     """Best straight pieces of several starts: the formula's knees; evenly spaced ones where those fit worse than the
     best formula; the stops of the joint estimates where these are several."""
     record, rows = samples.record, samples.training_rows
-    low_m, high_m = float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    low_m, high_m = float(formula_fit.searched_eta_m.min()), float(formula_fit.searched_eta_m.max())
     piecewise_laws = [straight_pieces(record, rows, knees_m)]
     max_good_error_n = EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
     if record.error_n(piecewise_laws[0], rows) > max_good_error_n:

@@ -136,11 +136,13 @@ def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
         if law.sliding is not None:
             _draw_sliding(force_axes, residual_axes, law)
             continue
-        eta_m, knees_m = law.eta_m, law.pieces.knees_m
+        eta_m, knees_m = law.searched_eta_m, law.pieces.knees_m
         eta_grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
         formula_n, pieces_n = law.formula(eta_grid_m), law.pieces(eta_grid_m)
-        force_axes.plot(1e3 * eta_m, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
-        residual_axes.plot(1e3 * eta_m, law.force_n - law.pieces(eta_m), ".", ms=2, color=GREY, alpha=0.5)
+        force_axes.plot(
+            1e3 * eta_m, law.searched_force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed"
+        )
+        residual_axes.plot(1e3 * eta_m, law.searched_force_n - law.pieces(eta_m), ".", ms=2, color=GREY, alpha=0.5)
         for axes, subtracted_n in ((force_axes, 0.0), (residual_axes, pieces_n)):
             axes.plot(1e3 * eta_grid_m, formula_n - subtracted_n, color=BLUE, lw=1.4, label="formula found")
             axes.plot(1e3 * eta_grid_m, pieces_n - subtracted_n, color=RED, lw=1.4, ls="--", label="straight pieces")
@@ -207,7 +209,10 @@ def _over_time(laws: Sequence[ContactLawFit]) -> Table:
 
 
 def _over_displacement(law: ContactLawFit) -> Table:
-    contact_name, eta_m = law.result.contact, np.linspace(law.eta_m.min(), law.eta_m.max(), TABULATED_POINT_COUNT)
+    contact_name, eta_m = (
+        law.result.contact,
+        np.linspace(law.searched_eta_m.min(), law.searched_eta_m.max(), TABULATED_POINT_COUNT),
+    )
     return {
         f"{contact_name} relative displacement m": eta_m,
         f"{contact_name} formula N": law.formula(eta_m),

@@ -95,13 +95,13 @@ class ObservedSignals:
     """Signals that the sensors deliver of the true motion, and its parts that the changes need.
 
     force_accelerations are those by each measured force on a body; displacements those at the sensors' stations, which
-    the sensors `displaced_by` gave, as they gave the signals on the lines `is_from_displacement`, if any.
+    the `displacement_sensors` gave, as they gave the signals on the lines `is_from_displacement`, if any.
     sensor_response is a sensor's signal per acceleration. further_changes are those by parameters that no tolerance
     states. Where a base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
-    displaced_by: tuple[Sensor, ...]
+    displacement_sensors: tuple[Sensor, ...]
     tolerances: Tolerances
     omega: Float[np.ndarray, " lines"]
     sensor_response: Complex[np.ndarray, "sensors lines"]
@@ -118,13 +118,13 @@ class ObservedSignals:
         self, channel: Sensor, sensor_index: int, base: ObservedBase | None = None
     ) -> Bool[np.ndarray, " lines"]:
         """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
-        sensor, displaced_by = self.sensors[sensor_index], self.displaced_by[sensor_index]
+        sensor, displacement_sensor = self.sensors[sensor_index], self.displacement_sensors[sensor_index]
         if base is not None:
-            sensor, displaced_by = base.sensor, base.displaced_by
+            sensor, displacement_sensor = base.sensor, base.displacement_sensor
         from_displacement = np.zeros(self.omega.size, dtype=bool)
         if self.is_from_displacement is not None:
             from_displacement = self.is_from_displacement[sensor_index]
-        return ((channel == sensor) & ~from_displacement) | ((channel == displaced_by) & from_displacement)
+        return ((channel == sensor) & ~from_displacement) | ((channel == displacement_sensor) & from_displacement)
 
     @property
     def is_motion_sensed(self) -> bool:
@@ -163,15 +163,16 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
     base = observed.base
     base_acceleration, base_displacement = (base.acceleration, base.displacement) if base else (0.0, 0.0)
     sensor_units = np.eye(len(observed.sensors))
-    for i, (sensor, displaced_by) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+    sensor_pairs = zip(observed.sensors, observed.displacement_sensors, strict=True)
+    for i, (sensor, displacement_sensor) in enumerate(sensor_pairs):
         response = observed.sensor_response[[i]]
-        for channel in dict.fromkeys((sensor, displaced_by)):
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             for kind, relative in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(relative):
                     signals = relative * (observed.signals[[i]] + response * base_acceleration)
                     signals = signals * observed.lines_given_by(channel, i)
                     absolute_displacement = observed.displacements[[i]] + base_displacement
-                    displacements = relative * absolute_displacement if channel == displaced_by else None
+                    displacements = relative * absolute_displacement if channel == displacement_sensor else None
                     pattern = SensorPattern(relative * response, sensor_units[i]) if observed.is_motion_sensed else None
                     yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
 
@@ -182,14 +183,14 @@ def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
     for i, signals, displacements in (
         zip(transverse.sensors, transverse.signals, transverse.displacements, strict=True) if transverse else ()
     ):
-        sensor, displaced_by = observed.sensors[i], observed.displaced_by[i]
-        for channel in dict.fromkeys((sensor, displaced_by)):
+        sensor, displacement_sensor = observed.sensors[i], observed.displacement_sensors[i]
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             if cross_axis_share := observed.tolerances.of_sensor(channel.name).cross_axis:
                 yield Change(
                     Nuisance(NuisanceKind.CROSS_AXIS, channel.name),
                     [i],
                     cross_axis_share * signals[None] * (channel == sensor),
-                    cross_axis_share * displacements[None] if channel == displaced_by else None,
+                    cross_axis_share * displacements[None] if channel == displacement_sensor else None,
                 )
 
 
@@ -199,14 +200,14 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     base, sensor_indices = observed.base, list(range(len(observed.sensors)))
     if base is None:
         return
-    for channel in dict.fromkeys((base.sensor, base.displaced_by)):
+    for channel in dict.fromkeys((base.sensor, base.displacement_sensor)):
         for kind, relative_change in _chain_changes(channel, observed.tolerances, observed.omega).items():
             if np.any(relative_change):
                 given_lines = np.stack([observed.lines_given_by(channel, i, base) for i in sensor_indices])
                 accelerations = given_lines * base.acceleration + base.station_accelerations * (channel == base.sensor)
                 signals = -relative_change * observed.sensor_response * accelerations
                 displacements = None
-                if channel == base.displaced_by:
+                if channel == base.displacement_sensor:
                     displacements = np.tile(-relative_change * base.displacement, (len(sensor_indices), 1))
                 yield Change(Nuisance(kind, channel.name), sensor_indices, signals, displacements)
 
@@ -214,7 +215,7 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
 def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
     crosstalk_share, sensors, units = observed.tolerances.crosstalk, observed.sensors, np.eye(len(observed.sensors))
-    gives_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
+    gives_displacement = [a == b for a, b in zip(sensors, observed.displacement_sensors, strict=True)]
     for left, right in pairwise(range(len(sensors)) if crosstalk_share else ()):
         if sensors[left].measures != sensors[right].measures:
             continue
@@ -260,12 +261,16 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, sensors: li
     shape_slopes = motion.response.slopes([observed.sensors[i] for i in sensors])[:, motion.moving_modes]
     double_integral = omega_power(observed.omega, -2, CORNER_HZ)
     for i, slope, slope_acceleration in zip(sensors, shape_slopes, shape_slopes @ motion.acceleration, strict=True):
-        sensor, displaced_by, response = observed.sensors[i], observed.displaced_by[i], observed.sensor_response[i]
-        for channel in dict.fromkeys((sensor, displaced_by)):
+        sensor, displacement_sensor, response = (
+            observed.sensors[i],
+            observed.displacement_sensors[i],
+            observed.sensor_response[i],
+        )
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 acceleration_change = tolerance_m * slope_acceleration[None]
                 signals = response * acceleration_change * observed.lines_given_by(channel, i)
-                displacements = double_integral * acceleration_change if channel == displaced_by else None
+                displacements = double_integral * acceleration_change if channel == displacement_sensor else None
                 pattern = None
                 if motion.sensor_weights is not None:
                     slope_weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights

@@ -34,7 +34,7 @@ class ObservedBase:
     against it that it causes."""
 
     sensor: Sensor
-    displaced_by: Sensor
+    displacement_sensor: Sensor
     acceleration: Complex[np.ndarray, " lines"]
     displacement: Complex[np.ndarray, " lines"]
     station_accelerations: Complex[np.ndarray, "sensors lines"]

@@ -36,11 +36,12 @@ SensorsByStation = dict[Station, dict[int, Sensor]]
 class Kinematics:
     """Motion of every station on one clock, from the first sample on, without the record's end.
 
-    sensors are those of each station's acceleration, displaced_by those of its displacement. Every row is right within
-    trusted_hz. zero_known is True if displacement sensors show the zero of all stations or, in a record that begins at
-    rest, of those at contacts. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement at a
-    contact lacks, zero elsewhere. excited_from is the first sample with a force, 0 without a quiet start. start_s is
-    the time of the first sample in the record. slow_by_gauges is True if strain gauges gave the slow displacements.
+    sensors are those of each station's acceleration, displacement_sensors those of its displacement. Every row is right
+    within trusted_hz. zero_known is True if displacement sensors show the zero of all stations or, in a record that
+    begins at rest, of those at contacts. lost_m_per_s2 is the slow part of the acceleration that an integrated
+    displacement at a contact lacks, zero elsewhere. excited_from is the first sample with a force, 0 without a quiet
+    start. start_s is the time of the first sample in the record. slow_by_gauges is True if strain gauges gave the slow
+    displacements.
     transverse is the motion in the other direction of a rig in space.
 
     Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
@@ -50,7 +51,7 @@ class Kinematics:
     stations: tuple[Station, ...]
     channels: tuple[str, ...]
     sensors: tuple[Sensor, ...]
-    displaced_by: tuple[Sensor, ...]
+    displacement_sensors: tuple[Sensor, ...]
     sample_rate_hz: float
     trusted_hz: tuple[float, float]
     zero_known: bool
@@ -193,7 +194,7 @@ def kinematics(
         stations=body_stations,
         channels=motion.channels,
         sensors=tuple(_nearest_sensor(station_sensors[station], 2) for station in body_stations),
-        displaced_by=tuple(_nearest_sensor(station_sensors[station], 0) for station in body_stations),
+        displacement_sensors=tuple(_nearest_sensor(station_sensors[station], 0) for station in body_stations),
         sample_rate_hz=rate_hz,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
         zero_known=not integrates or _contacts_show_zero(recording.rig, station_sensors, transform.excited_from),
@@ -301,7 +302,7 @@ def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: in
     station_displacements, _, station_accelerations = motion.derivatives
     return MeasuredBase(
         sensor=_nearest_sensor(by_order, 2),
-        displaced_by=_nearest_sensor(by_order, 0),
+        displacement_sensor=_nearest_sensor(by_order, 0),
         displacement_m=np.empty(0) if least_order else station_displacements[0],
         acceleration_m_per_s2=station_accelerations[0],
         lost_m_per_s2=motion.lost_m_per_s2[0],

@@ -15,12 +15,12 @@ from rig.recording import Recording
 
 @dataclass(frozen=True)
 class MeasuredBase:
-    """Motion of the base by the sensors on it; `sensor` is that of the acceleration, `displaced_by` that of the
+    """Motion of the base by the sensors on it; `sensor` is that of the acceleration, `displacement_sensor` that of the
     displacement, which may be left out. lost_m_per_s2 is the slow part of the acceleration that an integrated
     displacement lacks."""
 
     sensor: Sensor
-    displaced_by: Sensor
+    displacement_sensor: Sensor
     displacement_m: Float[np.ndarray, " _"]
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
     lost_m_per_s2: Float[np.ndarray, " samples"]

@@ -17,7 +17,7 @@ from rig.model.sensing import PASSBAND
 NoiseSource = Literal[
     "the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"
 ]
-NOISE_BAND = (0.3, 0.4)
+NOISE_BAND_RATE_SHARES = (0.3, 0.4)
 """Band that shows the noise of a record without a quiet start, as shares of the sampling rate."""
 PART_S, QUIET_QUANTILE = 0.05, 0.05
 """The noise is this quantile of the power in parts of this length."""
@@ -45,16 +45,18 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
 
 
 def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
-    """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
+    """Standard deviation per sample of the white noise of each station's displacement sensor, in the unit of its
     quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
     motion_derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    sensor_signals = [motion_derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
+    sensor_signals = [
+        motion_derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displacement_sensors)
+    ]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
         return np.array([row[: motion.quiet_sample_count].std() for row in sensor_signals])
     if source == "noise_density in rig.json":
-        base_noise_density = motion.base.displaced_by.noise_density if motion.base else 0.0
-        noise_densities = [np.hypot(sensor.noise_density, base_noise_density) for sensor in motion.displaced_by]
+        base_noise_density = motion.base.displacement_sensor.noise_density if motion.base else 0.0
+        noise_densities = [np.hypot(sensor.noise_density, base_noise_density) for sensor in motion.displacement_sensors]
         return np.sqrt(motion.sample_rate_hz / 2) * np.array(noise_densities)
     return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in sensor_signals])
 
@@ -77,7 +79,7 @@ def _described_noise(sensor: Sensor, rate_hz: float) -> float:
 
 def _noise_from_high_band(signal: Float[np.ndarray, " samples"], differentiations: int, rate_hz: float) -> float:
     """White noise, differentiated so often, as loud as the quietest parts of a high band: an upper bound of its rms."""
-    low_share, high_share = (share * 2 for share in NOISE_BAND)
+    low_share, high_share = (share * 2 for share in NOISE_BAND_RATE_SHARES)
     band_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), signal)
     part_samples = max(1, round(PART_S * rate_hz))
     band_parts = band_passed[: signal.size // part_samples * part_samples].reshape(-1, part_samples)

@@ -88,7 +88,7 @@ def members(group: Any, prefix: str, nesting_depth: int) -> Iterator[tuple[str, 
         link_type = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
         if link_type == h5py.h5l.TYPE_EXTERNAL:
             full_name = f"{prefix}{name}"
-            yield name, Refused(full_name, _refusal_sentence(full_name, "is a link to another file"))
+            yield name, Refused(full_name, _other_file_sentence(full_name, "is a link to another file"))
         elif link_type == h5py.h5l.TYPE_HARD:
             yield name, group[name]
 
@@ -137,13 +137,13 @@ def elsewhere_sentence(dataset: Any, dataset_name: str) -> str:
 
     creation_properties = dataset.id.get_create_plist()
     if creation_properties.get_layout() == h5py.h5d.VIRTUAL:
-        return _refusal_sentence(dataset_name, "is a view of other files (a virtual dataset)")
+        return _other_file_sentence(dataset_name, "is a view of other files (a virtual dataset)")
     if creation_properties.get_external_count():
-        return _refusal_sentence(dataset_name, "has its bytes in another file (external storage)")
+        return _other_file_sentence(dataset_name, "has its bytes in another file (external storage)")
     return ""
 
 
-def _refusal_sentence(content_name: str, reason: str) -> str:
+def _other_file_sentence(content_name: str, reason: str) -> str:
     return f"{content_name!r} {reason}, which is not opened; store its numbers in this one"
 
 

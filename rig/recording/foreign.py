@@ -53,7 +53,7 @@ class ForeignRecords:
         )
 
 
-def add_message(message: Message, chunk: Chunk) -> None:
+def copy_foreign_message(message: Message, chunk: Chunk) -> None:
     chunk.add(
         message.channel_id, message.log_time, message.sequence, bytes(message.data), _NO_VALUES, message.publish_time
     )

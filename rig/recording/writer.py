@@ -22,7 +22,7 @@ from rig.recording import messages
 from rig.recording.channels import Channels, to_metadata
 from rig.recording.container_writer import ContainerWriter
 from rig.recording.file import recorded_at
-from rig.recording.foreign import PROVENANCE, RIG_NAME, ForeignRecords, add_message
+from rig.recording.foreign import PROVENANCE, RIG_NAME, ForeignRecords, copy_foreign_message
 
 SAMPLES_PER_BLOCK, SAMPLES_AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
@@ -71,7 +71,7 @@ class RecordingWriter:
             ],
         )
         for message in foreign_records.messages:
-            add_message(message, self._writer.chunk)
+            copy_foreign_message(message, self._writer.chunk)
             self._write_full_chunk()
         stream.flush()
         self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in channels_by_group.items()}

@@ -91,7 +91,9 @@ def costs_of(path: Path, null_references: Path | None) -> StageCosts:
     validate = path.with_name(f"{path.stem}_validate.mcap")
     fit, held = costs.measured(STAGES[0], lambda: (read(path), read(validate)))
     simulator = prepare.simulator_named("modal")
-    prepared = costs.measured(STAGES[1], lambda: prepare.prepare(fit, held, simulator, null_references, None))
+    prepared = costs.measured(
+        STAGES[1], lambda: prepare.prepare_recordings(fit, held, simulator, null_references, None)
+    )
     found = costs.measured(STAGES[2], lambda: prepare.search(prepared))
     judgement = costs.measured(STAGES[3], lambda: judge.judge(prepared, found, answer.DEFAULT_MATTERS))
     gap = costs.measured(STAGES[4], lambda: answer.describe(prepared, found, judgement, answer.DEFAULT_MATTERS))

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from identify.signals.spectra import Averaging, blocks
 from scenarios import nifo_study, nifo_sweep
-from scenarios.nifo_study import LONG_RECORD_RIG, Study, incoherent_shares, nifo_outcome, record_length_s
+from scenarios.nifo_study import LONG_RECORD_RIG, Study, incoherent_rms_shares, nifo_outcome, record_length_s
 from scenarios.nifo_sweep import NOISE_DENSITY, Point, ideal_range, print_and_draw
 from tests.running import environment
 
@@ -55,7 +55,9 @@ def test_noise_spoils_weak_contact():
 
 
 def test_the_table_and_the_figure(outcome, tmp_path, capsys):
-    points = [Point(1 / e.block_s, e, outcome.closed_shares[0], outcome.incoherent_shares) for e in outcome.estimates]
+    points = [
+        Point(1 / e.block_s, e, outcome.closed_shares[0], outcome.incoherent_rms_shares) for e in outcome.estimates
+    ]
     with environment(COLUMNS="160"):
         print_and_draw("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
     printed = capsys.readouterr().out
@@ -86,7 +88,7 @@ def test_free_shares_of_signals_that_share_a_part():
     rng = np.random.default_rng(1)
     common, one, other = rng.standard_normal((3, 4000))
     cut = blocks(4000, 100.0, Averaging(block_s=1.0), (5.0, 40.0))
-    shares = incoherent_shares([common + one, common + other, rng.standard_normal(4000)], cut)
+    shares = incoherent_rms_shares([common + one, common + other, rng.standard_normal(4000)], cut)
     averages = len(cut.starts)
     left = np.sqrt((averages - 2) / averages)  # of what is fitted by two others from so many blocks
     assert shares == pytest.approx((np.sqrt(3) / 2 * left, np.sqrt(3) / 2 * left, left), abs=0.03)

@@ -12,7 +12,7 @@ from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, judge
 from identify.gaps.decision.notes import Attempt, attempted
-from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare, search
+from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare_recordings, search
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, WeightedHypothesis
 from identify.gaps.residual.gauges import reason_against_gauges
@@ -70,7 +70,7 @@ def diagnose(
     def null_progress(done_share: float) -> None:
         progress("null_reference", done_share)
 
-    prepared = prepare(recordings, validation, simulator, null_reference_path, tolerances, null_progress)
+    prepared = prepare_recordings(recordings, validation, simulator, null_reference_path, tolerances, null_progress)
     search_result = search(prepared, causes_progress(0.0, 0.7))
     judgement = judge(prepared, search_result, matters, causes_progress(0.7, 0.9))
     gap = describe(prepared, search_result, judgement, matters, ask_next, causes_progress(0.9, 1.0))

@@ -78,7 +78,7 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
         force_weights = misfit.nominal_variances.observations[contact_index].force_weights
         noise_square_n2 = float(np.sum(force_weights[force_weights > 0] ** -2.0)) / force_weights.size
         force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, contact_index])), 1e-300)
-        squared_shares = misfit.contact_excess_n2[:, contact_index] / force_square_n2
+        squared_shares = misfit.contact_beyond_noise_n2[:, contact_index] / force_square_n2
         bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
     return tuple(bounds)
 

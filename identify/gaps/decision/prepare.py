@@ -114,7 +114,7 @@ class PreparedRecordings:
         )
 
 
-def prepare(
+def prepare_recordings(
     recordings: Recording | Sequence[Recording],
     validation: Recording | None,
     simulator: Simulator,

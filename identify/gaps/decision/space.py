@@ -27,7 +27,7 @@ from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, nominal_mi
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
 from identify.gaps.decision.predicted import PredictedDecision
-from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare, search
+from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare_recordings, search
 from identify.gaps.decision.rings import RingFit, linear_candidates, ring_candidates, ring_distances, with_ring_fits
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import Decision, decide
@@ -100,7 +100,7 @@ def diagnose_in_space(
         held_back = unfolding.unfolded_recording(validation)
     rig_key = hashlib.sha256(to_json(space_rig)).hexdigest()[:16]
     simulate = SpaceSimulator(unfolding, simulator.simulate, space_tolerances)
-    prepared = prepare(
+    prepared = prepare_recordings(
         unfolded_recordings,
         held_back,
         Simulator(f"{simulator.name} in space {rig_key}", simulate),

@@ -32,7 +32,7 @@ MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
 """Gain of log odds that turns even odds into 95 %."""
-_WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
+_WIDE_WIDTH_IN, _NARROW_WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 """Widths and heights of figures, inches. Display."""
 
 
@@ -48,22 +48,23 @@ def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], DrawFunction
     """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
         height_in = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
-        yield "next_experiments", (_WIDE_IN, height_in), partial(_draw_experiments, gap=gap)
+        yield "next_experiments", (_WIDE_WIDTH_IN, height_in), partial(_draw_experiments, gap=gap)
     if any(band.before or band.after or band.usual for band in gap.bands):
-        yield "large_bands", (_WIDE_IN, 3.6), partial(_draw_bands, gap=gap)
+        yield "large_bands", (_WIDE_WIDTH_IN, 3.6), partial(_draw_bands, gap=gap)
     if quantity_count := len(gap.evidence.quantities):
-        yield "decided_quantities", (_WIDE_IN, 1.6 + 0.5 * quantity_count), partial(_draw_quantities, gap=gap)
+        yield "decided_quantities", (_WIDE_WIDTH_IN, 1.6 + 0.5 * quantity_count), partial(_draw_quantities, gap=gap)
     if gap.causes:
         row_count = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
-        yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_probabilities, gap=gap)
-        yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_removed_shares, gap=gap)
+        size_in = _NARROW_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count
+        yield "why_probability", size_in, partial(_draw_probabilities, gap=gap)
+        yield "why_closes", size_in, partial(_draw_removed_shares, gap=gap)
     if gap.unknown:
         for name, height_in, draw in drawings(gap.unknown):
-            yield f"unknown_{name}", (_WIDTH_IN, height_in), draw
+            yield f"unknown_{name}", (_NARROW_WIDTH_IN, height_in), draw
     if gap.rollout and gap.rollout.example:
-        yield "prediction_motion", (_WIDE_IN, _HEIGHT_IN), partial(_draw_motion, example=gap.rollout.example)
+        yield "prediction_motion", (_WIDE_WIDTH_IN, _HEIGHT_IN), partial(_draw_motion, example=gap.rollout.example)
     for name, height_in, draw in _attribution_drawings(gap.attribution):
-        yield f"where_{name}", (_WIDTH_IN, height_in), draw
+        yield f"where_{name}", (_NARROW_WIDTH_IN, height_in), draw
 
 
 def _draw_bands(figure: Any, gap: Gap) -> None:

@@ -75,7 +75,7 @@ class Misfit:
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
     variance_correction accounts for variances that change within a band (`scales.band_variances`).
     contact_mean_square_by_second is the mean square of each contact's residual relative to the nominal variance,
-    contact_excess_n2 that beyond noise and contact_force_n2 that of the contact force (N^2). line_cost is
+    contact_beyond_noise_n2 that beyond noise and contact_force_n2 that of the contact force (N^2). line_cost is
     `lines.cost_of_lines`, independent_samples the number of independent samples.
     """
 
@@ -83,7 +83,7 @@ class Misfit:
     variance_by_second: Float[np.ndarray, "seconds bands sensors"]
     variance_correction: Float[np.ndarray, "bands sensors"]
     contact_mean_square_by_second: Float[np.ndarray, "seconds contacts"]
-    contact_excess_n2: Float[np.ndarray, "seconds contacts"]
+    contact_beyond_noise_n2: Float[np.ndarray, "seconds contacts"]
     contact_force_n2: Float[np.ndarray, "seconds contacts"]
     pulls: Float[np.ndarray, " pulls"]
     drift_cost: float
@@ -143,7 +143,7 @@ class Misfit:
         return np.asarray(self.variance_by_second.mean(axis=0) * self.variance_correction)
 
     @cached_property
-    def excess_variance(self) -> Float[np.ndarray, "bands sensors"]:
+    def variance_beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
         nominal_variances = self.nominal_variances
         return np.asarray((self.measured_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
@@ -152,7 +152,7 @@ class Misfit:
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
         power_by_band = np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
-        return np.asarray(np.sqrt(np.maximum(self.excess_variance, 0.0).sum(axis=1) / power_by_band))
+        return np.asarray(np.sqrt(np.maximum(self.variance_beyond_noise, 0.0).sum(axis=1) / power_by_band))
 
     @property
     def unexplained_share(self) -> float:
@@ -162,7 +162,7 @@ class Misfit:
         positive parts add up to per cents where many bands are noisy. Those that exceed it by more count alone, so that
         noise that is estimated too high hides no misfit.
         """
-        line_counts, excess = self.nominal_variances.line_counts[:, None], self.excess_variance
+        line_counts, excess = self.nominal_variances.line_counts[:, None], self.variance_beyond_noise
         is_significant = excess > SIGNIFICANT_STANDARD_ERRORS * self.measured_variance / np.sqrt(line_counts)
         significant_power = float(np.sum(line_counts * excess * is_significant))
         insignificant_power = float(np.sum(line_counts * excess * ~is_significant))
@@ -185,7 +185,7 @@ class Misfit:
     @property
     def unexplained_contact_shares(self) -> Float[np.ndarray, " contacts"]:
         """Unexplained share of each contact force's root mean square, beyond noise."""
-        excess_n2 = np.maximum(self.contact_excess_n2.mean(axis=0), 0.0)
+        excess_n2 = np.maximum(self.contact_beyond_noise_n2.mean(axis=0), 0.0)
         return np.asarray(np.sqrt(excess_n2 / np.maximum(self.contact_force_n2.mean(axis=0), 1e-300)))
 
     def resampled(self, second_indices: Int[np.ndarray, " seconds"]) -> "Misfit":
@@ -194,7 +194,7 @@ class Misfit:
             self,
             variance_by_second=self.variance_by_second[second_indices],
             contact_mean_square_by_second=self.contact_mean_square_by_second[second_indices],
-            contact_excess_n2=self.contact_excess_n2[second_indices],
+            contact_beyond_noise_n2=self.contact_beyond_noise_n2[second_indices],
             contact_force_n2=self.contact_force_n2[second_indices],
         )
 
@@ -216,7 +216,7 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     )
     sensor_residual, input_residual = linear_residual[: len(record.sensors)], linear_residual[len(record.sensors) :]
     time_count, line_count = linear_residual.shape[1], error_deviation.shape[1]
-    input_cost = float(np.sum(input_residual**2)) + residual.model.log_determinant * time_count / line_count
+    input_cost = float(np.sum(input_residual**2)) + residual.model.prior_input_log_determinant * time_count / line_count
     line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.has_force:
         free_direction_count = len(record.sensors) - len(residual.contacts)
@@ -226,7 +226,7 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
         variance_by_second=mean_squares * expected_variance,
         variance_correction=band_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
         contact_mean_square_by_second=contact_mean_squares[:, 0].T,
-        contact_excess_n2=contact_mean_squares[:, 1].T,
+        contact_beyond_noise_n2=contact_mean_squares[:, 1].T,
         contact_force_n2=contact_mean_squares[:, 2].T,
         pulls=residual.pulls,
         drift_cost=drift_cost / oversampling,

@@ -67,8 +67,9 @@ class LinearModel:
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
     signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion (or
     the noise of a measured one), then the noise of each measured force. residual is in standard deviations, its last
-    rows the estimates of the latter two; log_determinant is the cost of that freedom. acceleration_by_force are those
-    at the sensors by each measured force, known_forces all with their stations, free_modes free motion of modes.
+    rows the estimates of the latter two; prior_input_log_determinant is the cost of that freedom. acceleration_by_force
+    are those at the sensors by each measured force, known_forces all with their stations, free_modes free motion of
+    modes.
     """
 
     record: Record
@@ -82,7 +83,7 @@ class LinearModel:
     acceleration_by_force: Complex[np.ndarray, "forces sensors lines"]
     known_forces: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
     free_modes: tuple[FreeMode, ...]
-    log_determinant: float
+    prior_input_log_determinant: float
 
     @cached_property
     def projection(self) -> Projection:
@@ -287,7 +288,7 @@ def _linear_model(
     free_modes = free_motion_of(record, rig, responses, signal_per_input, error_deviation, scaled_response, signals)
     free_accelerations = sum((mode.sensed_acceleration for mode in free_modes), np.zeros_like(signals))
     signals = signals - scaled_response * free_accelerations
-    unknown_inputs, log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
+    unknown_inputs, prior_input_log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
     sensor_residual = input_residual(signal_per_input, unknown_inputs, signals)
     return LinearModel(
         record=record,
@@ -301,7 +302,7 @@ def _linear_model(
         acceleration_by_force=np.stack(by_known_force[:force_count]),
         known_forces=known_forces,
         free_modes=free_modes,
-        log_determinant=log_determinant,
+        prior_input_log_determinant=prior_input_log_determinant,
     )
 
 

@@ -159,7 +159,7 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
     modal_accelerations = zip(model.responses, _modal_accelerations(record, model), strict=True)
     return ObservedSignals(
         sensors=record.sensors,
-        displaced_by=record.sensors,
+        displacement_sensors=record.sensors,
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,

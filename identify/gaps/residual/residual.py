@@ -160,10 +160,11 @@ class Residual:
 
     @property
     def cost(self) -> float:
+        samples_per_line = self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         return (
             float(np.sum(self.linear_without_lines**2) + self.oversampling * self.nuisance_pulls @ self.nuisance_pulls)
             + sum(contact_fit.cost for contact_fit in self.contacts)
-            + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
+            + self.model.prior_input_log_determinant * samples_per_line
         )
 
 

@@ -33,7 +33,7 @@ MAX_EXCESS_COST = 200.0
 record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
 PULL_LIMIT_SHARE = 0.99
 """Share of `PULL_LIMIT` from which a tolerance stands at its limit."""
-STRAINED_PULL = 1.0
+MODE_RESET_PULL = 1.0
 """Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
 that rubs was explained by damping beyond its tolerance, and the friction was placed elsewhere."""
 CHANCE_PULL = 3.0
@@ -337,7 +337,7 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
     only part of the resonance's width per step.
     """
     is_mode_parameter = np.array([parameter.kind in TUNED_KINDS for parameter in residual.parameters], dtype=bool)
-    if np.max(np.abs(residual.nuisance_pulls[is_mode_parameter]), initial=0.0) < STRAINED_PULL:
+    if np.max(np.abs(residual.nuisance_pulls[is_mode_parameter]), initial=0.0) < MODE_RESET_PULL:
         return residual
     return replace(residual, nuisance_pulls=np.where(is_mode_parameter, 0.0, residual.nuisance_pulls))
 

@@ -64,7 +64,7 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
         bodies.append(BodyMotion(response, accelerations, mode_indices, modal_inverse(record, response)))
     return ObservedSignals(
         sensors=record.sensors,
-        displaced_by=record.sensors,
+        displacement_sensors=record.sensors,
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,

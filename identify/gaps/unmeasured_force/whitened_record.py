@@ -209,7 +209,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
 
 
 def without_columns(whitened: WhitenedRecord) -> WhitenedRecord:
-    """Record with the band sums of its nuisance columns alone, where no force is described by it: the columns are large."""
+    """Record with the band sums of its nuisance columns alone, which are large, where it describes no force."""
     return replace(whitened, nuisance_columns=whitened.nuisance_columns[:0].copy())
 
 

@@ -108,7 +108,7 @@ def _stable_modes(line_hz: Lines, frfs: Frfs) -> LogModes:
             break
         leading_columns = slice(order + 1)
         projection = projections[:, leading_columns, leading_columns].reshape(-1, order + 1)
-        poles = _poles(line_hz, products[leading_columns, leading_columns] - projection.conj().T @ projection)
+        poles = _log_poles(line_hz, products[leading_columns, leading_columns] - projection.conj().T @ projection)
         is_stable = np.abs(poles[:, None] - previous_poles[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
         stable_poles.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
         previous_poles, order_count = poles, order_count + 1
@@ -139,7 +139,7 @@ def _denominator_equations(
     return product_matrix, np.array(projections)
 
 
-def _poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[np.ndarray, "poles 2"]:
+def _log_poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[np.ndarray, "poles 2"]:
     """(ln f, ln z) of the damped poles in the band, from the normal equations of one order."""
     first_hz, alias_hz = line_hz[0], 1.02 * (line_hz[-1] - line_hz[0])
     higher_coefficients = np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0]

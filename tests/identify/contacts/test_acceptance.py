@@ -28,7 +28,7 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
         drift_m_per_s=np.zeros(4),
         pulls=np.array(pulls),
         unexplained_share=unexplained,
-        half_differences=halves,
+        split_half_z=halves,
     )
 
 

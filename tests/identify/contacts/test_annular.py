@@ -152,7 +152,7 @@ def test_a_quarter_of_whirling_a_quarter_of_rocking_and_half_free():
         rate_m_per_s=rate,
         force_n=np.zeros((2, 1)),
         unexplained_share=0.0,
-        half_differences=(0.0, 0.0),
+        split_half_z=(0.0, 0.0),
     )
     shares = ring_shares(estimate, rate_hz, 0, 3.0)
     assert (shares.free, shares.sliding, shares.sticking) == pytest.approx((0.5, 0.25, 0.25))

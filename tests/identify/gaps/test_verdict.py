@@ -66,7 +66,7 @@ def misfit_of_level(level: float) -> Misfit:
         variance_by_second=np.full((20, 40, 6), level),
         variance_correction=ONES,
         contact_mean_square_by_second=none,
-        contact_excess_n2=none,
+        contact_beyond_noise_n2=none,
         contact_force_n2=none,
         pulls=np.zeros(4),
         drift_cost=0.0,

@@ -171,7 +171,7 @@ def test_the_dead_zone_of_one_mass_is_found_exactly(clearance):
     assert abs(inside) < 5e-4 * STIFFNESS
     errors = {c.law: c.held_out_error_n for c in law.candidates}
     assert errors[PIECEWISE] < 1e-3 * law.force_rms_n < errors[CUBIC]
-    assert clearance.eta_m.size == clearance.force_n.size == law.points
+    assert clearance.searched_eta_m.size == clearance.searched_force_n.size == law.points
 
 
 @pytest.mark.study

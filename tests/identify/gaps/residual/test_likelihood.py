@@ -41,7 +41,7 @@ def misfit_of_level(level: float, contact_n: float = 0.0, pulls: float = 0.0) ->
         variance_by_second=np.full((SECONDS, BANDS, SENSORS), level),
         variance_correction=ONES,
         contact_mean_square_by_second=contacts * (1 + contact_n**2),
-        contact_excess_n2=contacts * contact_n**2,
+        contact_beyond_noise_n2=contacts * contact_n**2,
         contact_force_n2=contacts * 100.0,
         pulls=np.full(4, pulls),
         drift_cost=0.0,
