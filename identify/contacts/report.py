@@ -14,6 +14,7 @@ from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
 from identify.pages.drawing import drawing_html as rig_drawing_html
+from identify.pages.drawing_texts import NO_BREAK
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, joined, number, percent
 from rig.files import make_folder, write_bytes, write_json
@@ -249,7 +250,7 @@ def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str
         has_reference = np.isfinite(value.reference)
         yield (
             "" if row else contact.name,
-            value.name if value.unit == "1" else f"{value.name}, {value.unit}",
+            value.name if value.unit == "1" else f"{value.name}, {value.unit.replace(' ', NO_BREAK)}",
             _interval_text(value.estimate, "1", value.scale),
             number(value.scale * value.reference) if has_reference else "no stop",
             _difference_text(value.estimate, value.reference) if has_reference else "",

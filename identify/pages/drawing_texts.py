@@ -78,9 +78,9 @@ def contact_text(
     offset_px = STOP_HALF_WIDTH + 8
     right_room_px = min([post_px for post_px in posts_px if post_px > x_px], default=drawing_px) - x_px - offset_px
     left_room_px = x_px - offset_px - max([post_px for post_px in posts_px if post_px < x_px], default=0.0)
-    if LETTER_WIDTH * max(map(len, text_lines)) > max(left_room_px, right_room_px):
+    if max(map(plain_width_px, text_lines)) > max(left_room_px, right_room_px):
         text_lines = _wrapped(text_lines, right_room_px) or text_lines
-    width_px = LETTER_WIDTH * max(map(len, text_lines))
+    width_px = max(map(plain_width_px, text_lines))
     if width_px <= right_room_px:
         right_px = x_px + offset_px + width_px
         first_line = text_spans.line_for(x_px - STOP_HALF_WIDTH, right_px, len(text_lines))
@@ -97,7 +97,7 @@ def _wrapped(text_lines: Sequence[str], width_px: float) -> list[str]:
         value, *interval = line.split(" ± ")
         breakable = " ".join([value, *(f"± {half_and_unit}".replace(" ", NO_BREAK) for half_and_unit in interval)])
         lines += wrap(breakable, max(1, int(width_px / LETTER_WIDTH)), break_long_words=False)
-    return lines if LETTER_WIDTH * max(map(len, lines)) <= width_px else []
+    return lines if max(map(plain_width_px, lines)) <= width_px else []
 
 
 def mark_texts(
@@ -172,7 +172,16 @@ def foot_notes(rig: Rig) -> list[str]:
 
 def bold_width_px(text: str) -> float:
     """Width of bold letters, among which m and w are half as wide again."""
-    return BOLD_LETTER_WIDTH * (len(text) + 0.5 * sum(text.lower().count(letter) for letter in "mw"))
+    return BOLD_LETTER_WIDTH * (len(text) + 0.5 * _wide_letter_count(text))
+
+
+def plain_width_px(text: str) -> float:
+    """Width of letters, among which m and w are half as wide again."""
+    return LETTER_WIDTH * (len(text) + 0.5 * _wide_letter_count(text))
+
+
+def _wide_letter_count(text: str) -> int:
+    return sum(text.lower().count(letter) for letter in "mw")
 
 
 def _even_lines(words: str, line_count: int) -> list[str]:
