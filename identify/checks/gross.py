@@ -76,6 +76,8 @@ def gross_faults(
     # with several forces, the estimate of a weak one follows the errors of the model
     force_findings = force_trials[0].findings() if len(force_trials) == 1 else ()
     force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
+    if misfit < SOUND_MISFIT and force_faults and tolerance_questions.tolerances_explain():
+        force_faults = []  # where the force hardly moves the rig, errors of the model are taken for its filter
     if misfit < SOUND_MISFIT and (force_faults or not is_doubted):
         return GrossFaults(tuple(force_faults), usable_indices, not force_faults)
     if misfit >= SOUND_MISFIT and tolerance_questions.tolerances_explain():

@@ -9,6 +9,7 @@ which is standard normal if all tolerances hold. The parameter with the largest 
 are scored again.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,15 @@ from jaxtyping import Complex, Float
 from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.prediction import LinearCheck, Projector, observed_motion
 from identify.linear.model import real_product
-from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
+from identify.linear.nuisance import (
+    SINGLE_FORCE_NAME,
+    Change,
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    changes_of,
+    crosstalk_of,
+)
 from identify.linear.observed_motion import BodyMotion
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
@@ -38,7 +47,8 @@ Pulls = Float[np.ndarray, " nuisances"]
 class Suspect:
     """A nuisance parameter, or a common error of several; its column is that by column_change, relative or in SI.
 
-    Modes beyond the band are not told from those that a description leaves out: they are no finding.
+    Modes beyond the band are not told from those that a description leaves out, and crosstalk not from gains of
+    neighbours: they are no finding.
     """
 
     kind: str
@@ -96,9 +106,11 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
         "truncated response": tolerances.truncation,
+        "crosstalk": tolerances.crosstalk,
     }[parameter.kind]
     owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
-    return Suspect(parameter.kind, owner_name, column_change, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
+    is_reportable = is_in_band and parameter.kind not in (NuisanceKind.TRUNCATION, NuisanceKind.CROSSTALK)
+    return Suspect(parameter.kind, owner_name, column_change, is_reportable)
 
 
 @dataclass(frozen=True)
@@ -135,10 +147,16 @@ def broken_tolerances_and_pulls(
 def _nuisances_and_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
     """Nuisance parameters and their columns X."""
     parameters, columns = [], []
-    for change in changes_of(observed):
+    for change in _changes_within_tolerances(observed):
         parameters.append(change.parameter)
         columns.append(_Column.of(projector(change.at_all_sensors(len(observed.sensors)))))
     return parameters, columns
+
+
+def _changes_within_tolerances(observed: ObservedSignals) -> Iterator[Change]:
+    """Changes by every nuisance parameter, crosstalk of neighbouring channels included."""
+    yield from changes_of(observed)
+    yield from crosstalk_of(observed)
 
 
 def joint_cost(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> float:
@@ -156,7 +174,7 @@ def misfit_within_tolerances(
     """Misfit of these channels without the changes by the nuisance parameters' pulls."""
     acceleration = check.spectra.acceleration.copy()
     observed = observed_motion(rig, check, channel_indices, tolerances)
-    for pull, change in zip(pulls, changes_of(observed), strict=True):
+    for pull, change in zip(pulls, _changes_within_tolerances(observed), strict=True):
         acceleration[channel_indices] -= pull * change.at_all_sensors(len(channel_indices))
     return check.misfit(check.spectra.with_acceleration(acceleration), channel_indices)
 

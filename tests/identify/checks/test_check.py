@@ -88,6 +88,19 @@ def test_the_beginning_of_a_force_is_no_discontinuity(tmp_path):
     assert check_recording(read(recorded(settings, tmp_path / "r.mcap", actual=machine))) == ()
 
 
+@pytest.mark.parametrize(("rig", "seed"), [("frame", 2), ("frame", 3), ("two shakers", 4)])
+def test_crosstalk_of_neighbours_is_not_taken_for_another_fault(off_by_tolerances, rig, seed):
+    """Three tolerances of crosstalk on top of all others look like gains, stations, damping or the clock."""
+    recording = off_by_tolerances(rig, seed)
+    signals, rng = recording.signals["acceleration"], np.random.default_rng(seed)
+    count = len(signals.values)
+    shares = [3 * LABORATORY.crosstalk * rng.standard_normal(count - 1) for _ in range(2)]
+    mixing = np.eye(count) + np.diag(shares[0], 1) + np.diag(shares[1], -1)
+    mixed = Signals(signals.channels, signals.start_s, mixing @ signals.values)
+    mixed_signals = {**recording.signals, "acceleration": mixed}
+    assert check_recording(Recording(recording.rig, mixed_signals, recording.provenance)) == ()
+
+
 @pytest.mark.parametrize("name", NAMED)
 def test_an_alteration_is_named(sound, name):
     recording = sound("cantilever")
