@@ -73,7 +73,8 @@ summary{cursor:pointer;color:var(--dim)}
 .machine .hint{stroke:var(--dim);stroke-width:1.6;stroke-dasharray:4 3}
 .machine .mark-words{fill:var(--cause);font-weight:600}
 @media print{body{max-width:none}h2,h3,summary{break-after:avoid}.plot,figure,tr{break-inside:avoid}
-.plot{zoom:var(--shrink,1)}.first{grid-template-columns:repeat(2,minmax(0,1fr))}table{font-size:.8rem}td.number{white-space:normal}}
+.plot{zoom:var(--shrink,1)}.first .plot{zoom:var(--shrink-first,1)}.first{display:block}
+table{font-size:.8rem}.wide{overflow:visible}td.number{white-space:normal}}
 @media(max-width:40rem){.narrow{display:block}.broad{display:none}table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}
 """
 _PAGE = """<!DOCTYPE html>
@@ -84,7 +85,8 @@ _PAGE = """<!DOCTYPE html>
 {content}
 <p class="dim">{foot}</p></main>
 <script>addEventListener("beforeprint",()=>(document.querySelectorAll(".folded").forEach(one=>one.open=true),
-document.body.style.setProperty("--shrink",Math.min(1,{paper_px}/document.querySelector("main").clientWidth))))</script>
+[["--shrink","main"],["--shrink-first",".first .plot"]].forEach(([name,part])=>document.body.style.setProperty(name,
+Math.min(1,{paper_px}/(document.querySelector(part)?.clientWidth||1))))))</script>
 </body></html>
 """
 
