@@ -45,7 +45,7 @@ GROUND_HALF_WIDTH = 20.0
 
 @dataclass(frozen=True)
 class DrawnMark:
-    """Mark of an effect or force with its words: at a station, or around the whole of its body; a hint is fainter."""
+    """Mark of an effect or force with its words: at a station, or around the whole of its beam; a hint is fainter."""
 
     station: Station
     words: str
@@ -139,7 +139,8 @@ def rig_drawing(
         contact_texts.append((contact, text))
     marks_and_texts = list(_mark_texts(layout, marks, spans_below, spans_above))
     places = [(mark.station.body, round(layout.x_px(mark.station)), mark.of_whole_body) for mark, _ in marks_and_texts]
-    rings_px = {b.name: [float(x) for name, x, whole in places if name == b.name and not whole] for b in rig.bodies}
+    ringed_stations = [mark.station for mark, _ in marks_and_texts if not mark.of_whole_body]
+    rings_px = {body.name: [layout.x_px(s) for s in ringed_stations if s.body == body.name] for body in rig.bodies}
     ringed = dict(zip(places[::-1], marks_and_texts[::-1], strict=True))  # the first mark of each place
     y_px = 0.0
     for body in reversed(rig.bodies):
@@ -228,12 +229,8 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
     css_class = "found" if len(text.lines) > 1 else "fork"
     if contact.law.has_stops:
         foot_path = f"V{foot_px:g}" + f"h{-STOP_HALF_WIDTH:g}" * bool(carriers)  # back to the carrier's station
-        stop_heights_px = top_px - STOP_DISTANCE, bottom_px + STOP_DISTANCE
-        stops_px = [
-            y_px
-            for y_px, has_stop in zip(stop_heights_px, _stops_above_and_below(contact, body), strict=True)
-            if has_stop
-        ]
+        has_stop_above, has_stop_below = _stops_above_and_below(contact, body)
+        stops_px = [top_px - STOP_DISTANCE] * has_stop_above + [bottom_px + STOP_DISTANCE] * has_stop_below
         stop_paths = [f"M{left_px:g},{y_px:g}h{2 * STOP_HALF_WIDTH:g}" for y_px in stops_px]
         yield _path_element(css_class, stop_paths[0] + foot_path)
         yield from (_path_element(css_class, stop_path) for stop_path in stop_paths[1:])
@@ -246,7 +243,7 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
 
 
 def _stops_above_and_below(contact: Contact, upper_body: Body) -> tuple[bool, bool]:
-    """Whether a stop stands above the upper body, and whether one stands below it.
+    """Presence of a stop above the upper body, and of one below it.
 
     The stop at the upper clearance is touched as `at` moves up from `against`: it is above `at`, or below `against`.
     """
@@ -327,7 +324,7 @@ def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[st
     if layout.is_marked_below(body):
         ends_px = (middle_px + reach_px, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
     yield _path_element(mark.css_class, f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
-    if mark.of_whole_body and not body.is_mass:
+    if mark.of_whole_body:
         left_px, width_px = layout.x_px(Station(body.name)), layout.px_per_m * body.length_m
         yield _path_element(mark.css_class, f"M{left_px:g},{top_px:g}h{width_px:g}v{height_px:g}h{-width_px:g}z")
     else:

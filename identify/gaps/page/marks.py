@@ -43,7 +43,7 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
                 continue
             position_share = cause.parameters.get(f"{label}.relative_position")
             names = [name.removesuffix(IN_Z) for key, name in cause.places.items() if key.partition(".")[0] == label]
-            of_whole_body = position_share is None and any(body.name in names for body in rig.bodies)
+            of_whole_body = position_share is None and any(body.name in names and body.length_m for body in rig.bodies)
             length_share = 0.5 if position_share is None else position_share.value
             station = next(filter(None, (station_named(rig, name, length_share) for name in names)), None)
             is_on_all = cause.places.get(f"{label}.contact") == "all"
