@@ -12,7 +12,7 @@ from identify.checks.continuity import discontinuity_findings
 from identify.checks.findings import Finding, merge_by_cause
 from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, gross_faults
 from identify.checks.masses import mass_findings
-from identify.checks.prediction import linear_check
+from identify.checks.prediction import TUNED_KINDS, LinearCheck, linear_check, with_tuned_modes
 from identify.checks.pulls import (
     BrokenTolerance,
     Pulls,
@@ -51,6 +51,9 @@ REST_S_BY_QUANTITY = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.
 """First moments of a record in which a rig at rest has not moved yet, by quantity."""
 MIN_RINGING_S, MIN_RINGING_SHARE = 0.25, 0.02
 """A rig rings at least so long after its force, with at least this share of its motion's standard deviation."""
+MODE_RELINEARIZATIONS, MAX_MODE_PULL = 3, 4.0
+"""Linearisations about fitted modes at most, and their largest frequency or damping error, in tolerances. Set by hand:
+three follow the sharp resonances of bare beams under blows."""
 MOVING_CHANNELS_SHARE = 0.5
 """A record begins in motion if more than this share of its channels do."""
 
@@ -164,35 +167,50 @@ def _linear_check_findings(
         return continuity_findings
 
     @cache
-    def broken_and_pulls(trusted_indices: tuple[int, ...]) -> tuple[list[BrokenTolerance], Pulls]:
+    def tolerance_fit(trusted_indices: tuple[int, ...]) -> tuple[LinearCheck, list[BrokenTolerance], Pulls]:
         check = linear_check(rig, all_line_spectra(), [*trusted_indices])
-        return broken_tolerances_and_pulls(rig, check, [*trusted_indices], tolerances)
+        return _tolerance_fit(rig, check, [*trusted_indices], tolerances)
 
     def tolerances_explain() -> bool:
-        broken, pulls = broken_and_pulls(tuple(usable_indices))
-        check = linear_check(rig, all_line_spectra(), usable_indices)
+        check, broken, pulls = tolerance_fit(tuple(usable_indices))
         return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
 
     def pull_and_distance_of(trial: Trial) -> tuple[float, float]:
         if trial.changed_rig is None:
             return 0.0, 0.0
-        nominal_cost, changed_cost = (
-            joint_cost(r, linear_check(r, all_line_spectra(), usable_indices), usable_indices, tolerances)
-            for r in (rig, trial.changed_rig)
-        )
+        nominal_check, changed_rig = tolerance_fit(tuple(usable_indices))[0], trial.changed_rig
+        changed_check = linear_check(changed_rig, all_line_spectra(), usable_indices)
+        nominal_cost = joint_cost(rig, nominal_check, usable_indices, tolerances)
+        changed_cost = joint_cost(changed_rig, changed_check, usable_indices, tolerances)
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
     questions = ToleranceQuestions(tolerances_explain, pull_and_distance_of)
     faults = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
     findings = list(faults.findings) or continuity_findings
     if faults.is_sound and len(faults.trusted_indices) > len(rig.contacts) + 1:
-        violations, _ = broken_and_pulls(tuple(faults.trusted_indices))
+        _, violations, _ = tolerance_fit(tuple(faults.trusted_indices))
         replacing_findings: tuple[Finding, ...] = ()
         if violations and not findings:
             doubted = gross_faults(rig, spectra, faults.trusted_indices, all_line_spectra, questions, is_doubted=True)
             replacing_findings = doubted.findings
         findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
     return findings
+
+
+def _tolerance_fit(
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
+) -> tuple[LinearCheck, list[BrokenTolerance], Pulls]:
+    """Check, broken tolerances and pulls; about the fitted modes if none is broken there within their tolerances."""
+    broken, pulls = broken_tolerances_and_pulls(rig, check, channel_indices, tolerances)
+    tuned_check, tuned_broken, tuned_pulls = check, broken, pulls
+    total_pulls = dict.fromkeys((p for p in pulls if p.kind in TUNED_KINDS), 0.0)
+    for _ in range(MODE_RELINEARIZATIONS):
+        total_pulls = {parameter: total + tuned_pulls[parameter] for parameter, total in total_pulls.items()}
+        if not tuned_broken or max(map(abs, total_pulls.values()), default=np.inf) > MAX_MODE_PULL:
+            break
+        tuned_check = with_tuned_modes(rig, tuned_check, tuned_pulls, tolerances)
+        tuned_broken, tuned_pulls = broken_tolerances_and_pulls(rig, tuned_check, channel_indices, tolerances)
+    return (check, broken, pulls) if tuned_broken else (tuned_check, tuned_broken, tuned_pulls)
 
 
 @dataclass(frozen=True)

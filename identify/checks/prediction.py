@@ -6,7 +6,8 @@ with the accelerances G. The contact forces f_j, and a doubted force F_k, follow
 are used. A line's misfit is its squared error per degree of freedom, over the square of a rough error of the model.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -14,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED_LINE_COUNT, Spectra
 from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
-from identify.linear.nuisance import ObservedSignals, elastic_modes, mode_count_near_band
+from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, elastic_modes, mode_count_near_band
 from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import Projection, projection
 from identify.linear.truncation import truncations_of
@@ -38,6 +39,12 @@ MODE_BAND_RATIO = 2.0
 end by 0.9 times its own relative error, which is less than `MIN_MODEL_ERROR_SHARE` for the default tolerance."""
 
 
+TUNED_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+"""Errors of modes about which the record is linearised."""
+MAX_TUNING_FACTOR = 2.0
+"""Largest factor on the frequency or damping of a mode about which the record is linearised. Numerical."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Prediction of all channels, by the model and some of them.
@@ -54,9 +61,10 @@ class Prediction:
 
 @dataclass(frozen=True)
 class LinearCheck:
-    """A record's spectra and a rig's accelerances, of the forces first, then of the contacts."""
+    """A record's spectra and a rig's responses and accelerances, of the forces first, then of the contacts."""
 
     spectra: Spectra
+    responses: tuple[Response, ...]
     accelerance: Complex[np.ndarray, "inputs sensors lines"]
     error_scale: Float[np.ndarray, "sensors lines"]
     driven_masks: Bool[np.ndarray, "forces lines"]
@@ -87,7 +95,7 @@ class LinearCheck:
     def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
         error_scale = _error_scale_of(spectra, channel_indices)
-        return LinearCheck(spectra, self.accelerance, error_scale, driven_masks(spectra.forces))
+        return LinearCheck(spectra, self.responses, self.accelerance, error_scale, driven_masks(spectra.forces))
 
     def unknown_input_projection(
         self, channel_indices: list[int], doubted_force_index: int | None = None
@@ -139,9 +147,38 @@ def linear_check(
     """
     channel_indices = list(range(len(spectra.sensors))) if channel_indices is None else channel_indices
     cache = cache or ResponseCache(spectra.omega, 0)
-    responses = [response_of(rig, body, cache) for body in rig.bodies]
-    accelerance = accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
-    return LinearCheck(spectra, accelerance, _error_scale_of(spectra, channel_indices), driven_masks(spectra.forces))
+    responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
+    accelerance = _accelerance(rig, responses, spectra)
+    error_scale = _error_scale_of(spectra, channel_indices)
+    return LinearCheck(spectra, responses, accelerance, error_scale, driven_masks(spectra.forces))
+
+
+def with_tuned_modes(
+    rig: Rig, check: LinearCheck, pulls: Mapping[Nuisance, float], tolerances: Tolerances
+) -> LinearCheck:
+    """Check with the frequencies and damping of modes off by their pulls, in tolerances.
+
+    A shift by a share of a resonance's width changes the motion nonlinearly, which linear columns do not follow.
+    """
+
+    def factors(body_name: str, mode_count: int, kind: NuisanceKind) -> Float[np.ndarray, " modes"]:
+        common = 1 + getattr(tolerances, kind) * pulls.get(Nuisance(kind, body_name), 0.0)
+        of_modes = [tolerances.of_mode(body_name, number) for number in range(1, mode_count + 1)]
+        single_pulls = [pulls.get(Nuisance(kind, body_name, number), 0.0) for number in range(1, mode_count + 1)]
+        single_factors = [1 + getattr(t, kind) * pull for t, pull in zip(of_modes, single_pulls, strict=True)]
+        return np.clip(common * np.array(single_factors), 1 / MAX_TUNING_FACTOR, MAX_TUNING_FACTOR)
+
+    responses = tuple(
+        response.tuned(*(factors(response.body.name, response.mode_count, kind) for kind in TUNED_KINDS))
+        for response in check.responses
+    )
+    return replace(check, responses=responses, accelerance=_accelerance(rig, responses, check.spectra))
+
+
+def _accelerance(
+    rig: Rig, responses: Sequence[Response], spectra: Spectra
+) -> Complex[np.ndarray, "inputs sensors lines"]:
+    return accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
 
 
 def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
@@ -214,10 +251,9 @@ def observed_motion(
     Modes near the band may be off, whether or not as many sensors stand on their body.
     """
     sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
-    prediction, response_cache = check.prediction(channel_indices), ResponseCache(omega, 0)
+    prediction, body_responses = check.prediction(channel_indices), list(check.responses)
     accelerations = prediction.accelerations[channel_indices]
     input_spectra = np.concatenate([prediction.force_spectra, prediction.contact_force_spectra])
-    body_responses = [response_of(rig, body, response_cache) for body in rig.bodies]
     sensor_by_row, unit_response = dict(enumerate(sensors)), np.ones_like(accelerations)
     truncations = truncations_of(
         rig, body_responses, rig.forces, sensor_by_row, unit_response, tolerances.truncation, MODE_BAND_RATIO

@@ -9,7 +9,7 @@ which is standard normal if all tolerances hold. The parameter with the largest 
 are scored again.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,8 @@ MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 BATCH_SAMPLES = 1024
 """Samples of all columns in memory at once."""
 
-Pulls = Float[np.ndarray, " nuisances"]
+Pulls = Mapping[Nuisance, float]
+"""Estimates of nuisance parameters in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -130,18 +131,19 @@ def broken_tolerances_and_pulls(
     A pull is the estimate in standard deviations, with the broken parameters free.
     """
     if len(channel_indices) <= check.contact_count:
-        return [], np.zeros(0)
+        return [], {}
     observed = observed_motion(rig, check, channel_indices, tolerances)
     projector = Projector(check, channel_indices)
     nuisance_parameters, columns = _nuisances_and_columns(observed, projector)
     if not nuisance_parameters:
-        return [], np.zeros(0)
+        return [], {}
     candidates, added_columns = suspects_of(
         nuisance_parameters, observed.bodies, observed.sensors, observed.force_accelerations, observed.omega, tolerances
     )
     columns += [_Column.of(projector(spectra)) for spectra in added_columns]
     residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
-    return _violations_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
+    broken, pulls = _violations_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
+    return broken, dict(zip(nuisance_parameters, pulls.tolist(), strict=True))
 
 
 def _nuisances_and_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
@@ -174,14 +176,14 @@ def misfit_within_tolerances(
     """Misfit of these channels without the changes by the nuisance parameters' pulls."""
     acceleration = check.spectra.acceleration.copy()
     observed = observed_motion(rig, check, channel_indices, tolerances)
-    for pull, change in zip(pulls, _changes_within_tolerances(observed), strict=True):
-        acceleration[channel_indices] -= pull * change.at_all_sensors(len(channel_indices))
+    for change in _changes_within_tolerances(observed):
+        acceleration[channel_indices] -= pulls[change.parameter] * change.at_all_sensors(len(channel_indices))
     return check.misfit(check.spectra.with_acceleration(acceleration), channel_indices)
 
 
 def _violations_and_pulls(
     residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
-) -> tuple[list[BrokenTolerance], Pulls]:
+) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
     broken: list[BrokenTolerance] = []
     free_indices: list[int] = []
@@ -238,7 +240,7 @@ class _Scores:
 
     scores: Float[np.ndarray, " columns"]
     errors: Float[np.ndarray, " columns"]
-    pulls: Pulls
+    pulls: Float[np.ndarray, " nuisances"]
     free_errors: Float[np.ndarray, " free"]
 
 

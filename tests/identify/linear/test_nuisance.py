@@ -104,12 +104,12 @@ def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_do
 def test_of_two_sensors_at_a_station_each_changes_the_lines_that_it_gives(beams):
     """Gain, delay and position of either one together are those of a station with a single sensor."""
     single = observed(beams)
-    displacement_sensor = tuple(replace(s, name=f"{s.name} 2", quantity="displacement") for s in beams.sensors)
+    displacement_sensors = tuple(replace(s, name=f"{s.name} 2", quantity="displacement") for s in beams.sensors)
     by_displacements = np.tile(np.arange(OMEGA.size) < 10, (len(beams.sensors), 1))
     both = replace_fields(single, displacement_sensors=displacement_sensors, is_from_displacement=by_displacements)
     changes, singles = ({c.parameter: c.signals for c in changes_of(o)} for o in (both, single))
     for kind in (NuisanceKind.GAIN, NuisanceKind.DELAY, NuisanceKind.POSITION):
-        for sensor, other in zip(beams.sensors, displacement_sensor, strict=True):
+        for sensor, other in zip(beams.sensors, displacement_sensors, strict=True):
             by_sensor, by_other = (changes[Nuisance(kind, s.name)] for s in (sensor, other))
             assert not np.any(by_sensor[:, :10])
             assert not np.any(by_other[:, 10:])
