@@ -160,12 +160,11 @@ class Residual:
 
     @property
     def cost(self) -> float:
-        samples_per_line = self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
-        linear_cost = (
-            np.sum(self.linear_without_lines**2) + self.oversampling * self.nuisance_pulls @ self.nuisance_pulls
-        )
-        input_cost = self.model.prior_input_log_determinant * samples_per_line
-        return float(linear_cost) + sum(contact_fit.cost for contact_fit in self.contacts) + input_cost
+        lines_per_sample = self.model.error_deviation.shape[1] / self.linear_residual.shape[1]
+        pulls_cost = self.oversampling * self.nuisance_pulls @ self.nuisance_pulls
+        contact_cost = sum(contact_fit.cost for contact_fit in self.contacts)
+        linear_cost = float(np.sum(self.linear_without_lines**2) + pulls_cost)
+        return linear_cost + contact_cost + self.model.prior_input_log_determinant / lines_per_sample
 
 
 def linearized(
