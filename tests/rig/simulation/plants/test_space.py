@@ -285,6 +285,16 @@ def test_both_plants_move_the_barrel_in_its_rings_alike_until_chaos_parts_them()
     assert np.linalg.norm(force_n - reference.contact_force_n) < 0.02 * np.linalg.norm(force_n)
 
 
+def test_weightless_tubes_that_begin_at_rest_are_simulated(plant):
+    """While nothing moves, what rounding leaves of the stiff tubes' forces is all that the equations hold."""
+    rig, step_s = BarrelCradleAnnular(gravity_m_per_s2=0.0).rig(), 2.0**-15
+    time_s = np.arange(400) * step_s
+    forces_n = np.array([1e-3 * np.sin(2 * np.pi * 50 * time_s), np.zeros(time_s.size)])
+    motion = simulated(plant, rig, forces_n, step_s)
+    assert np.isfinite(motion.eta_m).all()
+    assert 0 < np.abs(motion.eta_m).max() < 1e-6
+
+
 def test_a_rig_in_space_that_moves_in_y_alone_is_the_plane_rig_with_dead_zones(plant):
     """Pushed in y, centred, without weight: the ring is a dead zone that does not pull."""
     rig = replace(SHORT.rig(), gravity_m_per_s2=0.0)
