@@ -117,10 +117,11 @@ def recommendations(result: Identification) -> Iterator[str]:
             f"The sensors' noise is taken from {result.report.noise_from}: let the record begin with a second or more "
             "without force to measure it."
         )
-    yield (
-        "Simulate with the identified rig.json, which stands beside this page. The intervals hold if its bodies are "
-        "right: identify gap checks whether they are."
-    )
+    if result.outcomes.estimates:
+        yield (
+            "Simulate with the identified rig.json, which stands beside this page. The intervals hold if its bodies "
+            "are right: identify gap checks whether they are."
+        )
 
 
 def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:

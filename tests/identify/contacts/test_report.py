@@ -108,6 +108,7 @@ def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page)
     text = _text(page(silent))
     (refused,) = silent.report.unanswered
     assert refused.reason in text
+    assert "Simulate with the identified rig.json" not in text
     assert "0 of 1 contacts identified" in text
     assert f"{refused.name}: {REMEDIES[refused.remedy]}." in recommendations(silent)
 
