@@ -193,7 +193,9 @@ def _unnamed_sentence(gap: Diagnosis) -> str:
             for strength in gap.causes[0].strengths
         )
         cause_words, probability_words = joined(gap.causes[0].words), probability(gap.causes[0].probability)
-        doubt = "may be nothing: its interval includes zero" if is_size_uncertain else f"has {probability_words}"
+        doubt = f"has a probability of {probability_words}"
+        if is_size_uncertain:
+            doubt = "may be nothing: its interval includes no change"
         return f"No effect of the library is certain enough to be named; the likeliest, {cause_words}, {doubt}."
     return "No effect of the library is named for it."
 

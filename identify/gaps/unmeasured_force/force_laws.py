@@ -55,8 +55,7 @@ class ForceLawForm:
 TONE = "tone"
 STOP_ERROR_SHARES, SOFTENING_ERROR_SHARES = (0.08, 0.005), (LAW_ERROR_SHARE, 0.05)
 """Lasting shares of stiffness and clearance of a stop, whose corners the band of the force rounds, and of stiffness and
-yield of a softening spring. Set by hand: in four and three blind cases (seeds 99402 to 99414) 2 to 15 % and 0.1 to
-0.7 %, 2 to 4 % and 3 to 14 % were off."""
+yield of a softening spring. Set by hand on four and three blind cases (seeds 99402 to 99414)."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ FLAT_PRIOR_COLUMN_NORM = 1e4
 """Norm of a drift's column at one prior standard deviation: in effect no prior."""
 DRIFT_ERROR_SHARE = 0.01
 """Standard error of a drift, relative to it, beside scatter: it is linearised, and the model of the rest is not exact.
-Set by hand: in five blind cases (seeds 99403, 99406, 99412 to 99414) 0.3 to 1.7 % of it was off."""
+Set by hand on five blind cases (seeds 99403, 99406, 99412 to 99414)."""
 
 
 @dataclass(frozen=True)

@@ -73,8 +73,8 @@ def test_a_small_difference_without_a_name_is_described(gaps):
     likeliest = f"the likeliest, {gaps['small'].causes[0].words[0]}"
     for chance, lower, reason in (
         (0.4, 0.1, "named for it"),
-        (0.8, 0.1, f"{likeliest}, has 80.0 %"),
-        (0.99, -0.1, f"{likeliest}, may be nothing: its interval includes zero"),
+        (0.8, 0.1, f"{likeliest}, has a probability of 80.0 %"),
+        (0.99, -0.1, f"{likeliest}, may be nothing: its interval includes no change"),
     ):
         causes = tuple(
             replace(
