@@ -8,8 +8,8 @@ from urllib.parse import quote
 from threadpoolctl import threadpool_limits
 
 from identify.checks import Finding, check_recording, unchecked_notes
-from identify.contacts.acceptance import without_dead_force
-from identify.contacts.space_contacts import space_findings
+from identify.contacts.acceptance import without_dead_force_channel_findings
+from identify.contacts.space_contacts import space_recording_findings
 from identify.contacts.space_identification import identify_recording
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
@@ -127,7 +127,7 @@ def gap(
     Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
     sources = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
-    source_by_identity = {_identity(source): source for source in sources}
+    source_by_identity = {_source_identity(source): source for source in sources}
     if len(source_by_identity) < len(sources):
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
@@ -145,7 +145,9 @@ def gap(
         findings_by_record = [_findings_of(record, _tolerances(tolerances)) for record in records.values()]
         report, corrected_rig = (diagnose_in_space if first_record.rig.in_space else diagnose)(
             list(records.values()),
-            None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
+            None
+            if validation is None
+            else records.get(_source_identity(validation)) or _with_rig(validation, nominal, rig),
             simulator_named(simulator),
             reference_path,
             progress,
@@ -154,23 +156,23 @@ def gap(
             next_experiment,
         )
         remaining_findings = [
-            _remaining_findings(record_findings, record, corrected_rig, _tolerances(tolerances))
+            _findings_with_corrected_rig(record_findings, record, corrected_rig, _tolerances(tolerances))
             for record_findings, record in zip(findings_by_record, records.values(), strict=True)
         ]
     all_sources = sources if validation is None else [*sources, validation]
     all_findings = [finding for record_findings in remaining_findings for finding in record_findings]
     # zeros: the force of a free decay
-    unique_findings = dict.fromkeys(without_dead_force(all_findings, first_record.force_names))
+    unique_findings = dict.fromkeys(without_dead_force_channel_findings(all_findings, first_record.force_names))
     return GapResult(report, corrected_rig, _title(sources, first_record), tuple(unique_findings), _paths(all_sources))
 
 
 def _findings_of(record: Recording, tolerances: Tolerances | None, use: MotionQuantity = "auto") -> tuple[Finding, ...]:
     """Findings of the check of a record, in both directions of a rig in space."""
-    find = space_findings if record.rig.in_space else check_recording
+    find = space_recording_findings if record.rig.in_space else check_recording
     return tuple(find(record, use, tolerances))
 
 
-def _remaining_findings(
+def _findings_with_corrected_rig(
     findings: Sequence[Finding], record: Recording, corrected_rig: Rig, tolerances: Tolerances | None
 ) -> Sequence[Finding]:
     """Findings of the check of a record that it also has with the corrected rig; all where that cannot be checked."""
@@ -236,7 +238,7 @@ def plan(
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 
 
-def _identity(source: Source) -> Path | int:
+def _source_identity(source: Source) -> Path | int:
     """Identity of a recording: its path, or that of the object."""
     return id(source) if isinstance(source, Recording) else Path(source).resolve()
 

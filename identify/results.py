@@ -299,7 +299,7 @@ class HistoryResult(Illustrated):
         folder_path = Path(folder)
         make_folder(folder_path)
         history_page.write_page(self.report, self.figure(), folder_path / "history.html")
-        write_bytes(history_page.csv_of(self.report), folder_path / "history.csv")
+        write_bytes(history_page.history_csv(self.report), folder_path / "history.csv")
         write_json(self.report, folder_path / "history.json")
 
     @property

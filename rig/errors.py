@@ -39,7 +39,7 @@ def hint(word: str, candidates: Iterable[str]) -> str:
     return "".join(f" (did you mean {match!r}?)" for match in get_close_matches(word, candidates, 1))
 
 
-def is_plain(text: str) -> bool:
+def has_no_control_characters(text: str) -> bool:
     """True if the text has no control characters, line ends or other characters that a terminal or page obeys."""
     return (text.isascii() and text.isprintable()) or not any(
         unicodedata.category(character) in _CONTROL_CATEGORIES for character in text

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from rig.errors import RigError, is_plain
+from rig.errors import RigError, has_no_control_characters
 
 try:
     import fcntl
@@ -102,7 +102,7 @@ def make_folder(path: Path) -> None:
 
 
 @contextmanager
-def locked_part(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
+def locked_part_path(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
     """FILE.part, locked for this writer; raises RigError if another writer holds it for longer than wait_s.
 
     The remains of a writer that was killed may be overwritten.
@@ -112,7 +112,7 @@ def locked_part(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
         yield part_path
         return
     deadline_s = time.monotonic() + wait_s
-    while (descriptor := _locked(part_path, path)) is None:
+    while (descriptor := _lock_descriptor(part_path, path)) is None:
         if time.monotonic() > deadline_s:
             raise RigError(f"{path}: is being written by another program; wait for it, or give another name")
         time.sleep(0.02)
@@ -141,7 +141,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     Writers of one file wait for each other; the last one prevails. Raises RigError if the file cannot be written.
     """
-    with locked_part(path, SMALL_FILE_WAIT_S) as part_path:
+    with locked_part_path(path, SMALL_FILE_WAIT_S) as part_path:
         try:
             yield part_path
             sync_and_rename(part_path, path)
@@ -164,7 +164,7 @@ def write_json(content: object, path: Path) -> None:
     write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n", path)
 
 
-def _locked(part_path: Path, path: Path) -> int | None:
+def _lock_descriptor(part_path: Path, path: Path) -> int | None:
     """File descriptor of FILE.part, locked until it is closed or the process ends; None if another writer has it."""
     try:
         descriptor = os.open(part_path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -194,5 +194,5 @@ def _is_same_file(path: Path, other_path: Path) -> bool:
 
 
 def _check_name(path: Path) -> None:
-    if not is_plain(str(path)):
+    if not has_no_control_characters(str(path)):
         raise RigError(f"{path}: its name has control characters, or is not UTF-8; rename it")

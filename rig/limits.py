@@ -58,7 +58,7 @@ class MemoryCounter:
             check_decoded_size(self._held_bytes, self._file_bytes, self._content_label)
 
 
-def check_json(text: bytes, source_label: str) -> None:
+def check_json_size_and_keys(text: bytes, source_label: str) -> None:
     """Raise RigError if a JSON text is too large or an object in it has a key twice, of which one would be lost.
 
     Syntax errors are left to the decoder.
@@ -66,14 +66,14 @@ def check_json(text: bytes, source_label: str) -> None:
     if len(text) > MAX_JSON_BYTES:
         raise RigError(f"{source_label}: has {len(text)} bytes; give at most {MAX_JSON_BYTES >> 20} MiB of JSON")
     try:
-        json.loads(text, object_pairs_hook=unique_keys, parse_int=len, parse_float=len)
+        json.loads(text, object_pairs_hook=dict_with_unique_keys, parse_int=len, parse_float=len)
     except RigError as error:
         raise RigError(f"{source_label}: {error}") from error
     except (ValueError, RecursionError):
         return
 
 
-def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def dict_with_unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Object of these key-value pairs; raises RigError, without the name of the file, if a key occurs twice."""
     value_by_key: dict[str, Any] = {}
     for key, value in pairs:
@@ -87,7 +87,7 @@ MAX_NUMBER = 1e30
 """Largest number, in any unit: beyond any sensor, and a fourth power would overflow."""
 
 
-def check_largest(decoded: Any, source: str) -> None:
+def check_largest_number(decoded: Any, source: str) -> None:
     """Raise RigError, with its place, if a number in decoded JSON is beyond MAX_NUMBER."""
     pending_values: list[tuple[tuple[Any, ...], Any]] = [((), decoded)]
     while pending_values:

@@ -40,7 +40,7 @@ class Comparison:
         table, identification = console_table(title, headings, 2), self.identification
         for form, nifo in (("the paper's", identification.paper_nifo), ("weak", identification.weak_nifo)):
             in_band = (nifo.frequency_hz >= band_hz[0]) & (nifo.frequency_hz <= band_hz[1])
-            true_frf = nifo.described_frf()[in_band]
+            true_frf = nifo.nominal_frf()[in_band]
             frf_error_share = float(np.sum(np.abs(nifo.frf[in_band] - true_frf) ** 2) / np.sum(np.abs(true_frf) ** 2))
             for stiffness_row, contact_index in enumerate(nifo.contact_indices):
                 contact_name = identification.rig.contacts[contact_index].name

@@ -29,7 +29,7 @@ from rig.errors import RigError
 from rig.files import write_bytes, write_json
 from rig.lab.importing import import_file
 from rig.lab.modal.record import MeasuredResponse, fit_record
-from rig.lab.starting import write_start
+from rig.lab.starting import write_rig_and_map
 from rig.lab.starting.measured import MeasuredRig
 from rig.model.description import Rig
 from rig.model.modes import modes_of
@@ -83,7 +83,7 @@ def f16(
     refuse_existing(out / "f16.json", force, new_folder=True)
     start = measured_rig(data)
     believed, notes = start.rig_and_notes()
-    write_start(believed, start.map_text(believed), out)
+    write_rig_and_map(believed, start.map_text(believed), out)
     console = Console()
     for note in notes:
         console.print(note, highlight=False, soft_wrap=True)

@@ -27,7 +27,7 @@ from identify.pages.wording import interval
 from rig.commands.command_line import Force, console_table, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording
@@ -120,7 +120,7 @@ def damper_recording(
 def damper_rig() -> Rig:
     """Rig of the piston, which the band holds to the ground."""
     mass = Oscillator(name="piston", mass_kg=MASS_KG, frequency_hz=NATURAL_HZ, damping_ratio=0.0)
-    band = Contact(name="band", at=Station("piston"), against=None, law=equal_sides(0.0, 1e6))
+    band = Contact(name="band", at=Station("piston"), against=None, law=symmetric_dead_zone(0.0, 1e6))
     return one_mass_rig("friction damper", mass, SAMPLE_RATE_HZ, contacts=(band,))
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.special import erf
 
-from identify.contacts.acceptance import AcceptedContacts, find_contacts
+from identify.contacts.acceptance import AcceptedContacts, estimated_contacts
 from identify.pages.wording import COVERED
 from rig.commands.command_line import console_table, run
 from rig.commands.tasks import Dask, run_tasks
@@ -136,7 +136,7 @@ def identify_random_rig(task: Task) -> RigOutcome:
         recording = read(path)
     true_laws = [(c.name, c.law.clearance_m, c.law.stiffness_n_per_m, c.law.damping_n_s_per_m) for c in actual.contacts]
     recordings = (_with_sensors_of(recording, rig) for rig in (six_stations, four_stations))
-    contacts = (find_contacts(r, "acceleration", tolerances) for r in recordings)
+    contacts = (estimated_contacts(r, "acceleration", tolerances) for r in recordings)
     return RigOutcome(task, rms_n, *(estimate_errors(contact, true_laws) for contact in contacts))
 
 

@@ -20,7 +20,7 @@ from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.sensors import digitise, needed_duration_s
+from rig.simulation.sensors import digitise, plant_run_duration_s
 
 FORMS: tuple[NifoForm, NifoForm] = ("paper", "weak")
 AVERAGE_COUNT = 40
@@ -190,7 +190,7 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
     settings, rng = study.settings, np.random.default_rng(study.settings.seed)
     sensor_count, noise_count = len(rig.sensors), len(rig.sensors) * any(study.noise_densities)
     margin_count, samples_per_piece = round(MARGIN_S * rig.sample_rate_hz), round(PIECE_S * rig.sample_rate_hz)
-    duration_s = needed_duration_s(rig, study.piece_count * PIECE_S + MARGIN_S)
+    duration_s = plant_run_duration_s(rig, study.piece_count * PIECE_S + MARGIN_S)
     force_n = force_signal(settings.force(), duration_s, settings.step_s)
     motion = modal.simulate(rig, force_n, settings.step_s, lambda _: None)
     queued_rows, queued_count = [np.zeros((1 + sensor_count + noise_count, margin_count))], margin_count

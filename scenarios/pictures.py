@@ -21,7 +21,7 @@ from PIL import Image
 from rig.commands.command_line import progress_bar, run
 from rig.errors import RigError
 from rig.files import write_bytes
-from rig.model.layout import left_ends
+from rig.model.layout import left_end_m_by_body
 from rig.recording import read, read_truth, truth_path
 from rig.viewer.deflection import Deflection, deflection
 
@@ -69,13 +69,13 @@ def animation(
 
 def _frame(displacements: Deflection, sample_index: int, time_s: float, largest_mm: float) -> "Image.Image":
     """Picture of a sample: the line of every body, and the two stops of every contact beside what they hold."""
-    rig, left_m = displacements.rig, left_ends(displacements.rig)
+    rig, left_m = displacements.rig, left_end_m_by_body(displacements.rig)
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots()
     for body, colour in zip(rig.bodies, ("#444444", "#1f5fa8"), strict=False):
         x_m = np.linspace(0, body.length_m, NODE_COUNT)
-        w_mm = 1e3 * displacements.of_body(body, x_m, np.array([sample_index]))[:, 0]
+        w_mm = 1e3 * displacements.body_displacement_m(body, x_m, np.array([sample_index]))[:, 0]
         axes.plot(left_m[body.name] + x_m, w_mm, color=colour, lw=5, solid_capstyle="butt", label=body.name, zorder=3)
     for contact, relative_m in zip(rig.contacts, displacements.relative_displacement_m()[:, sample_index], strict=True):
         law, carrier_mm = contact.law, 0.0

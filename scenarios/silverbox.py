@@ -29,7 +29,7 @@ from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
 from identify.pages.style import BLUE, GREY, RED, picture
 from identify.signals.kinematics import kinematics
-from identify.signals.spectra import force_band
+from identify.signals.spectra import force_band_hz
 from rig.commands.command_line import Force, console_table, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
@@ -115,7 +115,7 @@ def recordings(volts: Float[np.ndarray, "2 samples"]) -> tuple[Recording, Record
     signals = (volts - volts[:, FIT_SAMPLES].mean(axis=1, keepdims=True)) * scales
     unmodelled = recording_of(one_mass(1.0, 1.0, 0.0, 0.0), signals[:, FIT_SAMPLES], SOURCE)
     frequency_hz, density = welch(displacement_m(unmodelled), SAMPLE_RATE_HZ, nperseg=4096)
-    is_noise_line = frequency_hz > force_band(unmodelled.force_n, SAMPLE_RATE_HZ)[1]
+    is_noise_line = frequency_hz > force_band_hz(unmodelled.force_n, SAMPLE_RATE_HZ)[1]
     start_rig = linear_guess(unmodelled, float(np.sqrt(np.mean(density[is_noise_line]))))
     believed = fit_free_run(start_rig, unmodelled)
     fit, validation, arrow = (

@@ -11,7 +11,7 @@ import identify
 from identify.contacts.refusals import ContactRefusedError
 from rig.errors import RigError
 from rig.lab.importing import import_file
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.contact_laws.spring import Spring
 from rig.model.description import ON_GROUND, BaseMotion, PointSpring, Sensor, to_json
 from rig.recording import Recording, Signals, channel_groups
@@ -141,7 +141,7 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "a ring with sensors in one direction": contact(replace(RING, sensors=RING.sensors[: len(RING.sensors) // 2])),
     "weight on a stop of one direction": contact(replace(BEAMS, gravity_m_per_s2=9.81)),
     "weight on a stop of one direction beside a ring": contact(
-        replace(RING, contacts=(replace(RING.contacts[0], law=equal_sides(2e-3, 5e5)), RING.contacts[1]))
+        replace(RING, contacts=(replace(RING.contacts[0], law=symmetric_dead_zone(2e-3, 5e5)), RING.contacts[1]))
     ),
     "three contacts of two masses": contact(
         replace(CHAIN, contacts=(*CHAIN.contacts, replace(CHAIN.contacts[1], name="wall", at=CHAIN.contacts[0].at)))

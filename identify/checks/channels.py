@@ -34,7 +34,7 @@ class Explanation:
     freedom_factor: float = 1.0
 
 
-def channel_finding(
+def likeliest_channel_finding(
     rig: Rig, check: LinearCheck, channel_index: int, prediction: Prediction, delays_over_time: DelaysOnDemand
 ) -> Finding:
     """Likeliest reason why a channel is not what all others predict.
@@ -52,13 +52,13 @@ def channel_finding(
 
     explanations = [
         *_gain_and_delay_explanations(name, fit, omega, predicted, residual_share),
-        *_station_explanations(rig, spectra, channel_index, prediction, line_weights, residual_share),
-        *_derivative_explanations(spectra, channel_index, predicted, line_weights),
+        *_sensor_place_explanations(rig, spectra, channel_index, prediction, line_weights, residual_share),
+        *_wrong_derivative_explanations(spectra, channel_index, predicted, line_weights),
         *_filter_explanations(name, omega, measured, predicted, line_weights),
     ]
     likeliest = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.freedom_factor)
     if likeliest.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
-        return _slipped_finding(name, delays_s)
+        return _slipped_samples_finding(name, delays_s)
     if likeliest.unexplained_share > 1 - MIN_COHERENCE:
         return Finding(
             cause="unrelated",
@@ -109,7 +109,7 @@ def gain_finding(channel_name: str, gain: float) -> Finding:
     )
 
 
-def _station_explanations(
+def _sensor_place_explanations(
     rig: Rig,
     spectra: Spectra,
     channel_index: int,
@@ -153,7 +153,7 @@ def _station_explanations(
         yield Explanation(min(residual_shares), finding, 1.5)
 
 
-def _derivative_explanations(
+def _wrong_derivative_explanations(
     spectra: Spectra, channel_index: int, predicted: Spectrum, line_weights: PerLine
 ) -> Iterator[Explanation]:
     """Explanations: the channel is a derivative or an integral of the predicted motion."""
@@ -187,7 +187,7 @@ def _filter_explanations(
         yield Explanation(unexplained_share, finding, 4.0)
 
 
-def _slipped_finding(channel_name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
+def _slipped_samples_finding(channel_name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
     """Finding: the delay changes over the record."""
     delay_change_s = float(delays_s[-1] - delays_s[0])
     return Finding(
@@ -210,7 +210,9 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
     gain, delay_s = fit.gain, fit.delay_s
     gain_sizes, residual_share, centres_hz = band_gain_fit(omega, measured, implied, line_weights)
     if residual_share < 0.3 and 1 - fit.coherence > 2.5 * residual_share and gain_sizes.max() > 1.25 * gain_sizes.min():
-        return _filter_finding(name, (float(gain_sizes[0]), float(gain_sizes[-1])), (centres_hz[0], centres_hz[-1]))
+        return _filtered_force_finding(
+            name, (float(gain_sizes[0]), float(gain_sizes[-1])), (centres_hz[0], centres_hz[-1])
+        )
     if fit.coherence < MIN_COHERENCE:
         return Finding(
             cause="force",
@@ -252,7 +254,7 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
     )
 
 
-def _filter_finding(name: str, end_gain_sizes: tuple[float, float], end_hz: tuple[float, float]) -> Finding:
+def _filtered_force_finding(name: str, end_gain_sizes: tuple[float, float], end_hz: tuple[float, float]) -> Finding:
     """Finding: the force over the implied one changes from the lowest to the highest frequency, at which one is right.
 
     The end that is nearer to one was passed: of a high-pass the upper, of a low-pass the lower one.

@@ -17,14 +17,14 @@ from identify.checks.pulls import (
     BrokenTolerance,
     Pulls,
     broken_tolerances_and_pulls,
-    joint_cost,
+    cost_within_tolerances,
     misfit_within_tolerances,
     tolerance_finding,
 )
 from identify.checks.rigs import Trial
 from identify.checks.spectra import Spectra, quiet_sample_count, spectra_of
 from identify.checks.waveforms import Row, Rows
-from identify.linear.joined import contact_groups, group_rig_of
+from identify.linear.joined import contact_groups, rig_with_joined_contacts
 from identify.signals.kinematics import MotionQuantity, kinematics
 from identify.signals.measured_base import body_force_count, excitation_names, excitations
 from rig.errors import RigError
@@ -72,7 +72,7 @@ def check_recording(
         findings += _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
     if not any(finding.cause in ("units", "gain") for finding in findings):
         findings += _out_of_range_findings(recording, use)
-    return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
+    return merge_by_cause(_without_explained_findings(findings, recording.force_names), recording.rig)
 
 
 def unchecked_notes(rig: Rig) -> tuple[str, ...]:
@@ -85,7 +85,7 @@ def unchecked_notes(rig: Rig) -> tuple[str, ...]:
     )
 
 
-def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -> list[Finding]:
+def _without_explained_findings(findings: list[Finding], force_names: Sequence[str]) -> list[Finding]:
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
         findings = [f for f in findings if f.cause != "noise"]
@@ -105,7 +105,7 @@ def _out_of_range_findings(recording: Recording, use: MotionQuantity) -> list[Fi
 
 
 @contextmanager
-def naming_first_finding(findings: tuple[Finding, ...]) -> Iterator[None]:
+def adding_first_finding_to_error(findings: tuple[Finding, ...]) -> Iterator[None]:
     """Append the first finding to the message of a RigError, as its likely reason."""
     try:
         yield
@@ -155,7 +155,7 @@ def _linear_check_findings(
     recording: Recording, sensors: tuple[Sensor, ...], usable_indices: list[int], tolerances: Tolerances
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""
-    rig = group_rig_of(recording.rig)
+    rig = rig_with_joined_contacts(recording.rig)
 
     @cache
     def all_line_spectra() -> Spectra:
@@ -169,7 +169,7 @@ def _linear_check_findings(
     @cache
     def tolerance_fit(trusted_indices: tuple[int, ...]) -> tuple[LinearCheck, list[BrokenTolerance], Pulls]:
         check = linear_check(rig, all_line_spectra(), [*trusted_indices])
-        return _tolerance_fit(rig, check, [*trusted_indices], tolerances)
+        return _broken_tolerances_at_tuned_modes(rig, check, [*trusted_indices], tolerances)
 
     def tolerances_explain() -> bool:
         check, broken, pulls = tolerance_fit(tuple(usable_indices))
@@ -180,8 +180,8 @@ def _linear_check_findings(
             return 0.0, 0.0
         nominal_check, changed_rig = tolerance_fit(tuple(usable_indices))[0], trial.changed_rig
         changed_check = linear_check(changed_rig, all_line_spectra(), usable_indices)
-        nominal_cost = joint_cost(rig, nominal_check, usable_indices, tolerances)
-        changed_cost = joint_cost(changed_rig, changed_check, usable_indices, tolerances)
+        nominal_cost = cost_within_tolerances(rig, nominal_check, usable_indices, tolerances)
+        changed_cost = cost_within_tolerances(changed_rig, changed_check, usable_indices, tolerances)
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
     questions = ToleranceQuestions(tolerances_explain, pull_and_distance_of)
@@ -197,7 +197,7 @@ def _linear_check_findings(
     return findings
 
 
-def _tolerance_fit(
+def _broken_tolerances_at_tuned_modes(
     rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
 ) -> tuple[LinearCheck, list[BrokenTolerance], Pulls]:
     """Check, broken tolerances and pulls; about the fitted modes if none is broken there within their tolerances."""
@@ -242,7 +242,7 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     excitation = excitations(recording)
     may_begin_moving = recording.start_s > 0 or not np.any(excitation)  # a free decay begins in motion
     motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
-    if recording.start_s == 0 and _runs_backwards(live_channels, excitation, recording.rig.sample_rate_hz):
+    if recording.start_s == 0 and _is_time_reversed(live_channels, excitation, recording.rig.sample_rate_hz):
         motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]
     findings = motion_findings or [*faults, *_spike_findings(live_channels, _channel_names(faults))]
     return [*findings, *waveforms.copy_findings([c.name for c in live_channels], [c.samples for c in live_channels])]
@@ -284,7 +284,7 @@ def _first_fault(channel: _Channel) -> Finding | None:
         lambda: waveforms.dead_finding(channel_name, samples, force_names),
         lambda: waveforms.clipped_finding(channel_name, samples),
         lambda: waveforms.quantised_finding(channel_name, samples),
-        lambda: waveforms.held_finding(channel_name, samples, excitation, force_names),
+        lambda: waveforms.held_samples_finding(channel_name, samples, excitation, force_names),
     ]
     if not channel.is_force:
         fault_checks += [
@@ -303,7 +303,7 @@ def _first_fault(channel: _Channel) -> Finding | None:
 
 def _spike_findings(channels: Sequence[_Channel], faulty_channel_names: set[str]) -> Iterator[Finding]:
     """Findings on spikes in the channels that show no fault of another kind."""
-    deviation_by_channel = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
+    deviation_by_channel = {c.name: waveforms.relative_neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
         if channel.name not in faulty_channel_names:
             other_deviations = [d for name, d in deviation_by_channel.items() if name in channel.impact_sensor_names]
@@ -312,7 +312,7 @@ def _spike_findings(channels: Sequence[_Channel], faulty_channel_names: set[str]
                 yield finding
 
 
-def _runs_backwards(channels: Sequence[_Channel], excitation: Rows, rate_hz: float) -> bool:
+def _is_time_reversed(channels: Sequence[_Channel], excitation: Rows, rate_hz: float) -> bool:
     """True if all motion ends with the force, without ringing: time then seems to run backwards."""
     quiet_count = 0 if quiet_sample_count(excitation, rate_hz) else quiet_sample_count(excitation[..., ::-1], rate_hz)
     ringing_slice = slice(max(0, quiet_count - round(MIN_RINGING_S * rate_hz)), quiet_count)
@@ -324,7 +324,9 @@ def _runs_backwards(channels: Sequence[_Channel], excitation: Rows, rate_hz: flo
 def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Findings on channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
-        waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])
+        waveforms.initial_motion_finding(
+            channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group]
+        )
         for channel in channels
         if channel.group in REST_S_BY_QUANTITY
     ]

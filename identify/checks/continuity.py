@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding
-from identify.checks.prediction import Projector, linear_check
+from identify.checks.prediction import TimeResidual, linear_check
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig
 
@@ -20,14 +20,15 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
 
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    worst_ratio, time_s = discontinuity_and_time(rig, spectra, channel_indices)
+    worst_ratio, time_s = discontinuity_ratio_and_time_s(rig, spectra, channel_indices)
     if worst_ratio < MIN_DISCONTINUITY_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     for k in range(len(spectra.forces) if len(spectra.forces) > 1 else 0):
-        if discontinuity_and_time(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:
+        if discontinuity_ratio_and_time_s(rig, spectra, channel_indices, k)[0] < MIN_DISCONTINUITY_RATIO:
             return []
     ratio_without, worst_index = min(
-        (discontinuity_and_time(rig, spectra, [i for i in channel_indices if i != k])[0], k) for k in channel_indices
+        (discontinuity_ratio_and_time_s(rig, spectra, [i for i in channel_indices if i != k])[0], k)
+        for k in channel_indices
     )
     if ratio_without < MIN_DISCONTINUITY_RATIO:
         channel_name = spectra.sensors[worst_index].name
@@ -49,7 +50,7 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
     ]
 
 
-def discontinuity_and_time(
+def discontinuity_ratio_and_time_s(
     rig: Rig, spectra: Spectra, channel_indices: list[int], doubted_force_index: int | None = None
 ) -> tuple[float, float]:
     """Largest residual power of a part over that which is usual, and the part's time, s.
@@ -59,10 +60,10 @@ def discontinuity_and_time(
     """
     check = linear_check(rig, spectra, channel_indices)
     unforced_acceleration = (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
-    residual = Projector(check, channel_indices, doubted_force_index)(unforced_acceleration)
+    residual = TimeResidual(check, channel_indices, doubted_force_index)(unforced_acceleration)
     scaled_acceleration = spectra.compared_signals((spectra.acceleration / check.error_scale)[channel_indices])
-    residual_powers = _part_powers(residual, spectra.compared_rate_hz)
-    motion_powers = _part_powers(scaled_acceleration, spectra.compared_rate_hz)
+    residual_powers = _mean_square_by_interval(residual, spectra.compared_rate_hz)
+    motion_powers = _mean_square_by_interval(scaled_acceleration, spectra.compared_rate_hz)
     motion_powers += POWER_FLOOR_SHARE * motion_powers.mean()
     usual_residual_share = np.quantile(residual_powers / motion_powers, 0.3)
     usual_powers = np.maximum(usual_residual_share * motion_powers, np.median(residual_powers))
@@ -71,7 +72,9 @@ def discontinuity_and_time(
     return float(ratios[worst_part_index]), spectra.compared_span_s[0] + (worst_part_index + 0.5) * PART_DURATION_S
 
 
-def _part_powers(signals: Float[np.ndarray, "sensors times"], samples_per_s: float) -> Float[np.ndarray, " parts"]:
+def _mean_square_by_interval(
+    signals: Float[np.ndarray, "sensors times"], samples_per_s: float
+) -> Float[np.ndarray, " parts"]:
     """Mean square of all rows in each part of the record."""
     part_sample_count = max(1, round(PART_DURATION_S * samples_per_s))
     part_count = signals.shape[1] // part_sample_count

@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.channels import channel_finding, force_finding, gain_finding
+from identify.checks.channels import force_finding, gain_finding, likeliest_channel_finding
 from identify.checks.findings import Finding, merge_by_cause
 from identify.checks.prediction import LinearCheck, Prediction, linear_check
-from identify.checks.pulls import required_distance, required_pull
+from identify.checks.pulls import required_distance_in_tolerances, required_pull
 from identify.checks.relations import relation
 from identify.checks.rigs import Trial, rig_trials
 from identify.checks.spectra import Spectra
@@ -72,7 +72,7 @@ def gross_faults(
     """
     check = linear_check(rig, spectra, usable_indices)
     misfit = check.prediction(usable_indices).misfit
-    force_trials = list(_force_trials(check, usable_indices))
+    force_trials = list(_doubted_force_trials(check, usable_indices))
     # with several forces, the estimate of a weak one follows the errors of the model
     force_findings = force_trials[0].findings() if len(force_trials) == 1 else ()
     force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
@@ -84,13 +84,15 @@ def gross_faults(
         best_trial = min(rig_trials(rig, spectra, usable_indices), key=lambda trial: trial.misfit)
         (finding,) = best_trial.findings()
         pull, distance_in_tolerances = tolerance_questions.pull_and_distance_of(best_trial)
-        is_rig_wrong = pull > required_pull(finding.cause) and distance_in_tolerances > required_distance(finding.cause)
+        is_rig_wrong = pull > required_pull(finding.cause) and distance_in_tolerances > required_distance_in_tolerances(
+            finding.cause
+        )
         return GrossFaults((finding,) if is_rig_wrong else (), usable_indices, not is_rig_wrong)
     trials = [
         *force_trials,
-        *_channel_trials(rig, check, usable_indices, all_line_spectra),
+        *_doubted_channel_trials(rig, check, usable_indices, all_line_spectra),
         *_swap_trials(check, usable_indices),
-        *_gain_trials(rig, check, usable_indices),
+        *_all_channel_gain_trials(rig, check, usable_indices),
         *rig_trials(rig, spectra, usable_indices),
     ]
     best_trial = min(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
@@ -101,12 +103,12 @@ def gross_faults(
         if multiple_faults is not None:
             return multiple_faults
         if best_trial.misfit >= MAX_REMAINING_SHARE * misfit:
-            return GrossFaults((_model_finding(misfit),), usable_indices, False)
+            return GrossFaults((_unexplained_misfit_finding(misfit),), usable_indices, False)
     is_sound = best_trial.is_rest_right and best_trial.misfit < SOUND_MISFIT
     return GrossFaults(best_trial.findings(), best_trial.trusted_indices, is_sound)
 
 
-def _model_finding(misfit: float) -> Finding:
+def _unexplained_misfit_finding(misfit: float) -> Finding:
     """Finding: no single change makes the model fit."""
     return Finding(
         cause="model",
@@ -116,7 +118,7 @@ def _model_finding(misfit: float) -> Finding:
     )
 
 
-def _channel_trials(
+def _doubted_channel_trials(
     rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
@@ -138,11 +140,11 @@ def _channel_findings(
     all_line_spectra: SpectraOnDemand,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
-    delays_over_time = partial(_delays_over_time, rig, all_line_spectra, channel_index, predicting_indices)
-    return (channel_finding(rig, check, channel_index, prediction, delays_over_time),)
+    delays_over_time = partial(_changing_delays_s, rig, all_line_spectra, channel_index, predicting_indices)
+    return (likeliest_channel_finding(rig, check, channel_index, prediction, delays_over_time),)
 
 
-def _delays_over_time(
+def _changing_delays_s(
     rig: Rig, all_line_spectra: SpectraOnDemand, channel_index: int, predicting_indices: list[int]
 ) -> Float[np.ndarray, " parts"] | None:
     """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
@@ -163,7 +165,7 @@ def _delays_over_time(
     return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
-def _force_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
+def _doubted_force_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trials that estimate one force from the sensors."""
     for force_index in range(len(check.spectra.forces)):
         prediction = check.prediction(usable_indices, doubted_force_index=force_index)
@@ -214,7 +216,7 @@ def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
     )
 
 
-def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
+def _all_channel_gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
     """Trial: all channels' gains by linear least squares: the factors that minimise the projected residual.
 
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.

@@ -18,7 +18,7 @@ from identify.checks.relations import unit_mistake
 from identify.linear.joined import contact_groups
 from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
-from identify.signals.spectra import decimated, force_band
+from identify.signals.spectra import decimated, force_band_hz
 from rig.errors import RigError
 from rig.model.description import ON_GROUND, Body, Rig, Station, contact_stations
 from rig.model.modes import loaded_mass
@@ -64,12 +64,12 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
     body, station_index = _driven_body_and_row(rig, motion)
     if not body.is_mass or station_index is None:
         return []
-    fit = open_passage_fit(rig, motion, station_index)
+    fit = open_contact_mass_fit(rig, motion, station_index)
     if fit is None:
         return []
     sensor = motion.sensors[station_index]
     clock = _clock_finding(body, sensor.measures.order, fit, tolerances)
-    return [clock] if clock else _comparison_findings(body, (*rig.force_names, sensor.name), fit, tolerances)
+    return [clock] if clock else _mass_fit_findings(body, (*rig.force_names, sensor.name), fit, tolerances)
 
 
 def _driven_body_and_row(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
@@ -90,21 +90,21 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     body, station_index = _driven_body_and_row(rig, motion)
     if station_index is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
         return 0.0
-    fit = open_passage_fit(rig, motion, station_index)
+    fit = open_contact_mass_fit(rig, motion, station_index)
     if fit is None or fit.explained_share < MIN_RELATED_SHARE:
         return 0.0
     sensor_order = motion.sensors[station_index].measures.order
-    log_errors, error_spreads, per_clock_error = _mass_and_frequency_errors(body, sensor_order, fit, tolerances)
+    log_errors, error_spreads, per_clock_error = _log_errors_spreads_clock_slopes(body, sensor_order, fit, tolerances)
     per_clock_error_norm = float(np.linalg.norm(per_clock_error / error_spreads))
     clock_pull = abs(per_clock_error / error_spreads @ (log_errors / error_spreads)) / per_clock_error_norm
     return float(max(clock_pull, *np.abs(log_errors / error_spreads)))
 
 
-def open_passage_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
+def open_contact_mass_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the open passages; None if they have too few samples, or no force acts in them."""
     best_fit: MassFit | None = None
     for quantile in OPEN_QUANTILES:
-        fit = _fit_below_quantile(quantile, rig, motion, station_index)
+        fit = _fit_near_clearance_middle(quantile, rig, motion, station_index)
         if fit is None or (best_fit and fit.explained_share < best_fit.explained_share):
             break
         best_fit = fit
@@ -113,16 +113,16 @@ def open_passage_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFi
     return best_fit
 
 
-def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
-    """Fit to the samples below a quantile of the distance from the middle; None as in `open_passage_fit`."""
-    force_high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
+def _fit_near_clearance_middle(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
+    """Fit to the samples below a quantile of the distance from the middle; None as in `open_contact_mass_fit`."""
+    force_high_hz = force_band_hz(motion.forces_n, motion.sample_rate_hz)[1]
     decimation = max(1, int(motion.sample_rate_hz / 2 / (HALF_RATE_TO_FORCE_RATIO * force_high_hz)))
     rate_hz = motion.sample_rate_hz / decimation
     force_n = force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n)
     motion_rows = (motion.acceleration_m_per_s2, motion.velocity_m_per_s, motion.displacement_m)
     signals = decimated(np.stack([force_n, *(row[station_index] for row in motion_rows)]), decimation)
-    is_open = _open_mask(rig, motion, station_index, decimation, quantile)
-    passages = _passages(is_open, motion.excited_from // decimation + 1)
+    is_open = _open_contact_mask(rig, motion, station_index, decimation, quantile)
+    passages = _open_contact_passages(is_open, motion.excited_from // decimation + 1)
     if sum(passage.stop - passage.start for passage in passages) < 50:
         return None
     if np.concatenate([signals[0, passage] for passage in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
@@ -155,7 +155,7 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
     return undelayed_fit if gained_explained_share < 0.2 * (1 - undelayed_fit.explained_share) else fine_fit
 
 
-def _open_mask(
+def _open_contact_mask(
     rig: Rig, motion: Kinematics, station_index: int, decimation: int, quantile: float
 ) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
@@ -180,14 +180,14 @@ def _open_mask(
     return is_open
 
 
-def _passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) -> list[slice]:
+def _open_contact_passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) -> list[slice]:
     """Runs of open samples that begin at `min_start` or later and are long enough."""
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
     runs = zip(run_edges[::2], run_edges[1::2], strict=True)
     return [slice(start, stop) for start, stop in runs if start >= min_start and stop - start >= MIN_PASSAGE_SAMPLES]
 
 
-def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
+def _mass_fit_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
     """First error of, in this order: the relation of force and motion, delay, size, frequency, damping.
 
     channels are those of the forces and, last, of the sensor.
@@ -263,7 +263,7 @@ def _clock_finding(body: Body, sensor_order: int, fit: MassFit, tolerances: Tole
     mass_kg, _, stiffness_n_per_m = fit.coefficients
     if sensor_order > 1 or not _identifiable_natural_hz(body) or mass_kg <= 0 or stiffness_n_per_m <= 0:
         return None
-    log_errors, error_spreads, per_clock_error = _mass_and_frequency_errors(body, sensor_order, fit, tolerances)
+    log_errors, error_spreads, per_clock_error = _log_errors_spreads_clock_slopes(body, sensor_order, fit, tolerances)
     per_clock_error_norm = float(np.linalg.norm(per_clock_error / error_spreads))
     clock_error = (per_clock_error / error_spreads @ (log_errors / error_spreads)) / per_clock_error_norm**2
     remainder_spreads = np.abs(log_errors - clock_error * per_clock_error) / error_spreads
@@ -286,7 +286,7 @@ def _identifiable_natural_hz(body: Body) -> float:
     return float(body.frequencies_hz(1)[0]) if body.damping_ratios(1)[0] < MAX_DAMPING_RATIO else 0.0
 
 
-def _mass_and_frequency_errors(
+def _log_errors_spreads_clock_slopes(
     body: Body, sensor_order: int, fit: MassFit, tolerances: Tolerances
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Errors of mass and frequency as logarithms; their standard spreads; their changes per unit clock error.

@@ -15,7 +15,13 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED_LINE_COUNT, Spectra
 from identify.linear.model import Response, ResponseCache, accelerances, input_shapes, real_product, response_of
-from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, elastic_modes, mode_count_near_band
+from identify.linear.nuisance import (
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    elastic_mode_indices,
+    mode_count_below_band_margin,
+)
 from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import Projection, projection
 from identify.linear.truncation import truncations_of
@@ -77,7 +83,9 @@ class LinearCheck:
     def contact_accelerance(self) -> Complex[np.ndarray, "contacts sensors lines"]:
         return self.accelerance[len(self.spectra.forces) :]
 
-    def free_accelerance(self, doubted_force_index: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
+    def unknown_input_accelerance(
+        self, doubted_force_index: int | None = None
+    ) -> Complex[np.ndarray, "inputs sensors lines"]:
         """Accelerances of the unknown inputs: of the doubted force, if there is one, and of the contacts."""
         if doubted_force_index is None:
             return self.contact_accelerance
@@ -101,22 +109,22 @@ class LinearCheck:
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        accelerances = self.free_accelerance(doubted_force_index)[:, channel_indices]
+        accelerances = self.unknown_input_accelerance(doubted_force_index)[:, channel_indices]
         error_scale = self.error_scale[channel_indices]
         return projection(accelerances / error_scale, error_scale, len(accelerances))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
-        spectra, free_accelerance = self.spectra, self.free_accelerance(doubted_force_index)
+        spectra, unknown_input_accelerance = self.spectra, self.unknown_input_accelerance(doubted_force_index)
         known_by_force = self.acceleration_by_force
         if doubted_force_index is not None:
             known_by_force = np.delete(known_by_force, doubted_force_index, axis=0)
         known_acceleration = np.asarray(known_by_force.sum(axis=0))
         unexplained = (spectra.acceleration - known_acceleration)[channel_indices]
         residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
-        freedom_count = len(channel_indices) - len(free_accelerance)
+        freedom_count = len(channel_indices) - len(unknown_input_accelerance)
         squared_error_by_line = np.sum(np.abs(residual) ** 2, axis=0)
-        informative = self._informative_mask(channel_indices)
+        informative = self._informative_line_mask(channel_indices)
         masks = [informative, *(driven & informative for driven in self.driven_masks if np.any(driven & informative))]
         largest_median_error = max(float(np.median(squared_error_by_line[mask])) for mask in masks)
         misfit = largest_median_error / freedom_count if freedom_count > 0 else np.nan
@@ -124,14 +132,14 @@ class LinearCheck:
         if doubted_force_index is not None:
             force_spectra, contact_force_spectra = force_spectra.copy(), inputs[1:]
             force_spectra[doubted_force_index] = inputs[0]
-        accelerations = known_acceleration + np.einsum("isl,il->sl", free_accelerance, inputs)
+        accelerations = known_acceleration + np.einsum("isl,il->sl", unknown_input_accelerance, inputs)
         return Prediction(misfit, accelerations, force_spectra, contact_force_spectra)
 
     def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
         return self.with_spectra(spectra, channel_indices).prediction(channel_indices).misfit
 
-    def _informative_mask(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
+    def _informative_line_mask(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
         relative_noise = self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]
         informative = np.mean(relative_noise**2, axis=0) < MAX_NOISE_SHARE
@@ -188,7 +196,7 @@ def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.nd
     for body_name in dict.fromkeys(body_names):
         body_indices = [i for i, name in enumerate(body_names) if name == body_name]
         scale_indices = [index for index in body_indices if index in channel_indices] or body_indices
-        error_scale[body_indices] = MODEL_ERROR_SHARE * np.median(spectra.line_level[scale_indices], axis=0)
+        error_scale[body_indices] = MODEL_ERROR_SHARE * np.median(spectra.smoothed_line_level[scale_indices], axis=0)
     error_scale = np.hypot(error_scale, spectra.line_noise)
     return np.asarray(np.maximum(error_scale, 1e-9 * float(error_scale.max()) or 1.0))
 
@@ -212,7 +220,7 @@ def driven_masks(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray
     return np.asarray(force_level > DRIVEN_LEVEL_SHARE * force_level.max(axis=1, keepdims=True))
 
 
-class Projector:
+class TimeResidual:
     """Residual of the linear model over time, real, in standard deviations that a sound record does not exceed.
 
     The contact forces, and a doubted force, are projected out; INDEPENDENT_RATE_HZ samples a second are independent.
@@ -223,18 +231,18 @@ class Projector:
         levels = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - line_noise**2, 0)) / MODEL_ERROR_SHARE
         error_scale = np.hypot(MIN_MODEL_ERROR_SHARE * levels, line_noise)
         error_scale = np.maximum(error_scale, 1e-9 * error_scale.max())
-        accelerances = check.free_accelerance(doubted_force_index)[:, channel_indices]
+        accelerances = check.unknown_input_accelerance(doubted_force_index)[:, channel_indices]
         self._projection = projection(accelerances / error_scale, error_scale, len(accelerances))
         self._spectra = check.spectra
         scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
-        duration_s = motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
+        duration_s = effective_motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
         self._count_factor = np.float32(np.sqrt(min(1.0, INDEPENDENT_RATE_HZ * duration_s / len(scaled_motion.T))))
 
     def __call__(self, spectra: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
         return np.asarray(self._spectra.compared_signals(self._projection.applied_to(spectra)[0]) * self._count_factor)
 
 
-def motion_duration_s(motion: Float[np.ndarray, "sensors times"], samples_per_s: float) -> float:
+def effective_motion_duration_s(motion: Float[np.ndarray, "sensors times"], samples_per_s: float) -> float:
     """Seconds of motion: all of the record, unless most of the motion falls into less than half of it.
 
     With the power p, averaged over a second, it is 2 (sum of p)^2 / sum of p^2, at most the record's length.
@@ -275,5 +283,5 @@ def observed_motion(
 def _body_motion(rig: Rig, response: Response, input_spectra: Complex[np.ndarray, "inputs lines"]) -> BodyMotion:
     """Modal accelerations of a body by the forces and the contact forces."""
     modal_force = real_product(input_shapes(rig, response, rig.forces).T, input_spectra)
-    elastic_indices = elastic_modes(response, mode_count_near_band(response, MODE_BAND_RATIO))
+    elastic_indices = elastic_mode_indices(response, mode_count_below_band_margin(response, MODE_BAND_RATIO))
     return BodyMotion(response, response.accelerance * modal_force, elastic_indices)

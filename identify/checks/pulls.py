@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.checks.findings import Cause, Finding, force_in_words
-from identify.checks.prediction import LinearCheck, Projector, observed_motion
+from identify.checks.prediction import LinearCheck, TimeResidual, observed_motion
 from identify.linear.model import real_product
 from identify.linear.nuisance import (
     SINGLE_FORCE_NAME,
@@ -25,7 +25,7 @@ from identify.linear.nuisance import (
     NuisanceKind,
     ObservedSignals,
     changes_of,
-    crosstalk_of,
+    crosstalk_changes,
 )
 from identify.linear.observed_motion import BodyMotion
 from rig.model.description import Rig, Sensor, force_names
@@ -58,7 +58,7 @@ class Suspect:
     is_reportable: bool = True
 
 
-def suspects_of(
+def suspects_and_further_columns(
     parameters: list[Nuisance],
     bodies: tuple[BodyMotion, ...],
     sensors: tuple[Sensor, ...],
@@ -133,11 +133,11 @@ def broken_tolerances_and_pulls(
     if len(channel_indices) <= check.contact_count:
         return [], {}
     observed = observed_motion(rig, check, channel_indices, tolerances)
-    projector = Projector(check, channel_indices)
+    projector = TimeResidual(check, channel_indices)
     nuisance_parameters, columns = _nuisances_and_columns(observed, projector)
     if not nuisance_parameters:
         return [], {}
-    candidates, added_columns = suspects_of(
+    candidates, added_columns = suspects_and_further_columns(
         nuisance_parameters, observed.bodies, observed.sensors, observed.force_accelerations, observed.omega, tolerances
     )
     columns += [_Column.of(projector(spectra)) for spectra in added_columns]
@@ -146,24 +146,24 @@ def broken_tolerances_and_pulls(
     return broken, dict(zip(nuisance_parameters, pulls.tolist(), strict=True))
 
 
-def _nuisances_and_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
+def _nuisances_and_columns(observed: ObservedSignals, residual: TimeResidual) -> tuple[list[Nuisance], list["_Column"]]:
     """Nuisance parameters and their columns X."""
     parameters, columns = [], []
     for change in _changes_within_tolerances(observed):
         parameters.append(change.parameter)
-        columns.append(_Column.of(projector(change.at_all_sensors(len(observed.sensors)))))
+        columns.append(_Column.of(residual(change.at_all_sensors(len(observed.sensors)))))
     return parameters, columns
 
 
 def _changes_within_tolerances(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by every nuisance parameter, crosstalk of neighbouring channels included."""
     yield from changes_of(observed)
-    yield from crosstalk_of(observed)
+    yield from crosstalk_changes(observed)
 
 
-def joint_cost(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> float:
+def cost_within_tolerances(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> float:
     """Least cost |r - X theta|^2 + |theta|^2 of errors within the tolerances."""
-    projector = Projector(check, channel_indices)
+    projector = TimeResidual(check, channel_indices)
     _, columns = _nuisances_and_columns(observed_motion(rig, check, channel_indices, tolerances), projector)
     residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
     pulls = _scores(residual, columns, len(columns), [], np.ones(residual.shape[1], residual.dtype)).pulls
@@ -203,7 +203,7 @@ def _violations_and_pulls(
             if candidate.is_reportable
             and k not in free_indices
             and abs(scores.scores[k]) > max(required_pull(candidate.kind), min_pull)
-            and _exceeds_tolerance(candidate, float(scores.errors[k]), tolerances)
+            and _is_far_beyond_tolerance(candidate, float(scores.errors[k]), tolerances)
         ]
         if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
             return broken, scores.pulls
@@ -272,12 +272,12 @@ def required_pull(kind: str) -> float:
     return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_PULL
 
 
-def required_distance(kind: str) -> float:
+def required_distance_in_tolerances(kind: str) -> float:
     """Smallest change of rig.json that counts, in tolerances: the pull of one is no larger than it is off."""
     return MIN_CLOCK_PULL if kind == "clock" else MIN_ERROR_IN_TOLERANCES
 
 
-def _exceeds_tolerance(candidate: Suspect, error_size: float, tolerances: Tolerances) -> bool:
+def _is_far_beyond_tolerance(candidate: Suspect, error_size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
     return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_ERROR_IN_TOLERANCES)
 

@@ -86,13 +86,13 @@ def rig_trials(rig: Rig, spectra: Spectra, usable_indices: list[int]) -> Iterato
     factors = (("frequency", factor),) * len(rig.bodies)
     yield trial(misfit, partial(_clock_finding, factor), _with_scaled_frequencies(rig, factor), factors)
     for i, (name, stated_station) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
-        for station in _other_stations(rig, stated_station):
+        for station in _trial_stations_along_body(rig, stated_station):
             stations = (*rig.forces[:i], station, *rig.forces[i + 1 :])
             trial_rig = replace(rig, force_at=stations if len(stations) > 1 else station)
             yield trial(misfit_of(trial_rig), partial(_force_place_finding, name, station), trial_rig)
     for contact in rig.contacts:
         for station_field in ("at", "against"):
-            for station in _other_stations(rig, getattr(contact, station_field)):
+            for station in _trial_stations_along_body(rig, getattr(contact, station_field)):
                 contacts = (replace(c, **{station_field: station}) if c is contact else c for c in rig.contacts)
                 trial_rig = replace(rig, contacts=tuple(contacts))
                 yield trial(misfit_of(trial_rig), partial(_contact_place_finding, contact.name, station), trial_rig)
@@ -102,7 +102,7 @@ def _with_scaled_frequencies(rig: Rig, frequency_factor: float) -> Rig:
     return replace(rig, bodies=tuple(body.scale_frequencies(frequency_factor) for body in rig.bodies))
 
 
-def _other_stations(rig: Rig, stated_station: Station | None) -> list[Station]:
+def _trial_stations_along_body(rig: Rig, stated_station: Station | None) -> list[Station]:
     """Other places along a station's body, at least a hundredth of its length away; none of a mass or the ground."""
     if stated_station is None or not (length_m := rig.body(stated_station.body).length_m):
         return []

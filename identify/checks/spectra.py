@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.signals.beginning import QUIET_S, force_onset
 from identify.signals.kinematics import TAPER_S, taper
-from identify.signals.spectra import force_band
+from identify.signals.spectra import force_band_hz
 from rig.errors import RigError
 from rig.model.description import Sensor, force_names
 from rig.model.sensing import PASSBAND
@@ -49,7 +49,7 @@ class Spectra:
     sample_rate_hz: float
 
     @cached_property
-    def line_level(self) -> Float[np.ndarray, "sensors lines"]:
+    def smoothed_line_level(self) -> Float[np.ndarray, "sensors lines"]:
         """Each sensor's root mean square over neighbouring lines."""
         return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED_LINE_COUNT, axis=1))
 
@@ -84,7 +84,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     forces_n, sample_count = recording.forces_n, recording.samples
     end_taper = taper(sample_count, min(round(TAPER_S * rate_hz), sample_count // 4))
     padded_length = next_fast_len(sample_count + round(PADDING_S * rate_hz), real=True)
-    high_hz = min(LINES_TO_FORCE_RATIO * force_band(forces_n, rate_hz)[1], PASSBAND * rate_hz)
+    high_hz = min(LINES_TO_FORCE_RATIO * force_band_hz(forces_n, rate_hz)[1], PASSBAND * rate_hz)
     first_line, last_line = int(np.ceil(LOWEST_HZ * padded_length / rate_hz)), int(high_hz * padded_length / rate_hz)
     if last_line - first_line < SMOOTHED_LINE_COUNT:
         raise RigError("the force's band is too low or too narrow")
@@ -92,7 +92,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     line_numbers = np.arange(first_line, last_line, line_step)
     omega = 2 * np.pi * line_numbers * rate_hz / padded_length
     sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
-    acceleration_per_signal = np.stack([acceleration_by_signal(sensor, omega) for sensor in sensors])
+    acceleration_per_signal = np.stack([acceleration_per_signal_unit(sensor, omega) for sensor in sensors])
     acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
     quiet_count = quiet_sample_count(forces_n, rate_hz)
     if quiet_count:
@@ -111,7 +111,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     return Spectra(sensors, omega, acceleration, forces, line_noise, line_numbers, padded_length, span_s, rate_hz)
 
 
-def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+def acceleration_per_signal_unit(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
     """Acceleration per unit of a sensor's signal: (i omega)^(2 - order) over its response."""
     return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
 

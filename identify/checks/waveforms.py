@@ -110,7 +110,9 @@ def quantised_finding(name: str, samples: Row) -> Finding | None:
     )
 
 
-def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)) -> Finding | None:
+def held_samples_finding(
+    name: str, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
+) -> Finding | None:
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
     is_repeated = np.diff(samples) == 0
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
@@ -138,7 +140,7 @@ def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[
     )
 
 
-def neighbour_deviation(samples: Row) -> Row:
+def relative_neighbour_deviation(samples: Row) -> Row:
     """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
     deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
     usual_deviation = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
@@ -154,7 +156,7 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     margin_count = deviation.size // 50
     interior = deviation[margin_count:-margin_count]
     jump_indices = margin_count + np.flatnonzero(interior > MIN_SPIKE_RATIO / SPIKE_TO_IMPACT_RATIO)
-    jump_indices = jump_indices[[_is_single(deviation, int(k)) for k in jump_indices]]
+    jump_indices = jump_indices[[_is_single_sample_spike(deviation, int(k)) for k in jump_indices]]
     jump_deviations = deviation[jump_indices]
     spike_indices = [int(k) for k in jump_indices[jump_deviations > MIN_SPIKE_RATIO]]
     if other_deviations and spike_indices:
@@ -182,7 +184,7 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     )
 
 
-def _is_single(deviation: Row, k: int) -> bool:
+def _is_single_sample_spike(deviation: Row, k: int) -> bool:
     """True if sample k alone is off: two thirds of its deviation then show at its neighbours, a sixth at the next."""
     nearest_pair, second_pair = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
     return bool(
@@ -244,7 +246,7 @@ def noise_finding(
     )
 
 
-def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, float] | None:
+def mains_tone_hz_and_amplitude(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, float] | None:
     """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one."""
     quiet_count = quiet_sample_count(forces_n, rate_hz)
     quiet_part = samples[:quiet_count] if quiet_count > 0.4 * rate_hz else samples
@@ -267,7 +269,10 @@ def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, flo
 
 def hum_finding(name: str, rate_hz: float, samples: Row, forces_n: Rows) -> Finding | None:
     """Finding: a mains tone."""
-    tone_hz_and_amplitude, channel_amplitude = mains_tone(rate_hz, samples, forces_n), float(samples.std() * np.sqrt(2))
+    tone_hz_and_amplitude, channel_amplitude = (
+        mains_tone_hz_and_amplitude(rate_hz, samples, forces_n),
+        float(samples.std() * np.sqrt(2)),
+    )
     if tone_hz_and_amplitude is None or channel_amplitude == 0:  # also of values so small that their squares are zero
         return None
     tone_hz, amplitude = tone_hz_and_amplitude
@@ -309,7 +314,7 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     )
 
 
-def motion_finding(name: str, rate_hz: float, samples: Row, rest_s: float) -> Finding | None:
+def initial_motion_finding(name: str, rate_hz: float, samples: Row, rest_s: float) -> Finding | None:
     """Finding: the channel moves by a part of its usual motion within the record's first moments."""
     beginning_samples = samples[: max(8, round(rest_s * rate_hz))]
     if beginning_samples.std() < MIN_MOVING_SHARE * samples.std():

@@ -17,10 +17,10 @@ from identify.commands.options import (
     UseOption,
     check_export,
     checked_use,
-    option_words,
+    option_help_words,
     print_json,
 )
-from identify.commands.plan import plan, plan_words
+from identify.commands.plan import plan, plan_help_words
 from rig.commands.command_line import (
     Force,
     Json,
@@ -30,10 +30,10 @@ from rig.commands.command_line import (
     literal_console,
     print_sentence,
     progress_bar,
+    progress_spinner,
     refuse_existing,
     run,
     say,
-    working,
 )
 
 if TYPE_CHECKING:
@@ -43,13 +43,13 @@ else:
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
-CommandOfOptions = help_filled_by(option_words)
+CommandOfOptions = help_filled_by(option_help_words)
 
 app.command(cls=CommandOfOptions)(contact)
 app.command(cls=CommandOfOptions)(gap)
 app.command(cls=CommandOfOptions)(compare)
 app.command(cls=CommandOfOptions)(history)
-app.command(cls=help_filled_by(plan_words))(plan)
+app.command(cls=help_filled_by(plan_help_words))(plan)
 
 
 @app.callback()
@@ -72,7 +72,7 @@ def check(
     Example: identify check barrel_cradle.mcap
     """
     motion_quantity = checked_use(use)
-    with working(f"checking {file.name}"):
+    with progress_spinner(f"checking {file.name}"):
         check_result = identify.check(file, use=motion_quantity, tolerances=tolerances)
     if as_json:
         print_json(check_result.to_dict())

@@ -13,7 +13,7 @@ from rich.table import Table
 import identify
 from identify.checks import Finding
 from identify.contacts.drawn_results import curves_of
-from identify.contacts.pooled import LARGE_FILE_BYTES, identify_long, longest_segment_s
+from identify.contacts.pooled import LARGE_FILE_BYTES, identify_by_segments, segment_length_within_memory_s
 from identify.contacts.results import ContactReport, Estimate, Segment, Segments, identified_rig
 from identify.pages.tables import save_tables
 from identify.pages.wording import interval, number
@@ -58,13 +58,13 @@ def identify_file(
     """
     segment_s = settings.segment_s
     if segment_s is None and file.exists() and file.stat().st_size > LARGE_FILE_BYTES:
-        segment_s = longest_segment_s(file)
+        segment_s = segment_length_within_memory_s(file)
     options: dict[str, Any] = {"use": settings.use, "averaging": settings.averaging, "equation": settings.equation}
     options |= {"tolerances": settings.tolerances, "progress": progress}
     if segment_s is None:
         contact_result = identify.contact(file, **options)
         return FileAnswer(contact_result.report, lambda out: _save(contact_result, out, settings.export))
-    report, segment_results = identify_long(file, segment_s=segment_s, **options)
+    report, segment_results = identify_by_segments(file, segment_s=segment_s, **options)
     return FileAnswer(report, lambda out: _save_pooled(file, segment_s, report, segment_results, out))
 
 

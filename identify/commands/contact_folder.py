@@ -6,7 +6,7 @@ import msgspec
 from rich.table import Table
 
 from identify.commands.contact_files import RESULT_FILE_NAMES, ContactSettings, identify_file
-from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
+from identify.commands.many import RecordingTask, TableRows, answer_all, finish, recording_tasks, refused_row
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages.wording import interval
 from rig.commands.command_line import literal_console, print_sentence
@@ -37,7 +37,7 @@ def contact_folder(
     folder: Path, out: Path, settings: ContactSettings, dask: str | None, as_json: bool, force: bool
 ) -> None:
     """Identify every recording of a folder, each with its files in DIR/NAME, and write the table of all contacts."""
-    tasks = tasks_of(folder, out, settings, RESULT_FILE_NAMES, force)
+    tasks = recording_tasks(folder, out, settings, RESULT_FILE_NAMES, force)
     answers = answer_all(contact_rows, [tasks], out, settings, RESULT_FILE_NAMES[0], dask, force)
     if not as_json:
         _print_contacts(answers)

@@ -77,7 +77,7 @@ def gap(
     from identify.gaps.page.report import curves
     from identify.gaps.page.screen import screen_view
     from identify.gaps.results import Matters
-    from identify.gaps.wording import findings_heading
+    from identify.gaps.wording import check_findings_introduction
     from identify.pages.tables import save_tables
     from rig.model.description import read_rig, to_json
     from rig.model.tolerances import tolerances_named
@@ -133,6 +133,6 @@ def gap(
         console = literal_console()
         console.print(screen_view(gap_result.report))
         if gap_result.findings:
-            print_sentence(findings_heading(gap_result.report), console)
+            print_sentence(check_findings_introduction(gap_result.report), console)
         for finding in gap_result.findings:
             print_sentence(f"  {finding.sentence}", console)

@@ -7,14 +7,14 @@ import msgspec
 from rich.table import Table
 
 from identify.api import gap as diagnose
-from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
+from identify.commands.many import RecordingTask, TableRows, answer_all, finish, recording_tasks, refused_row
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.page.report import curves
 from identify.gaps.results import Gap, Matters
 from identify.pages.tables import save_tables
 from identify.pages.wording import COVERED, percent
 from identify.results import GapResult
-from rig.commands.command_line import literal_console, print_sentence, working
+from rig.commands.command_line import literal_console, print_sentence, progress_spinner
 from rig.errors import RigError
 from rig.files import make_folder
 from rig.model.description import from_json, to_json
@@ -69,14 +69,14 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
     """
     first_tasks: dict[str, RecordingTask] = {}
     tasks = []
-    with working(f"reading {folder}"):
-        for task in tasks_of(folder, out, settings, RESULT_FILE_NAMES, force):
+    with progress_spinner(f"reading {folder}"):
+        for task in recording_tasks(folder, out, settings, RESULT_FILE_NAMES, force):
             reference_file = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
             tasks.append(msgspec.structs.replace(task, shared=reference_file))
             first_tasks.setdefault(reference_file, tasks[-1])
     make_folder(out / REFERENCE_FOLDER)
     stages = [list(first_tasks.values()), [task for task in tasks if task not in first_tasks.values()]]
-    answers = answer_all(gap_rows, stages, out, settings, RESULT_FILE_NAMES[0], dask, force)
+    answers = answer_all(diagnose_recording_rows, stages, out, settings, RESULT_FILE_NAMES[0], dask, force)
     position_by_name = {task.path.name: position for position, task in enumerate(tasks)}
     answers.sort(key=lambda answer: position_by_name[str(answer.rows[0]["recording"])])
     if not as_json:
@@ -85,7 +85,7 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
     finish(answers, (*COLUMN_NAMES, *parameter_columns), out, TABLE_NAME, as_json)
 
 
-def gap_rows(task: RecordingTask) -> TableRows:
+def diagnose_recording_rows(task: RecordingTask) -> TableRows:
     """Row of a recording, or of the reason for its refusal; its files are written."""
     settings = msgspec.json.decode(task.settings, type=GapSettings)
     try:

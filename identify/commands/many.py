@@ -12,7 +12,7 @@ from identify.contacts.refusals import ContactRefusedError
 from identify.history.observations import sorted_by_name
 from identify.pages.tables import Row, save_rows
 from rig.commands.command_line import refuse_existing, say
-from rig.commands.tasks import kept_path, outcomes_of_tasks
+from rig.commands.tasks import outcomes_of_tasks, task_result_path
 from rig.errors import RigError, one_line
 from rig.files import contents, make_folder, sha256_of, write_json
 from rig.recording import recordings_in
@@ -88,7 +88,7 @@ def check_folder_options(folder: Path, out: Path | None, **single_file_options: 
     return out
 
 
-def tasks_of(
+def recording_tasks(
     folder: Path, out: Path, settings: msgspec.Struct, result_names: Sequence[str], force: bool
 ) -> list[RecordingTask]:
     """Task of every recording in a folder, by name, after a check that nothing else would be overwritten.
@@ -138,7 +138,7 @@ def answer_all(
     answers: list[TableRows] = []
     for tasks in stages:
         for task in tasks:
-            answer_path = kept_path(answer_function, task, out / KEPT_TASKS_FOLDER)
+            answer_path = task_result_path(answer_function, task, out / KEPT_TASKS_FOLDER)
             if answer_path.exists() and (force or not _is_answer_kept(answer_path, task.folder / last_file_name)):
                 answer_path.unlink()
             if not answer_path.exists():

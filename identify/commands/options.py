@@ -22,7 +22,7 @@ ExportOption = Annotated[
 ]
 
 
-def option_words() -> dict[str, str]:
+def option_help_words() -> dict[str, str]:
     """Words for the help of the options: sensors, windows, formats of tables."""
     from identify.pages.tables import WRITERS
     from identify.signals.kinematics import MotionQuantity

@@ -15,7 +15,7 @@ MAX_WORKER_COUNT = 8
 """Most processes, each of which takes some 0.4 GB."""
 
 
-def plan_words() -> dict[str, str]:
+def plan_help_words() -> dict[str, str]:
     """Word for the help: the number of changes that are tried at most."""
     from identify.planning.ranking import MAX_CHANGE_COUNT
 
@@ -96,7 +96,7 @@ def plan(
     if report.contacts:
         title = f"Contacts of {report.rig}, expected, ± 95 %"
         console.print(console_table(title, page.CONTACT_HEAD, rows=page.contact_rows(report)))
-    for sentence in page.ring_sentences(report):
+    for sentence in page.annular_contact_sentences(report):
         say(f"{sentence}.")
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
@@ -108,6 +108,6 @@ def plan(
         console.print(change_table)
     if report.effects:
         title = "Smallest effects that identify gap would name"
-        console.print(console_table(title, page.KIND_HEAD, 2, rows=page.kind_rows(report.effects)))
-    for sentence in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
+        console.print(console_table(title, page.KIND_HEAD, 2, rows=page.effect_kind_rows(report.effects)))
+    for sentence in filter(None, (page.idle_sensor_sentence(report), *(f"note: {note}" for note in report.notes))):
         say(sentence)

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from identify.checks import check_recording, naming_first_finding
+from identify.checks import adding_first_finding_to_error, check_recording
 from identify.checks.findings import Cause, Finding
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.determination import determine
@@ -18,8 +18,8 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT, FormName
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
-from identify.contacts.separation import Separation, is_unforced, separate_described
-from identify.contacts.unrecorded_motion import unrecorded_shares
+from identify.contacts.separation import Separation, is_unforced, separate_if_rig_is_modelled
+from identify.contacts.unrecorded_motion import beyond_band_motion_shares
 from identify.linear.modal import NEARLY_INVISIBLE_SHARE
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number, percent
@@ -31,7 +31,8 @@ from rig.recording import Recording
 PULL_LIMIT = 4.5
 """Tolerances by which a nuisance parameter is pulled before it is a finding."""
 USUAL_PULL = 1.5
-"""Tolerances by which `BODY_AND_FORCE_KINDS` may be pulled before the intervals widen: see `widened_estimate`."""
+"""Tolerances by which `BODY_AND_FORCE_KINDS` may be pulled before the intervals widen: see
+`with_errors_widened_by_pulls`."""
 BODY_AND_FORCE_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
 SPLIT_HALF_Z_LIMIT = 3.7
 """Standard errors by which the halves of a record may differ; 4 is the largest value that 16 equal parts can give."""
@@ -74,23 +75,23 @@ class AcceptedContacts:
     findings: tuple[Finding, ...]
 
 
-def checked_contacts(
+def contacts_after_recording_check(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
 ) -> AcceptedContacts:
-    """`find_contacts` after a check of the recording, with the findings of both.
+    """`estimated_contacts` after a check of the recording, with the findings of both.
 
     Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
-    channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
+    channel of a free decay is dead. Raises RigError as `estimated_contacts` does, with the first finding.
     """
     findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
-    with naming_first_finding(findings):
-        accepted = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
+    with adding_first_finding_to_error(findings):
+        accepted = estimated_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(accepted.separation.motion):
-        findings = without_dead_force(findings, recording.force_names)
+        findings = without_dead_force_channel_findings(findings, recording.force_names)
     return replace(accepted, findings=findings + accepted.findings)
 
 
-def find_contacts(
+def estimated_contacts(
     recording: Recording, use: MotionQuantity, tolerances: Tolerances, forms: Sequence[FormName] = ()
 ) -> AcceptedContacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
@@ -98,7 +99,7 @@ def find_contacts(
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
-    separation = separate_described(recording, use, tolerances)
+    separation = separate_if_rig_is_modelled(recording, use, tolerances)
     return accept(separation, determine(separation, forms))
 
 
@@ -111,19 +112,19 @@ def accept(separation: Separation, outcomes: Outcomes) -> AcceptedContacts:
     contact_names = [contact.name for contact in separation.rig.contacts]
     nuisances = separation.forces.nuisances.parameters
     widened = {
-        name: widened_estimate(outcomes.estimates[name], nuisances, separation.mass_pull)
+        name: with_errors_widened_by_pulls(outcomes.estimates[name], nuisances, separation.mass_pull)
         for name in contact_names
         if name in outcomes.estimates
     }
     refusals = {name: outcomes.refusals[name] for name in contact_names if name in outcomes.refusals}
     if is_unforced(separation.motion):
-        _check_free_decay(widened)
+        _refuse_unrecorded_force(widened)
         refusals = {name: replace(refusal, unforced=True) for name, refusal in refusals.items()}
-    findings = (*fit_findings(widened, nuisances), *_unrecorded_findings(separation, widened))
+    findings = (*fit_findings(widened, nuisances), *_beyond_band_motion_findings(separation, widened))
     return AcceptedContacts(separation, Outcomes(widened, refusals), findings)
 
 
-def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
+def _refuse_unrecorded_force(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
         unexplained_share = estimate.unexplained_share
@@ -131,12 +132,14 @@ def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
             raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=100 * unexplained_share)
 
 
-def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
+def without_dead_force_channel_findings(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
     """Findings without those of force channels at zero, which a free decay explains."""
     return tuple(finding for finding in findings if finding.cause != "dead" or not set(finding.channels) <= set(forces))
 
 
-def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> AnyEstimate:
+def with_errors_widened_by_pulls(
+    estimate: AnyEstimate, parameters: Sequence[Nuisance], mass_pull: float
+) -> AnyEstimate:
     """Estimate with standard errors times the largest pull p of `BODY_AND_FORCE_KINDS`, where p exceeds `USUAL_PULL`.
 
     An error of the clock, a density or a unit pulls these parameters, and its other consequences are in no tolerance.
@@ -183,9 +186,9 @@ def fit_findings(
             yield _fit_finding(name, f"no clearance and stiffness explain {share_text} of {name}'s force")
 
 
-def _unrecorded_findings(separation: Separation, estimates: Mapping[str, JointEstimate]) -> Iterator[Finding]:
+def _beyond_band_motion_findings(separation: Separation, estimates: Mapping[str, JointEstimate]) -> Iterator[Finding]:
     """Findings on contacts that move beyond the recorded band."""
-    for name, share in unrecorded_shares(separation, estimates).items():
+    for name, share in beyond_band_motion_shares(separation, estimates).items():
         if share > UNRECORDED_LIMIT:
             evidence = f"{name} moves beyond the recorded band, by {percent(share)} of the depth to which it closes"
             yield _fit_finding(name, evidence, UNRECORDED_MEND)
@@ -202,7 +205,7 @@ def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
     )
 
 
-def equation_findings(
+def nifo_contradiction_findings(
     contact_names: Sequence[str], estimates: Mapping[str, JointEstimate], nifo_results: Sequence[Nifo]
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""

@@ -10,15 +10,15 @@ from identify.contacts.annular_fit import LAW_PULL_COUNT, LAW_PULLS, AnnularFit,
 from identify.contacts.annular_law import CENTER, CLEARANCE, REST, RING, STIFFNESS, RingValues, ring_motion
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
 from identify.contacts.joint_fit import (
-    check_bridged,
-    check_drift,
+    check_drift_curvature,
+    check_wander,
     small_sample_factor,
     split_half_z,
     unexplained_share,
 )
-from identify.contacts.law_fit import LEAST_HALF_SAMPLES, difference_and_excess_of_halves
+from identify.contacts.law_fit import LEAST_HALF_SAMPLES, halves_difference_and_t2_excess
 from identify.contacts.linearization import Jacobian
-from identify.signals.scores import informative_part_starts, part_scores
+from identify.signals.scores import cluster_scores, equal_information_starts
 
 CENTER_ERROR_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
@@ -100,9 +100,9 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     pull_law_columns = np.concatenate([pull_free_columns[:pull_count], free_to_law @ pull_free_columns[pull_count:]])
     influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
     influences, residuals_n = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
-    part_starts = informative_part_starts(np.hypot(*influences[:, :, STIFFNESS]))
+    part_starts = equal_information_starts(np.hypot(*influences[:, :, STIFFNESS]))
     influences_and_residuals = zip(influences, residuals_n, strict=True)
-    scores = np.sum([part_scores(*plane, part_starts) for plane in influences_and_residuals], axis=0)
+    scores = np.sum([cluster_scores(*plane, part_starts) for plane in influences_and_residuals], axis=0)
     error_rows_by_source = {
         "scatter": small_sample_factor(free_to_law.shape[1]) * scores,
         "tolerances": record.samples_per_error * pull_free_columns[: pull_count - 1],
@@ -185,13 +185,13 @@ def _misfit_covariance(fit: AnnularFit, jacobian: Jacobian, part_starts: Int[np.
         weighted_slopes = np.where(is_in_half, squared_weights, 0.0)[:, :, None] * force_by_law / largest_slopes
         normal_matrix = np.einsum("pij,pik->jk", weighted_slopes, force_by_law / largest_slopes)
         influence = weighted_slopes @ np.linalg.pinv(normal_matrix, hermitian=True)
-        return np.sum([part_scores(*rows, part_starts) for rows in zip(influence, residual_n, strict=True)], axis=0)
+        return np.sum([cluster_scores(*rows, part_starts) for rows in zip(influence, residual_n, strict=True)], axis=0)
 
     for is_first in (is_deep, is_growing):
         in_first, in_second = is_closed & is_first, is_closed & ~is_first
         if min(in_first.sum(), in_second.sum()) < LEAST_HALF_SAMPLES:
             continue
-        law_difference, excess_share = difference_and_excess_of_halves(half_scores(in_first) - half_scores(in_second))
+        law_difference, excess_share = halves_difference_and_t2_excess(half_scores(in_first) - half_scores(in_second))
         law_error = np.zeros(len(RING))
         law_error[free_indices] = law_difference / largest_slopes / 2
         covariance += excess_share * np.outer(law_error, law_error)
@@ -201,10 +201,10 @@ def _misfit_covariance(fit: AnnularFit, jacobian: Jacobian, part_starts: Int[np.
 def _check_slow_motion(fit: AnnularFit) -> None:
     """Raises ContactRefusedError as `estimate_annular` says."""
     record = fit.record
-    check_drift(record.drift_spline, fit.state.knots)
+    check_drift_curvature(record.drift_spline, fit.state.knots)
     free_drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
     if free_drifts:
         force_n = record.force_n + fit.state.values[-DIRECTIONS:, None]
         is_closed, noise_density = closed_samples(record, force_n), max(drift.noise_density for drift in free_drifts)
         depth_m = float(np.median(np.hypot(*force_n[:, is_closed]))) / fit.state.values[STIFFNESS]
-        check_bridged(is_closed, record.decimation / record.sample_rate_hz, noise_density, depth_m)
+        check_wander(is_closed, record.decimation / record.sample_rate_hz, noise_density, depth_m)

@@ -79,7 +79,7 @@ class AnnularFit:
     state: AnnularState
     weights: Float[np.ndarray, " twice"]
 
-    def with_law_pulls(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
+    def values_with_speed_and_onset(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
         """Values with the sliding speed and the onset of the last pulls."""
         changed_values = values.copy()
         changed_values[LAW_PULLS] = np.array([self.start_log_speed, 0.0]) + pulls[-LAW_PULL_COUNT:]
@@ -89,7 +89,7 @@ class AnnularFit:
         self, values: RingValues, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
     ) -> AnnularState:
         """State at some parameters, with its cost for the weights."""
-        record, values = self.record, self.with_law_pulls(values, pulls)
+        record, values = self.record, self.values_with_speed_and_onset(values, pulls)
         motion = np.concatenate(self.motion(knots, pulls))
         law = partial(ring_force_n, values, step_s=law_step_s(record.sample_rate_hz))
         law_force_n = evaluated_law(law, motion, record.sample_rate_hz, record.decimation)
@@ -126,42 +126,42 @@ class AnnularFit:
         return np.diag([*law_sizes, clearance, clearance, force_n, force_n])[:, list(self.free_indices)]
 
     @property
-    def law_slopes(self) -> RingDerivatives:
+    def law_derivatives(self) -> RingDerivatives:
         """Derivatives of the law along the motion."""
         motion = self.motion(self.state.knots, self.state.pulls)
         return ring_derivatives(self.state.values, *motion, 1 / self.record.sample_rate_hz)
 
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""
-        record, slopes = self.record, self.law_slopes
+        record, slopes = self.record, self.law_derivatives
         by_eta, by_rate = _low_passed(record, slopes.by_eta), _low_passed(record, slopes.by_rate)
         by_law = np.zeros((DIRECTIONS, record.force_n.shape[1], len(RING)))
         by_law[:, :, : len(slopes.by_law)] = np.moveaxis(_low_passed(record, slopes.by_law), 0, -1)
         by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
-        by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
+        by_knots, by_pulls = [], self._jacobian_by_pulls(slopes, by_eta)
         for k, plane in enumerate(record.planes):
-            force_gain = self._force_gain(k)
+            force_gain = self._force_noise_gain(k)
             by_law[k] /= force_gain
             knot_blocks = []
             for i, moved_plane in enumerate(record.planes):
                 spline = moved_plane.drift_spline
                 knot_values, knot_rates = plane.at_force_samples(spline.value), plane.at_force_samples(spline.rate)
                 knot_block = diags(by_eta[k, i]) @ knot_values + diags(by_rate[k, i]) @ knot_rates
-                knot_block = self._motion_gain(i) / force_gain * knot_block
+                knot_block = self._eta_noise_gain(i) / force_gain * knot_block
                 knot_blocks.append(interleaved(knot_block + ground_n_per_m(plane) if k == i else knot_block, i))
             by_knots.append(knot_blocks[0] + knot_blocks[1])
         by_pulls[:, -LAW_PULL_COUNT:] = np.concatenate(by_law[:, :, LAW_PULLS])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
 
-    def _force_gain(self, direction: int) -> float:
+    def _force_noise_gain(self, direction: int) -> float:
         plane = self.record.planes[direction]
         return float(1 - self.state.pulls[self.record.pull_indices[direction]] @ plane.force_noise_multiple)
 
-    def _motion_gain(self, direction: int) -> float:
+    def _eta_noise_gain(self, direction: int) -> float:
         plane, pulls = self.record.planes[direction], self.state.pulls[self.record.pull_indices[direction]]
         return float(1 - pulls[plane.shifts_eta] @ plane.eta_noise_multiple)
 
-    def _by_pulls(
+    def _jacobian_by_pulls(
         self, slopes: RingDerivatives, by_eta: Float[np.ndarray, "2 2 fewer"]
     ) -> Float[np.ndarray, "twice nuisances"]:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
@@ -179,7 +179,7 @@ class AnnularFit:
                 force_change_n = slopes.by_eta[:, k] * signal_m + slopes.by_rate[:, k] * plane.velocity_of(signal_m)
                 by_pulls[index] -= _low_passed(record, force_change_n) + multiple * by_eta[:, k] * drift_m
         for k in range(DIRECTIONS):
-            by_pulls[:, k] /= np.float32(self._force_gain(k))
+            by_pulls[:, k] /= np.float32(self._force_noise_gain(k))
         return by_pulls.reshape(state.pulls.size, -1).T
 
     def linearized(self) -> tuple[Jacobian, BorderedEquations]:
@@ -189,7 +189,7 @@ class AnnularFit:
         return jacobian, equations
 
     @property
-    def at_least_cost(self) -> "AnnularFit":
+    def minimum_cost_fit(self) -> "AnnularFit":
         """Fit at the state of least cost for these weights, by Gauss-Newton."""
 
         def step_from(current: AnnularState) -> Step[AnnularState]:
@@ -229,10 +229,12 @@ class AnnularFit:
         law explains, and the displacement's noise times the stiffness."""
         state, record = self.state, self.record
         residual_n, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.is_open
-        force_size_n, force_by_eta = np.hypot(*record.force_n), _low_passed(record, self.law_slopes.by_eta)
+        force_size_n, force_by_eta = np.hypot(*record.force_n), _low_passed(record, self.law_derivatives.by_eta)
         weights = []
         for k, plane in enumerate(record.planes):
-            unfollowed_m = np.hypot(plane.eta_noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_noise_m)
+            unfollowed_m = np.hypot(
+                plane.eta_noise_m, 0.0 if plane.drift is None else plane.drift.noise_above_knot_band_m
+            )
             open_deviation_n = np.std(residual_n[k, is_open] if np.any(residual_n[k, is_open]) else residual_n[k])
             unmodelled_n = plane.unmodelled_share * np.hypot(force_size_n, np.std(record.force_n))
             stiffness_n_per_m = np.hypot(*force_by_eta[k])
@@ -248,7 +250,7 @@ class AnnularFit:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
         return refit_until_settled(
-            self.reweighted, lambda fit: fit.at_least_cost.reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
+            self.reweighted, lambda fit: fit.minimum_cost_fit.reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
         )
 
 
@@ -263,8 +265,10 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     free_indices = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *center_indices, *range(len(RING))[REST])
     weights = np.tile(record.is_fitted / (ROUGH_RESIDUAL_SHARE * float(np.std(record.force_n))), DIRECTIONS)
     start_state = AnnularState(ring_values, knots, np.zeros(LAW_PULL_COUNT), np.zeros(record.force_n.size))
-    rough_fit = AnnularFit(without_nuisances, free_indices, ring_values[LOG_SPEED], start_state, weights).at_least_cost
-    pulls = np.r_[record.initial_pulls, rough_fit.state.pulls]
+    rough_fit = AnnularFit(
+        without_nuisances, free_indices, ring_values[LOG_SPEED], start_state, weights
+    ).minimum_cost_fit
+    pulls = np.r_[record.initial_state_pulls, rough_fit.state.pulls]
     return replace(rough_fit, record=record, state=replace(rough_fit.state, pulls=pulls)).settled
 
 

@@ -16,13 +16,13 @@ from identify.contacts.contact_record import (
     NOISE_DEVIATIONS,
     QUIET_DEVIATIONS,
     ContactRecord,
-    least_closed_force_n,
+    closed_threshold_n,
 )
-from identify.contacts.initial_guess import initial_pulls, robust_regression
+from identify.contacts.initial_guess import initial_state_pulls, robust_regression
 from identify.contacts.refusals import RefusalCode, refused
 from identify.linear.nuisance import RECORD_NAME, SINGLE_FORCE_NAME, Nuisance
-from identify.signals.drift import Spline
-from identify.signals.scores import quiet_deviation
+from identify.signals.drift import DriftSpline
+from identify.signals.scores import quiet_interval_std
 
 HALF_SAMPLE_SHARE = 0.5
 """Share of the samples within the shortest interval, halved until the mode of an open contact's force is left."""
@@ -63,13 +63,13 @@ class AnnularRecord:
         return self.planes[0].sample_rate_hz
 
     @cached_property
-    def drift_spline(self) -> Spline:
+    def drift_spline(self) -> DriftSpline:
         """Prior of the slow motion of both directions, whose knots take turns, as of one."""
         splines = [plane.drift_spline for plane in self.planes]
         empty_columns = csr_matrix((0, sum(spline.knot_count for spline in splines)))
         curvature = vstack([interleaved(spline.curvature, k) for k, spline in enumerate(splines)]).tocsr()
         curvature_target = np.concatenate([spline.curvature_target for spline in splines])
-        return Spline(empty_columns, empty_columns, empty_columns, curvature, curvature_target)
+        return DriftSpline(empty_columns, empty_columns, empty_columns, curvature, curvature_target)
 
     @property
     def zero_known(self) -> bool:
@@ -87,7 +87,7 @@ class AnnularRecord:
         planes = [
             replace(
                 plane,
-                force_n=plane.force_n - self.initial_pulls[plane_indices] @ plane.nuisance_n,
+                force_n=plane.force_n - self.initial_state_pulls[plane_indices] @ plane.nuisance_n,
                 nuisance_n=plane.nuisance_n[:0],
                 force_noise_multiple=plane.force_noise_multiple[:0],
                 shifts_eta=plane.shifts_eta[:0],
@@ -101,11 +101,11 @@ class AnnularRecord:
         return replace(self, planes=(planes[0], planes[1]), parameters=(), pull_indices=(no_indices, no_indices))
 
     @cached_property
-    def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
+    def initial_state_pulls(self) -> Float[np.ndarray, " nuisances"]:
         """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
         pulls = np.zeros(len(self.parameters))
         for plane, plane_indices in zip(self.planes, self.pull_indices, strict=True):
-            pulls[plane_indices] += initial_pulls(plane)
+            pulls[plane_indices] += initial_state_pulls(plane)
         return pulls
 
     def at_force_samples(self, signals: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows fewer"]:
@@ -124,12 +124,14 @@ def annular_record(
     indices: dict[Nuisance, int] = {}
     plane_indices = []
     for direction, plane_force_names, plane_parameters in zip("yz", force_names, parameters, strict=True):
-        parameters_in_space = [_in_space(parameter, direction, plane_force_names) for parameter in plane_parameters]
+        parameters_in_space = [
+            _named_by_direction(parameter, direction, plane_force_names) for parameter in plane_parameters
+        ]
         plane_indices.append(np.array([indices.setdefault(p, len(indices)) for p in parameters_in_space], dtype=int))
     return AnnularRecord(planes, tuple(indices), (plane_indices[0], plane_indices[1]), quiet_sample_count)
 
 
-def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
+def _named_by_direction(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
     """Parameter with the name that it has in a rig with two directions."""
     if parameter.owner == SINGLE_FORCE_NAME and len(force_names) == 1:
         return Nuisance(parameter.kind, force_names[0])
@@ -170,9 +172,9 @@ def _half_sample_mode(force_values: Float[np.ndarray, " samples"]) -> float:
 def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed, by its whole force."""
     force_size_n = np.hypot(*force_n)
-    noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
+    noise_n = max(min(plane.noise_n, float(quiet_interval_std(plane.force_n))) for plane in record.planes)
     quiet_n = max(plane.quiet_deviation_n for plane in record.planes)
-    least_closed_n = max(least_closed_force_n(force_size_n), QUIET_DEVIATIONS * quiet_n, NOISE_DEVIATIONS * noise_n)
+    least_closed_n = max(closed_threshold_n(force_size_n), QUIET_DEVIATIONS * quiet_n, NOISE_DEVIATIONS * noise_n)
     return record.is_fitted & (force_size_n > least_closed_n)
 
 

@@ -11,7 +11,7 @@ from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from identify.signals.measured_base import body_force_count
 from rig.model.description import Station
-from rig.model.modes import condensed
+from rig.model.modes import with_attachments_merged
 from rig.model.tolerances import EXACT, Tolerances
 
 SHORTEST_QUIET_S = 0.3
@@ -40,11 +40,11 @@ def assumptions(result: Identification) -> Iterator[str]:
     )
     body_texts = (
         f"{body.name}, {_frequencies_text(body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes)))}"
-        for body in condensed(rig).bodies
+        for body in with_attachments_merged(rig).bodies
     )
     yield f"The bodies are those of rig.json, linear: {'; '.join(body_texts)}."
     yield tolerances_sentence(tolerances)
-    stations_text = "; ".join(places_text(body.name, motion.stations) for body in rig.bodies)
+    stations_text = "; ".join(station_positions_text(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {stations_text}. Channels: {', '.join(report.channels_used)}."
     if unused_channels := [sensor.name for sensor in rig.sensors if sensor.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
@@ -140,7 +140,7 @@ def _sides_known(result: Identification) -> bool:
     return all(estimate.sides_known for estimate in result.outcomes.estimates.values())
 
 
-def places_text(body: str, stations: tuple[Station, ...]) -> str:
+def station_positions_text(body: str, stations: tuple[Station, ...]) -> str:
     """Positions of a body's stations in words."""
     return f"{body} at " + ", ".join(f"{station.position_m:g}" for station in stations if station.body == body) + " m"
 

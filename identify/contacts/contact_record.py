@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import DriftPrior, Spline
-from identify.signals.scores import INDEPENDENT_RATE_HZ, quiet_deviation
+from identify.signals.drift import DriftPrior, DriftSpline
+from identify.signals.scores import INDEPENDENT_RATE_HZ, quiet_interval_std
 
 CLOSED_FORCE_SHARE = 0.1
 """A contact is clearly closed where its force exceeds this share of the force's 99.5 % quantile, ..."""
@@ -44,7 +44,7 @@ class ContactRecord:
     noise_n: float
     unmodelled_share: float
     drift: DriftPrior | None
-    drift_spline: Spline
+    drift_spline: DriftSpline
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
     force_noise_multiple: Float[np.ndarray, " nuisances"]
     shifts_eta: Bool[np.ndarray, " nuisances"]
@@ -82,12 +82,15 @@ class ContactRecord:
 
 def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed."""
-    force_size_n, noise_n = np.abs(record.force_n), min(record.noise_n, float(quiet_deviation(record.force_n)))
-    least_force_n = least_closed_force_n(force_size_n, force_share)
+    force_size_n, noise_n = (
+        np.abs(record.force_n),
+        min(record.noise_n, float(quiet_interval_std(record.force_n))),
+    )
+    least_force_n = closed_threshold_n(force_size_n, force_share)
     return force_size_n > max(least_force_n, QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n)
 
 
-def least_closed_force_n(force_size_n: Float[np.ndarray, " fewer"], force_share: float = CLOSED_FORCE_SHARE) -> float:
+def closed_threshold_n(force_size_n: Float[np.ndarray, " fewer"], force_share: float = CLOSED_FORCE_SHARE) -> float:
     """Share of the large forces, N, that the force of a contact exceeds where it is clearly closed."""
     return force_share * float(np.quantile(force_size_n, 0.995))
 

@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from identify.contacts.contact_record import ContactRecord, touched_stops
-from identify.contacts.initial_guess import initial_pulls, reach_m, spring_guess, without_nuisances, without_spring
+from identify.contacts.initial_guess import (
+    initial_state_pulls,
+    reach_m,
+    spring_guess,
+    without_nuisances,
+    without_spring,
+)
 from identify.contacts.joint_fit import JointEstimate, fit_joint
 from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS_GRADIENT, FormName, NominalLaws, parameters_of_law
 from identify.contacts.outcomes import NO_OUTCOMES, Outcomes, check_certain
@@ -85,7 +91,7 @@ def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms:
         elif len(names) == 1:
             outcomes = _spring_outcome(names[0], nominal_laws, record)
         else:
-            outcomes = _outcomes_beside_spring(names, nominal_laws, record, np.array(are_springs))
+            outcomes = _spring_and_stops_outcomes(names, nominal_laws, record, np.array(are_springs))
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     sign_by_name = dict(zip(names, group.signs, strict=True))
@@ -122,7 +128,7 @@ def _stop_outcomes(
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
-    is_touched = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
+    is_touched = np.array(touched_stops(without_nuisances(record, initial_state_pulls(record))))
     if len(names) == 1:
         (estimate,) = fit_joint(record, nominal_laws, _present_stops(nominal_laws[0], record, is_touched)[None], forms)
         check_certain(estimate, record.drift is not None)
@@ -134,7 +140,7 @@ def _stop_outcomes(
     return _outcomes_in_reach(names, nominal_laws, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
 
 
-def _outcomes_beside_spring(
+def _spring_and_stops_outcomes(
     names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes:
     """Outcomes of a spring and of stops that share a relative displacement, in the direction of the first contact. The
@@ -151,14 +157,14 @@ def _outcomes_beside_spring(
         raise refused(RefusalCode.STANDS_STILL)
     outcomes = NO_OUTCOMES
     try:
-        spring_law, eta_m = spring_guess(without_nuisances(record, initial_pulls(record)))
+        spring_law, eta_m = spring_guess(without_nuisances(record, initial_state_pulls(record)))
         laws_with_spring = np.where(are_springs[:, None], spring_law, nominal_laws)
         outcomes = _stops_beside_spring(names, laws_with_spring, record, eta_m, are_springs)
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     if outcomes.estimates.keys() & set(compress(names, ~are_springs)):
         return outcomes
-    return _spring_without_stops(names, nominal_laws, record, are_springs) or outcomes
+    return _spring_alone_if_sufficient(names, nominal_laws, record, are_springs) or outcomes
 
 
 def _stops_beside_spring(
@@ -170,16 +176,16 @@ def _stops_beside_spring(
 ) -> Outcomes:
     """Outcomes of stops with a spring of that law beside them; eta_m is the relative displacement with its drift."""
     (spring_law,) = laws[are_springs]
-    stop_record = without_spring(without_nuisances(record, initial_pulls(record)), spring_law)
+    stop_record = without_spring(without_nuisances(record, initial_state_pulls(record)), spring_law)
     is_touched = np.array(touched_stops(stop_record))
     if len(names) > 2:
         return _outcomes_in_reach(names, laws, record, is_touched, np.array([-eta_m.min(), eta_m.max()]), are_springs)
     touched = np.zeros((len(names), 2), dtype=bool)
     touched[~are_springs] = _present_stops(laws[~are_springs][0], stop_record, is_touched)
-    return _certain_outcomes(names, laws, touched, record)
+    return _outcomes_refused_individually(names, laws, touched, record)
 
 
-def _certain_outcomes(
+def _outcomes_refused_individually(
     names: Sequence[str], laws: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
 ) -> Outcomes:
     """Outcomes of one stop and a spring, each refused by itself if it is uncertain."""
@@ -194,7 +200,7 @@ def _certain_outcomes(
     return outcomes
 
 
-def _spring_without_stops(
+def _spring_alone_if_sufficient(
     names: Sequence[str], nominal_laws: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes | None:
     """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
@@ -210,7 +216,7 @@ def _spring_without_stops(
     eta_reach_m, hardly_closed = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
     names_and_laws = zip(compress(names, ~are_springs), nominal_laws[~are_springs], strict=True)
     refusals = {
-        stop_name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closed
+        stop_name: _not_reached_refusal(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closed
         for stop_name, law in names_and_laws
     }
     return outcomes | Outcomes({}, refusals)
@@ -259,23 +265,25 @@ def _outcomes_in_reach(
         is_reached = np.any((nominal_laws[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
         reached_names = list(compress(names, is_reached))
         names_and_laws = zip(compress(names, ~is_reached), nominal_laws[~is_reached], strict=True)
-        unreached_outcomes = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in names_and_laws})
+        unreached_outcomes = Outcomes(
+            {}, {name: _not_reached_refusal(law, eta_reach_m) for name, law in names_and_laws}
+        )
         try:
-            estimates = _certain_estimates(nominal_laws[is_reached], may_touch[is_reached], record)
+            estimates = _checked_joint_estimates(nominal_laws[is_reached], may_touch[is_reached], record)
         except ContactRefusedError as error:
-            first_refusal = first_refusal or _refusal_of_several(error.refusal)
+            first_refusal = first_refusal or _not_separable_if_no_law(error.refusal)
             outcomes = unreached_outcomes | Outcomes.refused(reached_names, first_refusal)
         else:
             return unreached_outcomes | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
     return outcomes
 
 
-def _refusal_of_several(refusal: Refusal) -> Refusal:
+def _not_separable_if_no_law(refusal: Refusal) -> Refusal:
     """Refusal of several contacts: if their closures determine no law, they are not separable."""
     return refused(RefusalCode.NOT_SEPARABLE).refusal if refusal.code == RefusalCode.NO_LAW else refusal
 
 
-def _certain_estimates(
+def _checked_joint_estimates(
     nominal_laws: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
 ) -> tuple[JointEstimate, ...]:
     """Estimates by one fit; raises ContactRefusedError unless it determines all contacts."""
@@ -289,10 +297,12 @@ def _certain_estimates(
         if len(estimates) == 1:
             raise
         raise refused(RefusalCode.NOT_SEPARABLE) from None
-    return _assigned_estimates(estimates, nominal_laws)
+    return _estimates_matched_to_nominal(estimates, nominal_laws)
 
 
-def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal_laws: NominalLaws) -> tuple[JointEstimate, ...]:
+def _estimates_matched_to_nominal(
+    estimates: tuple[JointEstimate, ...], nominal_laws: NominalLaws
+) -> tuple[JointEstimate, ...]:
     """Estimates in the order of the contacts: the assignment nearest to their nominal clearances and stiffnesses.
 
     Raises ContactRefusedError if another assignment is nearly as likely.
@@ -317,6 +327,6 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal_laws: Nomi
     return nearest_estimates
 
 
-def _not_reached(nominal_law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
+def _not_reached_refusal(nominal_law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
     stop_mm, reach_mm = 1e3 * float(min(nominal_law[:2])), 1e3 * float(eta_reach_m.max())
     return refused(RefusalCode.NOT_REACHED, stop_mm=stop_mm, reach_mm=reach_mm).refusal

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import welch
 
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import results_by_name
+from identify.contacts.paper_methods import results_or_notes_by_name
 from identify.contacts.results import ContactReport, Segment
 from identify.linear.joined import ContactGroup
 from identify.linear.modal import equivalent_force_n, receptance
@@ -38,7 +38,7 @@ def contact_figures(
         *(() if result.methods.main_surfaces else _SURFACE_FIGURES),
     }
     figures = {name: draw for name, draw in _FIGURES.items() if name not in missing_names}
-    return results_by_name([] if notes is None else notes, "the figure", figures, drawn_picture)
+    return results_or_notes_by_name([] if notes is None else notes, "the figure", figures, drawn_picture)
 
 
 def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Picture:
@@ -69,7 +69,7 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
     return picture(draw)
 
 
-def _draw_outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
+def _draw_modal_coordinate(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
     equation, rate_hz, motion = result.surface.equation, result.motion.sample_rate_hz, result.motion
     measured_q = equation.displacement[:OUTPUT_SAMPLES]
@@ -121,7 +121,9 @@ def _draw_surface(figure: Any, result: Identification, references: References, r
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
 
-def _draw_section(figure: Any, result: Identification, references: References, reference_name: str) -> None:
+def _draw_restoring_force_section(
+    figure: Any, result: Identification, references: References, reference_name: str
+) -> None:
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
     pair of places."""
     surface = result.surface
@@ -219,7 +221,7 @@ def _draw_frf(figure: Any, result: Identification, _references: References, _ref
     for frf, frequency_hz, colour, style, label in (
         (paper_nifo.frf, paper_nifo.frequency_hz, GREY, "-", "NIFO, the paper's form"),
         (weak_nifo.frf, weak_nifo.frequency_hz, BLUE, "-", "NIFO, weak form"),
-        (weak_nifo.described_frf(), weak_nifo.frequency_hz, "k", ":", "mode of rig.json"),
+        (weak_nifo.nominal_frf(), weak_nifo.frequency_hz, "k", ":", "mode of rig.json"),
     ):
         receptance_m_per_n = weak_nifo.equation.shape_at_force**2 * np.abs(frf)
         magnitude_axes.semilogy(frequency_hz, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
@@ -262,9 +264,9 @@ def _mark_stops(
 
 
 _FIGURES = {
-    "outputs": _draw_outputs,
+    "outputs": _draw_modal_coordinate,
     "surface": _draw_surface,
-    "section": _draw_section,
+    "section": _draw_restoring_force_section,
     "separated": _draw_separated_forces,
     "histogram": _draw_histogram,
     "stiffness": _draw_stiffness,

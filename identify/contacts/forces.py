@@ -12,7 +12,7 @@ from identify.contacts.nuisance_signals import (
     NuisanceSignals,
     contact_spectra,
     nuisance_signals,
-    random_noise,
+    random_phase_noise_spectra,
 )
 from identify.contacts.observation import (
     SeparationInput,
@@ -65,7 +65,7 @@ class ContactForces:
     slow_motion is that of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of the
     sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness and damping against slow relative
     displacements, whose forces accelerations do not show; slow_force_density is that of
-    `_slow_force_densities`.
+    `_slow_force_error_densities`.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
@@ -117,7 +117,7 @@ def separated_forces(record: SeparationInput) -> ContactForces:
 
 
 @dataclass(frozen=True, eq=False)
-class _WeightedRows:
+class _SeparationWeights:
     """Stations and gauges weighed against each other: weights of the contact forces, what no exciting force explains,
     and the observations behind, of the signals and of their noise alone.
 
@@ -137,7 +137,7 @@ class _WeightedRows:
     eta_noise_m: Float[np.ndarray, " contacts"]
 
 
-def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRows:
+def _separation_weights(record: SeparationInput, slow_by_gauges: bool) -> _SeparationWeights:
     """Weights of the contact forces, again with the hidden and the slow modes where the first forces move some.
 
     Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that is_floating.
@@ -155,7 +155,9 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     observed, further_errors, noise_power = observation_of(record, lines, responses, stations, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
     least_noise_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
-    observed_noise = noise_observation(rig, motion, observed, random_noise(noise_power, least_noise_power, lines))
+    observed_noise = noise_observation(
+        rig, motion, observed, random_phase_noise_spectra(noise_power, least_noise_power, lines)
+    )
     lacks_slow_motion = bool(gauges.sensors)
     if motion.zero_known:
         lacks_slow_motion = any(sensor.measures.order > 0 for sensor in motion.displacement_sensors)
@@ -190,7 +192,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
             observed = with_driven_modes(record, observed, input_spectra, corner_hz, further_errors)
             input_spectra = np.concatenate([0 * excitations, contact_spectra(contact_weights, observed_noise.signals)])
             observed_noise = with_driven_modes(record, observed_noise, input_spectra, corner_hz, further_errors)
-    return _WeightedRows(
+    return _SeparationWeights(
         responses=responses,
         input_accelerances=accelerance,
         noise_power=noise_power,
@@ -207,9 +209,9 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
 
 def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
     """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
-    `_weighted_rows`."""
+    `_separation_weights`."""
     rig, motion, decimation, lines, signs = record.rig, record.motion, record.decimation, record.lines, record.eta_signs
-    weighed, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
+    weighed, rate_hz = _separation_weights(record, slow_by_gauges), motion.sample_rate_hz
     weights, start_motion = weighed.force_weights, weighed.start_motion
     contact_force_spectra = contact_spectra(weights, weighed.unexplained_signals)
     end_transient_s = END_TRANSIENT_S if any(body.length_m for body in rig.bodies) else TAPER_S
@@ -227,7 +229,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     force_n = lines.signals(contact_force_spectra, kept_count)
     slow_n_per_m = slow_stiffness(rig, weighed.responses)
     if record.is_single_mass:
-        spectral_force_n, force_n = force_n, _force_on_mass(rig, motion, decimation)[:, :kept_count]
+        spectral_force_n, force_n = force_n, _single_mass_contact_force_n(rig, motion, decimation)[:, :kept_count]
         # so that a mass is in proportion to the force that it tells
         force_shares = nuisances.force_n @ spectral_force_n[0] / max(float(np.sum(spectral_force_n**2)), 1e-300)
         corrected_n = nuisances.force_n + force_shares[..., None] * (force_n - spectral_force_n)
@@ -246,7 +248,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
         slow_n_s_per_m=slow_n_s_per_m,
-        slow_force_density=_slow_force_densities(record, weighed, slow_n_per_m, slow_n_s_per_m),
+        slow_force_density=_slow_force_error_densities(record, weighed, slow_n_per_m, slow_n_s_per_m),
         slow_motion=gauged_motion,
     )
 
@@ -256,13 +258,13 @@ def _force_noise_n(
 ) -> Float[np.ndarray, " contacts"]:
     """Standard deviation of the sensors' noise in the contact forces, N."""
     padded_noise_power = noise_power * lines.padded_samples / motion.sample_count  # over the silence behind, too
-    force_noise_spectra = contact_spectra(weights, random_noise(padded_noise_power, 0.0, lines))
+    force_noise_spectra = contact_spectra(weights, random_phase_noise_spectra(padded_noise_power, 0.0, lines))
     return np.asarray(lines.signals(force_noise_spectra, motion.sample_count // lines.decimation).std(axis=1))
 
 
-def _slow_force_densities(
+def _slow_force_error_densities(
     record: SeparationInput,
-    weighed: _WeightedRows,
+    weighed: _SeparationWeights,
     slow_n_per_m: Float[np.ndarray, "contacts contacts"],
     slow_n_s_per_m: Float[np.ndarray, "contacts contacts"],
 ) -> Float[np.ndarray, " contacts"]:
@@ -294,7 +296,7 @@ def _slow_force_densities(
     return np.where(springs_n_per_m > 0, np.maximum(densities, LEAST_SLOW_FORCE), 0.0)
 
 
-def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:
+def _single_mass_contact_force_n(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
     modes = modes_of(rig, rig.bodies[0])
     inverse_mass = float(modes.shapes(np.zeros(1), 1)[0, 0] ** 2)

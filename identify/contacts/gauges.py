@@ -68,7 +68,7 @@ class GaugeRows:
     zero_error: Complex[np.ndarray, "gauges lines"]
 
 
-def zero_changes(
+def gauge_zero_changes(
     gauges: Sequence[Sensor], first_row: int, zero_errors: Complex[np.ndarray, "gauges lines"]
 ) -> tuple[Change, ...]:
     """Changes by one standard deviation of each gauge's zero, in rows behind `first_row` others."""
@@ -78,7 +78,7 @@ def zero_changes(
     )
 
 
-def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:
+def gauges_and_motion_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:
     """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
 
     None are used beside sensors of one quantity alone (`use`), on a base whose motion is measured, or in a record that

@@ -9,11 +9,17 @@ from jaxtyping import Float
 
 from identify.checks.findings import Finding
 from identify.contacts import results
-from identify.contacts.acceptance import checked_contacts, equation_findings
+from identify.contacts.acceptance import contacts_after_recording_check, nifo_contradiction_findings
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
 from identify.contacts.outcomes import Outcomes
-from identify.contacts.paper_methods import PaperMethods, check_request, paper_methods, signals_by_law, stops_of
+from identify.contacts.paper_methods import (
+    PaperMethods,
+    check_equation_and_averaging,
+    paper_methods,
+    signals_by_law,
+    stops_of,
+)
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
 from identify.linear.joined import ContactGroup
@@ -105,8 +111,8 @@ def identify_contact(
     Raises RigError if the record does not allow it: too short, too few stations, no force; with the first finding.
     """
     averaging = averaging or Averaging()
-    check_request(recording, averaging, equation)
-    rig, accepted = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
+    check_equation_and_averaging(recording, averaging, equation)
+    rig, accepted = recording.rig, contacts_after_recording_check(recording, use, tolerances, FORMS)
     separation, outcomes = accepted.separation, accepted.outcomes
     condensed_rig, motion, contact_groups = separation.rig, separation.motion, separation.contact_groups
     separated_n, decimation = separation.forces.force_n, separation.forces.decimation
@@ -119,7 +125,7 @@ def identify_contact(
     )
     progress(0.95)
     contact_names = [contact.name for contact in rig.contacts]
-    findings += tuple(equation_findings(contact_names, outcomes.estimates, methods.nifo_results))
+    findings += tuple(nifo_contradiction_findings(contact_names, outcomes.estimates, methods.nifo_results))
     return Identification(
         report=contact_report(rig, outcomes, methods, findings),
         rig=rig,

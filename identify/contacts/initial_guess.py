@@ -16,10 +16,18 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord, clearly_closed, touched_stops
-from identify.contacts.law_form import LAW, LawForm, LawParameters, NominalLaws, TouchedStops, linear_form, unit_forces
+from identify.contacts.law_form import (
+    LAW,
+    LawForm,
+    LawParameters,
+    NominalLaws,
+    TouchedStops,
+    dead_zone_or_spring_form,
+    unit_forces,
+)
 from identify.contacts.linearization import LawGuess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
-from identify.signals.drift import Spline
+from identify.signals.drift import DriftSpline
 from identify.signals.refit import refit_until_settled
 
 StopSides = tuple[bool, bool]
@@ -55,7 +63,7 @@ def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> La
     """
     touched_sides = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance_m, compliance_m_per_n = closed_regression(record, with_drift, sides=touched_sides)
+        *knots, clearance_m, compliance_m_per_n = closed_samples_regression(record, with_drift, sides=touched_sides)
         if np.isfinite(clearance_m) and compliance_m_per_n > 0:
             untouched_m = UNTOUCHED_CLEARANCE_RATIO * float(np.max(np.abs(record.eta_m)))
             lower_m, upper_m = (max(clearance_m, 0.0) if is_touched else untouched_m for is_touched in touched_sides)
@@ -69,7 +77,7 @@ def _guess_by_open_contact(record: ContactRecord, sides: StopSides) -> list[LawG
     if not record.spring_n_per_m:
         return []
     ground_matrix = ground_n_per_m(record)
-    knots = open_contact_knots(record.force_n, ~clearly_closed(record), ground_matrix, record.drift_spline)
+    knots = drift_knots_by_open_contact(record.force_n, ~clearly_closed(record), ground_matrix, record.drift_spline)
     moved_eta_m, moved_force_n = (
         record.eta_m + record.drift_spline.value @ knots,
         record.force_n - ground_matrix @ knots,
@@ -81,11 +89,11 @@ def _guess_by_open_contact(record: ContactRecord, sides: StopSides) -> list[LawG
     return [(law_parameters, knots)]
 
 
-def open_contact_knots(
+def drift_knots_by_open_contact(
     force_n: Float[np.ndarray, " fewer"],
     is_open: Bool[np.ndarray, " fewer"],
     ground_matrix: csr_matrix,
-    drift_spline: Spline,
+    drift_spline: DriftSpline,
 ) -> Float[np.ndarray, " knots"]:
     """Knots of the drift b and the slow force z by the force s b + z = ground_matrix @ knots of an open contact, under
     their priors; zero of a contact that never opens."""
@@ -95,7 +103,7 @@ def open_contact_knots(
     return robust_regression(force_n[is_open], ground_matrix[is_open], no_law_columns, drift_spline)[0]
 
 
-def closed_regression(
+def closed_samples_regression(
     record: ContactRecord,
     with_drift: bool,
     force_share: float = CLOSED_FORCE_SHARE,
@@ -117,7 +125,7 @@ def robust_regression(
     eta_m: Float[np.ndarray, " samples"],
     drift_columns: csr_matrix,
     law_columns: Float[np.ndarray, "samples laws"],
-    drift_spline: Spline,
+    drift_spline: DriftSpline,
 ) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
     """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
     columns = hstack([drift_columns, law_columns]).tocsr()
@@ -154,10 +162,10 @@ def guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: TouchedSt
 
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
-    is_side_touched, form = np.any(touched, axis=0), linear_form(touched)
+    is_side_touched, form = np.any(touched, axis=0), dead_zone_or_spring_form(touched)
     if not is_side_touched.any():
         unit_spring, zero_knots = LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knot_count)
-        return [_refined_guess(record, unit_spring, zero_knots, form)[1]]
+        return [_misfit_and_refined_guess(record, unit_spring, zero_knots, form)[1]]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring_law,) = nominal_laws[~are_stops]
@@ -193,7 +201,9 @@ def _guesses_with_spring(
 
 def _best_guesses(record: ContactRecord, candidates: Sequence[LawGuess], form: LawForm) -> list[LawGuess]:
     """Refined guesses of least misfit."""
-    misfits_and_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=itemgetter(0))
+    misfits_and_guesses = sorted(
+        (_misfit_and_refined_guess(record, *guess, form) for guess in candidates), key=itemgetter(0)
+    )
     return [guess for misfit, guess in misfits_and_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
@@ -232,7 +242,7 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
         except ContactRefusedError:
             continue
         for drift_knots in (knots, np.zeros_like(knots)):
-            misfit, guess = _refined_guess(record, np.concatenate([stop_law, spring_law]), drift_knots, form)
+            misfit, guess = _misfit_and_refined_guess(record, np.concatenate([stop_law, spring_law]), drift_knots, form)
             if misfit < least_misfit:
                 least_misfit, best_guess = misfit, guess
     if best_guess is None:
@@ -240,7 +250,7 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
     return best_guess[0][len(LAW) :], record.eta_m + record.drift_spline.value @ best_guess[1]
 
 
-def _refined_guess(
+def _misfit_and_refined_guess(
     record: ContactRecord, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"], form: LawForm
 ) -> tuple[float, LawGuess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
@@ -267,7 +277,7 @@ def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: Tou
     for knees_n in combinations(knee_forces_n, int(touched_counts.max()) - 1):
         excess_n = [np.maximum(force_size_n - knee_n, 0.0) * (stop_counts > k) for k, knee_n in enumerate(knees_n, 1)]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            coefficients = closed_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
+            coefficients = closed_samples_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
             knots, (clearance, compliance, *decreases) = coefficients[:knot_count], coefficients[knot_count:].tolist()
             summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *decreases]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
@@ -283,7 +293,7 @@ def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: Tou
             yield laws.ravel(), knots / drift_ratio
 
 
-def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
+def initial_state_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     """Initial states of the modes of a record that begins in motion; zero for all other nuisance parameters.
 
     Their free motion may add many times a contact's force. As a contact is open for much of the time, theta of

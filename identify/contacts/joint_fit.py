@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
-from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import LawFit, first_fit, fit_of_chosen_form, free_parameters, is_open, misfit_covariance
+from identify.contacts.initial_guess import guesses, initial_state_pulls, without_nuisances
+from identify.contacts.law_fit import LawFit, first_fit, fit_of_chosen_form, free_to_law_map, is_open, misfit_covariance
 from identify.contacts.law_form import (
     DEAD_ZONE,
     LAW,
@@ -23,13 +23,13 @@ from identify.contacts.law_form import (
     NominalLaws,
     Signal,
     TouchedStops,
-    linear_form,
+    dead_zone_or_spring_form,
 )
-from identify.contacts.linearization import FitState, drift_signals, state_at
+from identify.contacts.linearization import FitState, drift_and_nuisance_motion, state_at
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.pages.wording import COVERED
-from identify.signals.drift import Spline
-from identify.signals.scores import PART_COUNT, informative_part_starts, part_scores, quiet_deviation
+from identify.signals.drift import DriftSpline
+from identify.signals.scores import PART_COUNT, cluster_scores, equal_information_starts, quiet_interval_std
 from identify.signals.spectra import at_force_rate
 from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 
@@ -59,10 +59,10 @@ class JointEstimate:
     sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
     drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
     deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
-    sensors' noise; split_half_z are those of clearance and stiffness between the record's halves in standard
-    errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
-    open_friction_n is friction that rig.json lacks, zero where none is clear.
-    widening_factor is that of the standard errors by pulls, which the covariances hold (`widened_estimate`).
+    sensors' noise; split_half_z are those of clearance and stiffness between the record's halves in standard errors.
+    The stiffness of a power law is the force over the depth at the reference depth of its form. open_friction_n is
+    friction that rig.json lacks, zero where none is clear. widening_factor is that of the standard errors by pulls,
+    which the covariances hold (`with_errors_widened_by_pulls`).
     """
 
     values: LawParameters
@@ -92,7 +92,7 @@ class JointEstimate:
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         return self.form.force_n(self.law_parameters, eta_m, rate_m_per_s)
 
-    def unit_spring_m(self, eta_m: Signal) -> Signal:
+    def spring_force_over_stiffness_m(self, eta_m: Signal) -> Signal:
         """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
         unit_parameters = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
         return self.form.force_n(unit_parameters, eta_m, np.zeros_like(eta_m))
@@ -182,16 +182,16 @@ def fit_joint(
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
     """
-    drift_spline, form = record.drift_spline, linear_form(touched)
+    drift_spline, form = record.drift_spline, dead_zone_or_spring_form(touched)
     sides_known = record.sides_known or bool(form.spring_indices)
-    free_to_laws, start_pulls = free_parameters(touched, sides_known), initial_pulls(record)
+    free_to_laws, start_pulls = free_to_law_map(touched, sides_known), initial_state_pulls(record)
     initial_guesses = guesses(without_nuisances(record, start_pulls), nominal_laws, touched)
     fit = first_fit(record, free_to_laws, initial_guesses, start_pulls, form)
-    check_drift(drift_spline, fit.state.knots)
-    _check_bridged(record, fit.state)
+    check_drift_curvature(drift_spline, fit.state.knots)
+    _check_wander_without_spring(record, fit.state)
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
-    fit = fit_of_chosen_form(with_clear_friction(fit), forms)
+    fit = fit_of_chosen_form(with_significant_friction(fit), forms)
     state, scaled_to_laws, (jacobian, normal_equations) = fit.state, fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
     knot_columns, pull_free_columns = normal_equations.solved(
@@ -199,8 +199,8 @@ def fit_joint(
     )
     pull_law_columns = np.concatenate([pull_free_columns[:pull_count], scaled_to_laws @ pull_free_columns[pull_count:]])
     influence = jacobian.times_columns(knot_columns, pull_law_columns) * fit.weights[:, None] ** 2
-    part_starts = informative_part_starts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
-    scores = part_scores(influence, state.residual_n, part_starts)
+    part_starts = equal_information_starts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
+    scores = cluster_scores(influence, state.residual_n, part_starts)
     error_rows = {
         "scatter": small_sample_factor(free_count) * scores,
         "tolerances": record.samples_per_error * pull_free_columns[: pull_count - 1],
@@ -212,7 +212,7 @@ def fit_joint(
         covariances["law"] += misfit_covariance(fit, jacobian, part_starts)
     covariance = np.asarray(sum(covariances.values()))
     record_pulls, friction_pulls = np.split(state.nuisance_pulls, [len(record.nuisance_n)])
-    drift_m, drift_m_per_s = drift_signals(record, state.knots, record_pulls)
+    drift_m, drift_m_per_s = drift_and_nuisance_motion(record, state.knots, record_pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
@@ -238,10 +238,10 @@ def fit_joint(
     return tuple(estimate_at(len(LAW) * contact_index, *sides) for contact_index, sides in enumerate(touched.tolist()))
 
 
-def with_clear_friction(fit: LawFit) -> LawFit:
+def with_significant_friction(fit: LawFit) -> LawFit:
     """Fit with friction of the contact's places as a further nuisance parameter, in root mean squares of the force,
     where the residual of the open contact shows it clearly; else the fit, which would take friction for damping."""
-    (friction_n, error_n, direction), record, state = _open_friction(fit), fit.record, fit.state
+    (friction_n, error_n, direction), record, state = _open_friction_and_error(fit), fit.record, fit.state
     force_rms_n = float(np.std(record.force_n))
     if friction_n < max(FRICTION_ERRORS * error_n, FRICTION_SHARE * force_rms_n):
         return fit
@@ -260,7 +260,7 @@ def with_clear_friction(fit: LawFit) -> LawFit:
         return fit
 
 
-def _open_friction(fit: LawFit) -> tuple[float, float, Signal]:
+def _open_friction_and_error(fit: LawFit) -> tuple[float, float, Signal]:
     """Friction, N, in the residual of the open contact, its standard error, and its derivative at all samples."""
     _, rate_m_per_s = fit.motion
     residual_n, fine_direction = fit.state.residual_n, np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
@@ -268,7 +268,7 @@ def _open_friction(fit: LawFit) -> tuple[float, float, Signal]:
     open_direction = direction * is_open(fit.state)
     information = max(float(open_direction @ open_direction), 1e-300)
     friction_n = float(open_direction @ residual_n) / information
-    score_norm = np.linalg.norm(part_scores(open_direction[:, None], residual_n - friction_n * open_direction))
+    score_norm = np.linalg.norm(cluster_scores(open_direction[:, None], residual_n - friction_n * open_direction))
     return friction_n, float(score_norm) / information, direction
 
 
@@ -287,7 +287,7 @@ def unexplained_share(residual_force_noise_n: Sequence[tuple[Signal, Signal, flo
     """
     residual_power, force_power = 0.0, 0.0
     for residual_n, force_n, sensor_noise_n in residual_force_noise_n:
-        noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
+        noise_n = min(float(quiet_interval_std(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
         noise_power = noise_n**2 * (1 + 3 * np.sqrt(2 * PART_COUNT / residual_n.size))
         residual_power += max(float(np.var(residual_n)) - noise_power, 0.0)
         force_power += max(float(np.var(force_n)) - noise_power, 0.0)
@@ -303,7 +303,7 @@ def split_half_z(influence_by_part: Float[np.ndarray, "parts 2"]) -> tuple[float
     return float(clearance_difference), float(stiffness_difference)
 
 
-def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> None:
+def check_drift_curvature(drift_spline: DriftSpline, knots: Float[np.ndarray, " knots"]) -> None:
     """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
     square is usually 1 to 2 squared standard deviations."""
     prior_residual = drift_spline.curvature @ knots - drift_spline.curvature_target
@@ -311,16 +311,16 @@ def check_drift(drift_spline: Spline, knots: Float[np.ndarray, " knots"]) -> Non
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 
-def _check_bridged(record: ContactRecord, state: FitState) -> None:
-    """Raises ContactRefusedError as `check_bridged`, unless a spring tells the slow motion."""
+def _check_wander_without_spring(record: ContactRecord, state: FitState) -> None:
+    """Raises ContactRefusedError as `check_wander`, unless a spring tells the slow motion."""
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
     is_closed = clearly_closed(record)
     depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m
-    check_bridged(is_closed, record.decimation / record.sample_rate_hz, record.drift.noise_density, depth_m)
+    check_wander(is_closed, record.decimation / record.sample_rate_hz, record.drift.noise_density, depth_m)
 
 
-def check_bridged(is_closed: Bool[np.ndarray, " fewer"], step_s: float, noise_density: float, depth_m: float) -> None:
+def check_wander(is_closed: Bool[np.ndarray, " fewer"], step_s: float, noise_density: float, depth_m: float) -> None:
     """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
     penetrations."""
     closure_intervals_s = np.sort(np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * step_s)

@@ -35,7 +35,7 @@ from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.law_evaluation import law_step_s
 from identify.signals.refit import refit_until_settled
-from identify.signals.scores import PART_COUNT, part_scores
+from identify.signals.scores import PART_COUNT, cluster_scores
 
 MOST_STEPS, WEIGHT_ROUNDS, COST_TOLERANCE, ROUGH_COST_TOLERANCE = 30, 3, 1e-7, 1e-3
 SETTLED_COST_FALL = 0.01
@@ -56,7 +56,7 @@ class LawFit:
     weights: Weights
 
     @property
-    def squared_residuals(self) -> Float[np.ndarray, " fewer"]:
+    def squared_weighted_residuals(self) -> Float[np.ndarray, " fewer"]:
         """Squares of the weighted residuals."""
         return np.asarray((self.weights * self.state.residual_n) ** 2)
 
@@ -79,7 +79,7 @@ class LawFit:
         derivatives = jacobian(self.record, self.state)
         return derivatives, normal_equations(self.record, self.state, derivatives, self.scaled_to_laws, self.weights)
 
-    def at_least_cost(self, cost_tolerance: float = COST_TOLERANCE) -> "LawFit":
+    def minimum_cost_fit(self, cost_tolerance: float = COST_TOLERANCE) -> "LawFit":
         """Fit at the state of least cost for its weights, by Gauss-Newton."""
 
         def negligible_decrease(current: FitState) -> float:
@@ -113,7 +113,7 @@ class LawFit:
     @property
     def reweighted(self) -> "LawFit":
         """Fit with weights from the scatter of the residuals."""
-        return replace(self, weights=residual_weights(self.record, self.state, _open_deviation_n(self.state)))
+        return replace(self, weights=residual_weights(self.record, self.state, _open_residual_deviation_n(self.state)))
 
     @property
     def settled(self) -> "LawFit":
@@ -123,7 +123,7 @@ class LawFit:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
         return refit_until_settled(
-            self.reweighted, lambda fit: fit.at_least_cost().reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
+            self.reweighted, lambda fit: fit.minimum_cost_fit().reweighted, weights_agree, max_rounds=WEIGHT_ROUNDS
         )
 
     def with_form(self, form: LawForm) -> "LawFit":
@@ -143,7 +143,7 @@ class LawFit:
         return np.asarray(eta_m - np.clip(eta_m, -lower_m, upper_m))
 
 
-def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
+def free_to_law_map(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
     """Matrix from the free parameters to the laws: stops that are not touched have none, nor has a spring. Where the
     zero of the relative displacement is unknown, it is the middle of the first contact's play."""
     is_free = np.column_stack([touched, np.ones_like(touched)]).ravel()
@@ -171,7 +171,7 @@ def first_fit(
         start_state = state_at(record, form, law_parameters, knots, np.append(nuisance_pulls, 0.0))
         weights = residual_weights(record, start_state, initial_noise_n)
         try:
-            fits.append(LawFit(record, free_to_laws, start_state, weights).at_least_cost(ROUGH_COST_TOLERANCE))
+            fits.append(LawFit(record, free_to_laws, start_state, weights).minimum_cost_fit(ROUGH_COST_TOLERANCE))
         except ContactRefusedError as error:
             latest_refusal = error
     if not fits:
@@ -185,7 +185,7 @@ def is_open(state: FitState) -> Bool[np.ndarray, " fewer"]:
     return np.asarray(np.abs(state.tangent_n_per_m - state.spring_n_per_m) < 1e-3 * state.stiffness_n_per_m)
 
 
-def _open_deviation_n(state: FitState) -> float:
+def _open_residual_deviation_n(state: FitState) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
     open_residual_n = state.residual_n[is_open(state)]
     return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
@@ -194,7 +194,7 @@ def _open_deviation_n(state: FitState) -> float:
 def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
-    unfollowed_m = np.hypot(record.eta_noise_m, 0.0 if record.drift is None else record.drift.unfollowed_noise_m)
+    unfollowed_m = np.hypot(record.eta_noise_m, 0.0 if record.drift is None else record.drift.noise_above_knot_band_m)
     unmodelled_n = record.unmodelled_share * np.hypot(record.force_n, np.std(record.force_n))
     return np.asarray(1 / np.sqrt(open_deviation_n**2 + (state.tangent_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2))
 
@@ -219,11 +219,14 @@ def fit_of_chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     preferred_fit, least_square_sum = None, np.inf
     for name in form_names:
         try:
-            alternative_fit = fit.with_form(replace(base_form, name=name)).at_least_cost()
+            alternative_fit = fit.with_form(replace(base_form, name=name)).minimum_cost_fit()
         except ContactRefusedError:
             continue
-        if is_preferred_form(fit, alternative_fit) and alternative_fit.squared_residuals.sum() < least_square_sum:
-            preferred_fit, least_square_sum = alternative_fit, float(alternative_fit.squared_residuals.sum())
+        if (
+            is_preferred_form(fit, alternative_fit)
+            and alternative_fit.squared_weighted_residuals.sum() < least_square_sum
+        ):
+            preferred_fit, least_square_sum = alternative_fit, float(alternative_fit.squared_weighted_residuals.sum())
     try:
         return preferred_fit.settled if preferred_fit else fit
     except ContactRefusedError:
@@ -233,12 +236,14 @@ def fit_of_chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
 def is_preferred_form(dead_zone_fit: LawFit, alternative_fit: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
     independent_count = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
-    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative_fit, independent_count)
+    likelihood_gain, consistency = likelihood_gain_and_consistency(dead_zone_fit, alternative_fit, independent_count)
     least_gain = alternative_fit.state.form.exponent_count * np.log(independent_count) + 2 * np.log(LEAST_ODDS)
     return bool(likelihood_gain > least_gain and consistency > CONSISTENCY_LIMIT)
 
 
-def form_evidence(dead_zone_fit: LawFit, alternative_fit: LawFit, independent_count: float) -> tuple[float, float]:
+def likelihood_gain_and_consistency(
+    dead_zone_fit: LawFit, alternative_fit: LawFit, independent_count: float
+) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
     residual_spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative_fit)]
     line_count = residual_spectra[0].size
@@ -272,16 +277,18 @@ def misfit_covariance(
     covariance = np.zeros((parameter_count, parameter_count))
     force_by_free = derivatives.by_law @ fit.scaled_to_laws
     for halves in _closed_splits(fit):
-        first_scores, second_scores = (_half_scores(fit, force_by_free, half, part_starts) for half in halves)
+        first_scores, second_scores = (
+            _parameter_change_by_segment(fit, force_by_free, half, part_starts) for half in halves
+        )
         if first_scores is None or second_scores is None:
             continue
-        free_difference, excess_share = difference_and_excess_of_halves(first_scores - second_scores)
+        free_difference, excess_share = halves_difference_and_t2_excess(first_scores - second_scores)
         law_error = fit.scaled_to_laws @ free_difference / 2
         covariance += excess_share * np.outer(law_error, law_error)
     return covariance
 
 
-def difference_and_excess_of_halves(
+def halves_difference_and_t2_excess(
     score_differences: Float[np.ndarray, "parts free"],
 ) -> tuple[Float[np.ndarray, " free"], float]:
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
@@ -308,7 +315,7 @@ def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[n
     return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]
 
 
-def _half_scores(
+def _parameter_change_by_segment(
     fit: LawFit,
     force_by_free: Float[np.ndarray, "fewer free"],
     is_in_half: Bool[np.ndarray, " fewer"],
@@ -322,7 +329,7 @@ def _half_scores(
     if not np.linalg.cond(normal_matrix) < 1e10:
         return None
     influence = squared_weights * force_by_free @ np.linalg.inv(normal_matrix)
-    return part_scores(influence, fit.state.residual_n, part_starts)
+    return cluster_scores(influence, fit.state.residual_n, part_starts)
 
 
 def _rounded_rms_depth_m(fit: LawFit) -> float:

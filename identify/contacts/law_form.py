@@ -124,7 +124,7 @@ class LawForm:
             by_rate += contact.law_damping_n_s_per_m * contact.damping_share
             by_onset += contact.law_damping_n_s_per_m * contact.withheld_share * rate_m_per_s
             by_parameters += [slope_n_per_m * contact.is_lower, -slope_n_per_m * ~contact.is_lower]
-            by_parameters += [contact.spring_m, contact.damper_m_per_s]
+            by_parameters += [contact.spring_m, contact.unit_damping_force_m_per_s]
             if self.exponent_count:
                 depth_ratio = np.maximum(np.abs(contact.depth_m) / self.reference_depth_m, 1e-9)
                 by_exponent += contact.law_stiffness_n_per_m * contact.spring_m * np.log(depth_ratio)
@@ -163,7 +163,7 @@ class LawForm:
                 spring_by_eta_n_per_m=stiffness * unit_spring.by_eta_n_per_m(eta_m),
                 damper_by_eta_n_per_m=damping * rate_m_per_s * np.where(is_lower, -1, 1) * share.by_depth_per_m,
             )
-            yield contribution.without_pull() if self.name == "cannot pull" else contribution
+            yield contribution.clipped_to_pushing_force() if self.name == "cannot pull" else contribution
 
 
 class DampingShare(NamedTuple):
@@ -215,15 +215,17 @@ class ContactContribution:
     damper_by_eta_n_per_m: Signal
 
     @property
-    def damper_m_per_s(self) -> Signal:
+    def unit_damping_force_m_per_s(self) -> Signal:
         """Force of unit damping."""
         return np.asarray(self.damping_share * self.rate_m_per_s)
 
     @property
     def force_n(self) -> Signal:
-        return np.asarray(self.law_stiffness_n_per_m * self.spring_m + self.law_damping_n_s_per_m * self.damper_m_per_s)
+        return np.asarray(
+            self.law_stiffness_n_per_m * self.spring_m + self.law_damping_n_s_per_m * self.unit_damping_force_m_per_s
+        )
 
-    def without_pull(self) -> "ContactContribution":
+    def clipped_to_pushing_force(self) -> "ContactContribution":
         """Contribution of stops that do not draw back what leaves them."""
         pushes = self.force_n * self.depth_m > 0
         masked_names = ("spring_m", "damping_share", "withheld_share", "spring_by_eta_n_per_m", "damper_by_eta_n_per_m")
@@ -233,7 +235,7 @@ class ContactContribution:
 DEAD_ZONE, SPRING = LawForm(), LawForm("spring", spring_indices=(0,))
 
 
-def linear_form(touched: TouchedStops) -> LawForm:
+def dead_zone_or_spring_form(touched: TouchedStops) -> LawForm:
     """Dead zones, and a spring where neither side is touched."""
     spring_indices = tuple(np.flatnonzero(~touched.any(axis=1)).tolist())
     return LawForm("spring" if len(spring_indices) == len(touched) else "dead zone", spring_indices=spring_indices)
@@ -242,4 +244,4 @@ def linear_form(touched: TouchedStops) -> LawForm:
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
-    return [force for contact in contributions for force in (contact.spring_m, contact.damper_m_per_s)]
+    return [force for contact in contributions for force in (contact.spring_m, contact.unit_damping_force_m_per_s)]

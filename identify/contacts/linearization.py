@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix, diags, spmatrix
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import Spline
+from identify.signals.drift import DriftSpline
 from identify.signals.law_evaluation import evaluated_law, evaluated_on_batches, finer_signal_batches
 from identify.signals.spectra import at_force_rate
 
@@ -29,13 +29,14 @@ LawGuess = tuple[LawParameters, Knots]
 
 @runtime_checkable
 class WeighedRecord(Protocol):
-    """Record of a fit: `samples_per_error` and the prior of the slow motion as those of a `ContactRecord`."""
+    """Record of a fit: `samples_per_error` and the prior of the slow motion as those of a
+    `ContactRecord`."""
 
     @property
     def samples_per_error(self) -> float: ...
 
     @property
-    def drift_spline(self) -> Spline: ...
+    def drift_spline(self) -> DriftSpline: ...
 
 
 @runtime_checkable
@@ -139,11 +140,11 @@ def corrected_motion(
     record: ContactRecord, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Relative displacement with drift and nuisance signals, m, and its rate, m/s."""
-    drift_m, drift_m_per_s = drift_signals(record, knots, pulls)
+    drift_m, drift_m_per_s = drift_and_nuisance_motion(record, knots, pulls)
     return record.eta_m + drift_m, record.velocity_m_per_s + drift_m_per_s
 
 
-def drift_signals(
+def drift_and_nuisance_motion(
     record: ContactRecord, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Drift signals h b - theta' nuisance_m, m, and their rate, m/s, with h = 1 - theta' eta_noise_multiple."""

@@ -100,7 +100,7 @@ def nuisance_signals(
     return NuisanceSignals(parameters, force_n, eta_m, force_noise_multiple, eta_noise_multiple)
 
 
-def random_noise(
+def random_phase_noise_spectra(
     noise_power: Float[np.ndarray, "stations lines"], least_power: float, lines: SpectralLines
 ) -> Complex[np.ndarray, "stations lines"]:
     """Spectra of noise with this power and random phases; zero where the drift's knots can follow it."""

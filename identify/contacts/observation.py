@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 
-from identify.contacts.gauges import Gauges, zero_changes
+from identify.contacts.gauges import Gauges, gauge_zero_changes
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import (
     SpectralLines,
@@ -72,7 +72,7 @@ class SeparationInput:
 
 
 @dataclass(frozen=True)
-class FurtherErrors:
+class GaugeZeroAndTruncationErrors:
     """Errors of no single sensor or mode: the zeros of gauges, and the modes that a description leaves out."""
 
     zeros: tuple[Change, ...]
@@ -85,7 +85,7 @@ class FurtherErrors:
 
     def without_negligible(
         self, input_spectra: Complex[np.ndarray, "inputs lines"], signals: Complex[np.ndarray, "rows lines"]
-    ) -> "FurtherErrors":
+    ) -> "GaugeZeroAndTruncationErrors":
         """Errors without the truncations that these forces make less than `NEGLIGIBLE_SHARE` of the signals (rms)."""
         truncations = []
         for truncation in self.truncations:
@@ -123,7 +123,7 @@ def observation_of(
     responses: tuple[Response, ...],
     stations: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
-) -> tuple[ObservedSignals, FurtherErrors, Float[np.ndarray, "rows lines"]]:
+) -> tuple[ObservedSignals, GaugeZeroAndTruncationErrors, Float[np.ndarray, "rows lines"]]:
     """Observation by the spectra of the stations' rows and of strain; the further errors; the power of the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
@@ -141,7 +141,7 @@ def observation_of(
         observed_base = ObservedBase(
             base.sensor, base.displacement_sensor, acceleration, displacement, base_accelerations
         )
-    zeros = zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error)
+    zeros = gauge_zero_changes(gauges.sensors, len(signals), gauge_rows.zero_error)
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displacement_sensors=(*motion.displacement_sensors, *gauges.sensors),
@@ -161,7 +161,7 @@ def observation_of(
         rig, responses, rig.inputs, sensor_by_row, observed.sensor_response, record.tolerances.truncation
     )
     noise_power = np.concatenate([sample_count * stations.noise_variance, gauge_rows.noise_power])
-    return observed, FurtherErrors(zeros, truncations), noise_power
+    return observed, GaugeZeroAndTruncationErrors(zeros, truncations), noise_power
 
 
 def _station_spectra(
@@ -212,7 +212,7 @@ def with_driven_modes(
     observed: ObservedSignals,
     input_spectra: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
-    further_errors: FurtherErrors,
+    further_errors: GaugeZeroAndTruncationErrors,
 ) -> ObservedSignals:
     """Observation with the hidden modes, all held ones below a corner, and the further errors, driven by the exciting
     and the contact forces."""

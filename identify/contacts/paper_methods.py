@@ -16,16 +16,16 @@ from identify.contacts.separation import Separation
 from identify.linear.modal import (
     ModalEquation,
     Transformation,
-    correctable_samples,
+    correctable_sample_count,
     equivalent_force_n,
     modal_equations,
     transformation,
 )
 from identify.paper.nifo import Nifo, NifoForm, nifo
-from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
+from identify.paper.surface import Stops, Surface, fit_surface, stops_from_eta_density
 from identify.signals.kinematics import Kinematics
 from identify.signals.law_evaluation import evaluated_law
-from identify.signals.spectra import Averaging, Blocks, blocks, force_band
+from identify.signals.spectra import Averaging, Blocks, blocks, force_band_hz
 from rig.errors import RigError
 from rig.model.description import Body, Rig
 from rig.recording import Recording
@@ -77,7 +77,7 @@ class PaperMethods:
         return tuple(surface for surface in self.surfaces if surface.equation.name == self.main_equation)
 
 
-def results_by_name(
+def results_or_notes_by_name(
     notes: list[str], description: str, inputs_by_name: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
     """Results of `compute` for each input, by its name; a note for each where it fails numerically."""
@@ -90,7 +90,7 @@ def results_by_name(
     return results
 
 
-def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
+def check_equation_and_averaging(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
     equation_names = [
@@ -126,7 +126,9 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
         for k, sign in signs.items():
             eta[k] = sign * eta_m
             if k in estimates:
-                force_over_stiffness_m[k] = evaluated_law(estimates[k].unit_spring_m, eta[k][None], rate_hz)
+                force_over_stiffness_m[k] = evaluated_law(
+                    estimates[k].spring_force_over_stiffness_m, eta[k][None], rate_hz
+                )
                 force_n[k] = estimates[k].force_n(eta[k], sign * velocity)
     return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
@@ -160,7 +162,7 @@ def paper_methods(
     """
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
-    sample_count = correctable_samples(motion)
+    sample_count = correctable_sample_count(motion)
     etas_m, force_over_stiffness_m = signals.eta_m[:, :sample_count], signals.force_over_stiffness_m[:, :sample_count]
     blocks_by_body = _blocks_by_body(rig, motion, sample_count, averaging, notes)
     uncorrected_motion, bodies = motion, {body.name: body for body in rig.bodies}
@@ -171,8 +173,8 @@ def paper_methods(
     def body_equations(transformation: Transformation) -> tuple[ModalEquation, ...]:
         return modal_equations(rig, uncorrected_motion, transformation.body, MAX_EQUATIONS_PER_BODY, signals.force_n)
 
-    transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
-    equations_by_body = results_by_name(notes, "the modal equations", transformations, body_equations)
+    transformations = results_or_notes_by_name(notes, "the modal transformation", bodies, body_transformation)
+    equations_by_body = results_or_notes_by_name(notes, "the modal equations", transformations, body_equations)
     equations = {e.name: e for row in equations_by_body.values() for e in row}
     motion = motion.segment(slice(sample_count)).without_motion
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
@@ -186,18 +188,20 @@ def paper_methods(
     def surface_of(modal: ModalEquation) -> Surface:
         return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), etas_m, surface_decimation, stops)
 
-    nifo_results = results_by_name(notes, "NIFO", nifo_equations, nifo_of)
-    surfaces = results_by_name(notes, "the restoring force surface", equations, surface_of)
+    nifo_results = results_or_notes_by_name(notes, "NIFO", nifo_equations, nifo_of)
+    surfaces = results_or_notes_by_name(notes, "the restoring force surface", equations, surface_of)
     histogram_inputs = {
         contact.name: (etas_m[k, motion.excited_from :], stop.touched)
         for k, (contact, stop) in enumerate(zip(rig.contacts, stops, strict=True))
         if stop and k in single_contacts
     }
-    histogram_stops = results_by_name(notes, "the histogram", histogram_inputs, _histogram_stops)
+    histogram_stops = results_or_notes_by_name(notes, "the histogram", histogram_inputs, _histogram_stops)
     main_equation_name = _main_equation_name(nifo_results, driven_equations, equation, notes)
     main_results = {main_equation_name: nifo_results[main_equation_name]} if main_equation_name in nifo_results else {}
     main_equations = {name: spectrum.equation for name, spectrum in main_results.items()}
-    paper_results = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: nifo_of(e, "paper"))
+    paper_results = results_or_notes_by_name(
+        notes, "the paper's form of NIFO", main_equations, lambda e: nifo_of(e, "paper")
+    )
     return PaperMethods(
         motion=motion,
         eta_m=etas_m,
@@ -222,20 +226,20 @@ def _blocks_by_body(
             forces_by_body_n[body.name] = forces_n
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
-        low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
+        low_hz, high_hz = force_band_hz(forces_n, motion.sample_rate_hz)
         trusted_from_hz, trusted_to_hz = motion.trusted_hz
         low_hz = max(low_hz, LOWEST_NIFO_CORNER_RATIO * trusted_from_hz, LOWEST_NIFO_HZ)
         band_hz = averaging.band_hz or (low_hz, min(high_hz, trusted_to_hz))
         return blocks(sample_count, motion.sample_rate_hz, averaging, band_hz)
 
-    return results_by_name(notes, "NIFO of the equations", forces_by_body_n, body_blocks)
+    return results_or_notes_by_name(notes, "NIFO of the equations", forces_by_body_n, body_blocks)
 
 
 def _histogram_stops(eta_and_touched: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
     """Stops by the histogram of a relative displacement, which touches the given sides; None if too uncertain, as of a
     decay, which rests most of the time."""
     eta_m, touched = eta_and_touched
-    stops = replace(clearance_from_occurrence(eta_m), touched=touched)
+    stops = replace(stops_from_eta_density(eta_m), touched=touched)
     return stops if stops.clearance_error_m < UNCERTAIN_SHARE * stops.clearance_m else None
 
 

@@ -33,7 +33,7 @@ SUMMED_FIELDS = ("averages", "whirls")
 """Fields whose values are added."""
 
 
-def identify_long(
+def identify_by_segments(
     path: Path,
     *,
     segment_s: float = SEGMENT_S,
@@ -70,7 +70,7 @@ def identify_long(
     return pooled_report([segment.report for segment in identified_segments]), tuple(identified_segments)
 
 
-def longest_segment_s(path: Path) -> float:
+def segment_length_within_memory_s(path: Path) -> float:
     """Length of the segments of a large file, s: SEGMENT_S, or less where memory is bounded.
 
     Raises RigError where that leaves less than SHORTEST_SEGMENT_S, as of samples by the million a second.
@@ -89,7 +89,7 @@ def longest_segment_s(path: Path) -> float:
 
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
-    merged_report = _merged_structs(_with_usual_law(reports))
+    merged_report = _merged_structs(_with_most_frequent_law(reports))
     answered_names = {contact.name for contact in merged_report.contacts}
     findings = {
         (finding.cause, finding.channels, finding.of): finding
@@ -106,7 +106,7 @@ def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     )
 
 
-def _with_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
+def _with_most_frequent_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
     """Reports with only those contacts whose law is the one of most segments: parameters of different laws cannot be
     pooled."""
 

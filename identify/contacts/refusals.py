@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from identify.pages.wording import length_words
+from identify.pages.wording import record_length_words
 from rig.errors import RigError
 
 Evidence = Mapping[str, float | int | str]
@@ -205,7 +205,7 @@ class Refusal:
     @property
     def advice(self) -> str:
         """Remedy as a part of a sentence."""
-        return REMEDIES[self.remedy].replace("record longer", f"record {length_words(self.length_ratio)}")
+        return REMEDIES[self.remedy].replace("record longer", f"record {record_length_words(self.length_ratio)}")
 
     @property
     def cause(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from identify.contacts.assumptions import assumptions, recommendations, variance_shares
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import results_by_name
+from identify.contacts.paper_methods import results_or_notes_by_name
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
 from identify.pages.drawing import drawing_html as rig_drawing_html
@@ -150,11 +150,11 @@ def answer(report: ContactReport, contact_count: int, laws: Laws, laws_name: str
     return page.Answer(
         "red" if not count else "green" if count == contact_count and not report.findings else "yellow",
         "not to be relied on" if report.findings else words,
-        [*_sentences(report), *_agreement_sentences(report, laws, laws_name)],
+        [*_identified_value_sentences(report), *_agreement_sentences(report, laws, laws_name)],
     )
 
 
-def _sentences(report: ContactReport) -> list[str]:
+def _identified_value_sentences(report: ContactReport) -> list[str]:
     """Identified values in one sentence, or that there are none and why."""
     contacts = report.contacts
     if not contacts:
@@ -175,7 +175,7 @@ def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> l
     for contact in report.contacts:
         values = [v for v in _compared_values(contact, laws[contact.name]) if np.isfinite(v.reference)]
         compared_count += len(values)
-        if names := [value.name for value in values if not _agrees(value.estimate, value.reference)]:
+        if names := [value.name for value in values if not _is_within_interval(value.estimate, value.reference)]:
             differing.append(f"{joined(names)} of {contact.name}")
     if differing:
         return [f"These {laws_name} values lie outside the 95 % intervals: {'; '.join(differing)}."]
@@ -197,7 +197,7 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
         v.name == "clearance" for c in contacts if not c.ring for v in _compared_values(c, laws[c.name])
     )
     clearance_words = " The clearance is half the total play." if has_total_play else ""
-    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
+    if any(c.lower_clearance_m and _is_twice_as_certain(c.clearance_m, c.lower_clearance_m) for c in contacts):
         clearance_words = (
             " The clearance is half the total play, which this record tells better than the clearance of either side."
         )
@@ -207,7 +207,7 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
     return table + note + (page.list_html(law_sentences) if law_sentences else "")
 
 
-def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
+def _is_twice_as_certain(estimate: Estimate, reference: Estimate) -> bool:
     """True if its standard error is less than half that of the reference."""
     return 2 * estimate.standard_error < reference.standard_error
 
@@ -257,7 +257,7 @@ def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str
         )
 
 
-def _agrees(estimate: Estimate, reference: float) -> bool:
+def _is_within_interval(estimate: Estimate, reference: float) -> bool:
     """True if the 95 % interval holds the reference value."""
     return abs(estimate.value - reference) <= COVERED * estimate.standard_error
 
@@ -265,7 +265,7 @@ def _agrees(estimate: Estimate, reference: float) -> bool:
 def _difference_text(estimate: Estimate, reference: float) -> str:
     """Difference from the reference value in per cent, if that is not zero, and whether the 95 % interval holds it."""
     difference_text = f"{round(100 * (estimate.value / reference - 1), 3):+.3g} %, " if reference else ""
-    return f"{difference_text}{'agrees' if _agrees(estimate, reference) else 'differs'}"
+    return f"{difference_text}{'agrees' if _is_within_interval(estimate, reference) else 'differs'}"
 
 
 def refusals_html(report: ContactReport) -> str:
@@ -278,7 +278,9 @@ def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) 
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
     pairs = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = results_by_name(notes, "the figure", pairs, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    html = results_or_notes_by_name(
+        notes, "the figure", pairs, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px)
+    )
     return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 
@@ -299,7 +301,7 @@ def _methods_html(result: Identification) -> str:
         "right and does not see the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
-        + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))
+        + page.table(("contact", "clearance by", "value"), sorted(_paper_clearance_rows(report)))
         + page.table(("mode", "frequency", "damping", ""), mode_rows)
         + "</details>"
     )
@@ -318,7 +320,7 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
                 yield nifo.equation, name, "not told", "", "on a node of this mode"
 
 
-def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
+def _paper_clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
     surface = report.surface
     by_method = [(f"surface of {s.equation}", clearance) for s in surface.surfaces for clearance in s.clearances]
     by_method += [("histogram", clearance) for clearance in surface.histogram]

@@ -11,19 +11,19 @@ from scipy.signal import welch
 from identify.checks.masses import mass_pull
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.forces import ContactForces, separated_forces
-from identify.contacts.gauges import Gauges, gauges_of
+from identify.contacts.gauges import Gauges, gauges_and_motion_of
 from identify.contacts.observation import RINGING_S, SeparationInput
 from identify.contacts.refusals import RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
-from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
+from identify.linear.joined import ContactGroup, contact_groups, rig_with_joined_contacts
 from identify.linear.modal import signals_across_contacts
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import HIGHEST_DRIFT_HZ, SLOW_DRIFT_HZ, DriftPrior, spline
 from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
-from identify.signals.noise import NOISE_BAND_RATE_SHARES, acceleration_noise, displacement_noise
-from identify.signals.spectra import decimated, force_band, oversampled
+from identify.signals.noise import NOISE_BAND_RATE_SHARES, acceleration_noise_m_per_s2, displacement_noise
+from identify.signals.spectra import decimated, force_band_hz, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
-from rig.model.modes import condensed
+from rig.model.modes import with_attachments_merged
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
@@ -80,10 +80,10 @@ def separate_planes(
 
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
     """
-    gauges_and_motions = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
+    gauges_and_motions = [gauges_and_motion_of(recording, use, kinematics(recording, use)) for recording in recordings]
     driven_motions = [motion for _, motion in gauges_and_motions if not is_unforced(motion)]
     if driven_motions:
-        highest_hz = max(map(highest_driven_hz, driven_motions))
+        highest_hz = max(map(highest_excitation_hz, driven_motions))
     else:
         highest_hz = max(highest_vibration_hz(motion) for _, motion in gauges_and_motions)
     excited_from = min((motion.excited_from for motion in driven_motions), default=0)
@@ -101,10 +101,10 @@ def _separated(
     """Contact forces of a recording that is excited up to that frequency."""
     rig, least_band_end_hz = recording.rig, LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_band_end_hz), motion.trusted_hz[1])
-    noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
+    noise_m_per_s2, group_rig = acceleration_noise_m_per_s2(motion, rig), rig_with_joined_contacts(rig)
     begins_at_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
-        _check_displacements(rig, motion)
+        _check_displacement_observable(rig, motion)
     rig_mass_pull = mass_pull(rig, motion, tolerances)
     forces = separated_forces(
         SeparationInput(
@@ -120,21 +120,21 @@ def _separated(
     )
     if forces.slow_motion:
         motion = forces.slow_motion.added_to(motion)
-        _check_displacements(rig, motion)
+        _check_displacement_observable(rig, motion)
     if recording.start_s > 0 or not begins_at_rest:
         motion, forces = _without_start(recording, group_rig, motion, forces, begins_at_rest)
     records = _contact_records(group_rig, motion, noise_m_per_s2, forces, tolerances)
     return Separation(rig, motion, forces, contact_groups(rig), records, rig_mass_pull)
 
 
-def separate_described(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> Separation:
+def separate_if_rig_is_modelled(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> Separation:
     """Contact forces of a recording of which rig.json has no more than the linear model knows. Masses, linear springs,
     supports and clamps are part of the bodies of the separation's rig (`rig.model.modes.condensed`).
 
     Raises RigError as `separate`, and if rig.json has more.
     """
-    check_described(recording.rig)
-    return separate(replace(recording, rig=condensed(recording.rig)), use, tolerances)
+    check_rig_is_modelled(recording.rig)
+    return separate(replace(recording, rig=with_attachments_merged(recording.rig)), use, tolerances)
 
 
 def is_unforced(motion: Kinematics) -> bool:
@@ -142,7 +142,7 @@ def is_unforced(motion: Kinematics) -> bool:
     return not np.any(motion.forces_n)
 
 
-def highest_driven_hz(motion: Kinematics) -> float:
+def highest_excitation_hz(motion: Kinematics) -> float:
     """Highest frequency, Hz, of the exciting force or, without one, of the displacements.
 
     Raises ContactRefusedError if neither a force nor a motion was recorded.
@@ -150,7 +150,7 @@ def highest_driven_hz(motion: Kinematics) -> float:
     driven_signals = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
     if not driven_signals:
         raise refused(RefusalCode.ALL_ZERO)
-    return max(force_band(row, motion.sample_rate_hz)[1] for row in driven_signals)
+    return max(force_band_hz(row, motion.sample_rate_hz)[1] for row in driven_signals)
 
 
 def highest_vibration_hz(motion: Kinematics) -> float:
@@ -159,7 +159,7 @@ def highest_vibration_hz(motion: Kinematics) -> float:
 
     Raises ContactRefusedError if no motion was recorded.
     """
-    highest_moving_hz = highest_driven_hz(motion)
+    highest_moving_hz = highest_excitation_hz(motion)
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     segment_samples = min(motion.sample_count, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     line_hz, density = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
@@ -194,7 +194,7 @@ def _without_start(
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
 
 
-def check_described(rig: Rig) -> None:
+def check_rig_is_modelled(rig: Rig) -> None:
     """Raises ContactRefusedError if the rig has no contact, or a field that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
@@ -208,7 +208,7 @@ def check_described(rig: Rig) -> None:
         raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what="springs with cubic_n_per_m3")
 
 
-def _check_displacements(rig: Rig, motion: Kinematics) -> None:
+def _check_displacement_observable(rig: Rig, motion: Kinematics) -> None:
     """Raises ContactRefusedError if a contact has no sensor, and its body more modes than stations: the displacement
     there does not follow from those at the stations."""
     for contact in rig.contacts:
@@ -242,7 +242,7 @@ def _contact_records(
     for j in range(len(rig.contacts)):
         nuisance_etas_m = nuisances.eta_m[:, j]
         shifts_eta = np.any(nuisance_etas_m, axis=1)
-        drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, sample_count)
+        drift = contact_drift_prior(rig, motion, j, noise_m_per_s2, tolerances, sample_count)
         if drift:
             drift = replace(
                 drift,
@@ -275,7 +275,7 @@ def _contact_records(
     return tuple(records)
 
 
-def drift_of(
+def contact_drift_prior(
     rig: Rig,
     motion: Kinematics,
     contact_index: int,
@@ -298,14 +298,14 @@ def drift_of(
                 RefusalCode.NO_ACCELEROMETER, contact=contact.name, position_m=station.position_m, body=station.body
             )
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(station)] for station in stations]
-    error_densities = [_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
+    error_densities = [_acceleration_error_density(motion, station, noise_m_per_s2, tolerances) for station in stations]
     if motion.base and len(stations) == 1:
         gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
-        error_m_per_s2 = gain_error * _below(SLOW_DRIFT_HZ, motion.base.acceleration_m_per_s2, motion)
+        error_m_per_s2 = gain_error * _below_hz(SLOW_DRIFT_HZ, motion.base.acceleration_m_per_s2, motion)
         error_densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / SLOW_DRIFT_HZ)))
     slow_noise_density = max(float(np.hypot.reduce(error_densities)), LEAST_NOISE_DENSITY)
     acceleration_m_per_s2 = motion.acceleration_m_per_s2[[motion.stations.index(station) for station in stations]]
-    lateral_m_per_s2 = tolerances.lateral_motion * _below(HIGHEST_DRIFT_HZ, acceleration_m_per_s2, motion)
+    lateral_m_per_s2 = tolerances.lateral_motion * _below_hz(HIGHEST_DRIFT_HZ, acceleration_m_per_s2, motion)
     lateral_density = float(np.sqrt(np.sum(np.mean(lateral_m_per_s2**2, axis=1)) / HIGHEST_DRIFT_HZ))
     return DriftPrior(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
@@ -315,7 +315,7 @@ def drift_of(
     )
 
 
-def _error_density(
+def _acceleration_error_density(
     motion: Kinematics, station: Station, noise_m_per_s2: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> float:
     """One-sided density of a station's acceleration error in the band of the drift, m/s^2/sqrt(Hz).
@@ -326,24 +326,24 @@ def _error_density(
     station_row = motion.stations.index(station)
     body_rows = [k for k, place in enumerate(motion.stations) if place.body == station.body]
     body_rows.sort(key=lambda k: motion.stations[k].position_m)
-    slow_m_per_s2 = np.stack([_below(SLOW_DRIFT_HZ, motion.acceleration_m_per_s2[k], motion) for k in body_rows])
+    slow_m_per_s2 = np.stack([_below_hz(SLOW_DRIFT_HZ, motion.acceleration_m_per_s2[k], motion) for k in body_rows])
     row_on_body = body_rows.index(station_row)
     absolute_slow_m_per_s2 = slow_m_per_s2[row_on_body]
     if motion.base:
         base_m_per_s2 = motion.base.acceleration_m_per_s2
-        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _below(SLOW_DRIFT_HZ, base_m_per_s2, motion)
+        absolute_slow_m_per_s2 = absolute_slow_m_per_s2 + _below_hz(SLOW_DRIFT_HZ, base_m_per_s2, motion)
     error_power = tolerances.gain**2 * np.mean(absolute_slow_m_per_s2**2)
     if len(body_rows) > 1:
         positions_m = [motion.stations[k].position_m for k in body_rows]
         acceleration_slope = np.gradient(slow_m_per_s2, positions_m, axis=0)[row_on_body]
         error_power += tolerances.position_m**2 * np.mean(acceleration_slope**2)
     if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
-        transverse_m_per_s2 = _below(SLOW_DRIFT_HZ, motion.transverse.acceleration_m_per_s2[transverse_row], motion)
+        transverse_m_per_s2 = _below_hz(SLOW_DRIFT_HZ, motion.transverse.acceleration_m_per_s2[transverse_row], motion)
         error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
     return float(np.sqrt(2 * noise_m_per_s2[station_row] ** 2 / motion.sample_rate_hz + error_power / SLOW_DRIFT_HZ))
 
 
-def _below(
+def _below_hz(
     highest_hz: float, acceleration: Float[np.ndarray, "*signals samples"], motion: Kinematics
 ) -> Float[np.ndarray, "*signals fewer"]:
     """Acceleration up to a frequency, at a lower sample rate."""

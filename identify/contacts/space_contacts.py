@@ -7,9 +7,9 @@ from itertools import compress
 
 import numpy as np
 
-from identify.checks import check_recording, naming_first_finding
+from identify.checks import adding_first_finding_to_error, check_recording
 from identify.checks.findings import Finding
-from identify.contacts.acceptance import fit_findings, widened_estimate, without_dead_force
+from identify.contacts.acceptance import fit_findings, with_errors_widened_by_pulls, without_dead_force_channel_findings
 from identify.contacts.annular_estimate import AnnularEstimate, estimate_annular
 from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.annular_record import AnnularRecord, annular_record
@@ -17,14 +17,14 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.determination import determine
 from identify.contacts.outcomes import NO_OUTCOMES, UNCERTAIN_SHARE, Outcomes, length_ratio
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
-from identify.contacts.separation import Separation, check_described, separate_planes
+from identify.contacts.separation import Separation, check_rig_is_modelled, separate_planes
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import decimated, oversampled
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Contact, Rig, contact_stations
-from rig.model.modes import condensed
+from rig.model.modes import with_attachments_merged
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, plane_recording
 
@@ -42,26 +42,32 @@ class SpaceContacts:
     findings: tuple[Finding, ...]
 
 
-def checked_space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> SpaceContacts:
+def space_contacts_after_check(
+    recording: Recording, use: MotionQuantity, tolerances: Tolerances | None
+) -> SpaceContacts:
     """Contacts after a check of the recording in both directions, with the findings of all.
 
     Raises RigError if the record allows nothing, with the first finding.
     """
-    check_directions(recording.rig, use)
-    findings = space_findings(recording, use, tolerances)
-    with naming_first_finding(findings):
+    check_both_directions_measured(recording.rig, use)
+    findings = space_recording_findings(recording, use, tolerances)
+    with adding_first_finding_to_error(findings):
         checked = space_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     return replace(checked, findings=findings + checked.findings)
 
 
-def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> tuple[Finding, ...]:
+def space_recording_findings(
+    recording: Recording, use: MotionQuantity, tolerances: Tolerances | None
+) -> tuple[Finding, ...]:
     """Findings of the check, without what weight does to displacements at rest."""
-    findings = check_recording(recording_from_rest(recording), use, tolerances)
-    findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
+    findings = check_recording(recording_relative_to_rest(recording), use, tolerances)
+    findings = without_dead_force_channel_findings(
+        findings, () if np.any(recording.forces_n) else recording.force_names
+    )
     return tuple(finding for finding in findings if finding.cause != "not at rest")
 
 
-def check_directions(rig: Rig, use: MotionQuantity) -> None:
+def check_both_directions_measured(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
     for contact in (contact for contact in rig.contacts if contact.law.spatial):
         for body in (station.body for station in contact_stations(contact)):
@@ -74,7 +80,7 @@ def check_directions(rig: Rig, use: MotionQuantity) -> None:
                 raise refused(RefusalCode.ONE_DIRECTION, contact=contact.name, body=body, direction=min(missing))
 
 
-def recording_from_rest(recording: Recording) -> Recording:
+def recording_relative_to_rest(recording: Recording) -> Recording:
     """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
     has none, or does not begin at rest."""
     rig, first_excited_sample = recording.rig, 0
@@ -95,14 +101,16 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     rig = recording.rig
-    check_described(rig)
+    check_rig_is_modelled(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
             unmodelled = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled)
-    rest_recording = recording_from_rest(recording)
+    rest_recording = recording_relative_to_rest(recording)
     planes = [plane_recording(rest_recording, direction) for direction in rig.directions]
-    y_plane, z_plane = separate_planes([replace(plane, rig=condensed(plane.rig)) for plane in planes], use, tolerances)
+    y_plane, z_plane = separate_planes(
+        [replace(plane, rig=with_attachments_merged(plane.rig)) for plane in planes], use, tolerances
+    )
     records = annular_records(rig, (y_plane, z_plane), tolerances)
     estimates, refusals = dict[str, AnnularEstimate](), dict[str, Refusal]()
     for name, record in records.items():
@@ -114,7 +122,9 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
         except ContactRefusedError as error:
             refusals[name] = error.refusal
         else:
-            estimates[name] = widened_estimate(estimate, record.parameters, mass_pull=0.0)  # known of no ring
+            estimates[name] = with_errors_widened_by_pulls(
+                estimate, record.parameters, mass_pull=0.0
+            )  # known of no ring
     plane_outcomes, findings = _plane_outcomes(rig, (y_plane, z_plane))
     shared_parameters = next(iter(records.values())).parameters if estimates else ()
     ring_findings = fit_findings(estimates, shared_parameters, DAMPING)
@@ -129,14 +139,14 @@ def annular_records(
     (y_parameters, z_parameters) = (separation.forces.nuisances.parameters for separation in separations)
     records, quiet_count = {}, separations[0].motion.quiet_sample_count
     for name in (contact.name for contact in rig.contacts if contact.law.spatial):
-        y_record, z_record = (_record_of(name, separation, tolerances) for separation in separations)
+        y_record, z_record = (_plane_record_of_contact(name, separation, tolerances) for separation in separations)
         records[name] = annular_record(
             (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), quiet_count
         )
     return records
 
 
-def _record_of(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
+def _plane_record_of_contact(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
     """Record of a contact of that name in one direction."""
     contacts = separation.rig.contacts
     (record,) = (
@@ -144,10 +154,10 @@ def _record_of(contact_name: str, separation: Separation, tolerances: Tolerances
         for group, record in zip(separation.contact_groups, separation.records, strict=True)
         if contact_name in [contacts[contact_index].name for contact_index in group.contact_indices]
     )
-    return _with_whole_band(record, separation, separation.rig.contact(contact_name), tolerances)
+    return _with_full_band_nuisances(record, separation, separation.rig.contact(contact_name), tolerances)
 
 
-def _with_whole_band(
+def _with_full_band_nuisances(
     record: ContactRecord, separation: Separation, contact: Contact, tolerances: Tolerances
 ) -> ContactRecord:
     """Contact record whose gains, delays and cross-axis shares change the relative displacement in the whole band.
@@ -203,7 +213,7 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
         )
         plane_outcomes, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {
-            name: widened_estimate(estimate, parameters, separation.mass_pull)
+            name: with_errors_widened_by_pulls(estimate, parameters, separation.mass_pull)
             for name, estimate in plane_outcomes.estimates.items()
         }
         outcomes = outcomes | Outcomes(estimates, plane_outcomes.refusals)

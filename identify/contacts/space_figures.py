@@ -73,7 +73,7 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
     return {name: drawn_picture(draw) for name, draw in _SPACE_FIGURES.items()}
 
 
-def _orbit(panel: _Panel) -> None:
+def _draw_orbit(panel: _Panel) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
     axes, estimate = panel.axes, panel.estimate
     (eta_y_mm, eta_z_mm), force_size_n = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
@@ -92,7 +92,7 @@ def _orbit(panel: _Panel) -> None:
     axes.set(xlabel="η_z, mm", ylabel="η_y, mm", aspect="equal")
 
 
-def _radial(panel: _Panel) -> None:
+def _draw_normal_force_over_radius(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
     axes, estimate = panel.axes, panel.estimate
     radius_m, normal_n, _ = panel.radius_and_forces
@@ -108,7 +108,7 @@ def _radial(panel: _Panel) -> None:
     axes.set(xlabel="radius |η|, mm", ylabel="normal force, N")
 
 
-def _surface(panel: _Panel) -> None:
+def _draw_normal_force_map(panel: _Panel) -> None:
     """Normal force over radius and angle, averaged in cells."""
     axes, estimate = panel.axes, panel.estimate
     radius_m, normal_n, _ = panel.radius_and_forces
@@ -120,7 +120,7 @@ def _surface(panel: _Panel) -> None:
     axes.set(xlabel="angle from y (up) towards z, degrees", ylabel="radius |η|, mm", xlim=(-180, 180))
 
 
-def _friction(panel: _Panel) -> None:
+def _draw_friction_ratio(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     axes, estimate, law = panel.axes, panel.estimate, panel.reference_law
     radius_m, normal_n, tangential_n = panel.radius_and_forces
@@ -141,7 +141,7 @@ def _friction(panel: _Panel) -> None:
     axes.set(xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-y_limit, y_limit))
 
 
-def _kinds(panel: _Panel) -> None:
+def _draw_motion_kinds(panel: _Panel) -> None:
     """Radius over time: open, sliding and sticking, of the first whirl or else of a part amid the record."""
     axes, result, estimate = panel.axes, panel.result, panel.estimate
     motion = result.contacts.separations[0].motion
@@ -181,7 +181,13 @@ def _at_shown_forces(
     return signals[:, :: result.decimation][:, _first_shown_sample(result) : estimate.force_n.shape[1]]
 
 
-_SPACE_FIGURES = {"orbit": _orbit, "radial": _radial, "ring_surface": _surface, "friction": _friction, "kinds": _kinds}
+_SPACE_FIGURES = {
+    "orbit": _draw_orbit,
+    "radial": _draw_normal_force_over_radius,
+    "ring_surface": _draw_normal_force_map,
+    "friction": _draw_friction_ratio,
+    "kinds": _draw_motion_kinds,
+}
 
 
 def space_curves(result: SpaceIdentification) -> dict[str, Table]:

@@ -10,7 +10,7 @@ from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CENTER, CLEARANCE, DAMPING, FRICTION, LOG_SPEED, REST, STIFFNESS
 from identify.contacts.identification import Identification, contact_estimate, identify_contact
 from identify.contacts.ring_shares import RingShares, ring_shares
-from identify.contacts.space_contacts import SpaceContacts, checked_space_contacts
+from identify.contacts.space_contacts import SpaceContacts, space_contacts_after_check
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
@@ -74,7 +74,7 @@ def identify_in_space(
 
     Raises RigError if the record allows nothing, with the first finding.
     """
-    contacts = checked_space_contacts(recording, use, tolerances)
+    contacts = space_contacts_after_check(recording, use, tolerances)
     progress(0.95)
     rig, motions = recording.rig, [separation.motion for separation in contacts.separations]
     plane_etas_m = {
@@ -107,12 +107,12 @@ def identify_in_space(
         channels_used=(*rig.force_names, *motions[0].channels, *motions[1].channels),
         findings=contacts.findings,
         noise_from=noise_source(motions[0], contacts.separations[0].rig),
-        notes=(NO_MODAL_EQUATIONS, *([COUPLED_RINGS] if _rings_are_coupled(contacts) else [])),
+        notes=(NO_MODAL_EQUATIONS, *([COUPLED_RINGS] if _has_coupled_rings(contacts) else [])),
     )
     return SpaceIdentification(report, rig, contacts, tolerances or rig.tolerances or LABORATORY)
 
 
-def _rings_are_coupled(contacts: SpaceContacts) -> bool:
+def _has_coupled_rings(contacts: SpaceContacts) -> bool:
     """True if springs couple the slow motion of some contact to that of others, beside a ring."""
     stiffnesses = [separation.forces.slow_n_per_m for separation in contacts.separations]
     return bool(contacts.annular_records) and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)

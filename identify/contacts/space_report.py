@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from identify.contacts.annular_law import CLEARANCE, DAMPING, FRICTION, STIFFNESS
-from identify.contacts.assumptions import places_text, tolerances_sentence
+from identify.contacts.assumptions import station_positions_text, tolerances_sentence
 from identify.contacts.report import FOOT_TEXT, Laws, answer, drawing_html, refusals_html, values_html, variance_html
 from identify.contacts.results import identified_rig
 from identify.contacts.space_figures import space_figures
@@ -97,7 +97,7 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         )
     motions = [separation.motion for separation in result.contacts.separations]
     for direction, motion in zip("yz", motions, strict=True):
-        places = "; ".join(places_text(body.name, motion.stations) for body in result.rig.bodies)
+        places = "; ".join(station_positions_text(body.name, motion.stations) for body in result.rig.bodies)
         yield f"Stations used in {direction}: {places}."
     low_hz, high_hz = result.report.trusted_hz
     yield (

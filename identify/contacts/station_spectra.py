@@ -9,14 +9,19 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.linear.free_motion import FreeMotionEstimate, estimated_states, free_motions, unit_free_spectra
+from identify.linear.free_motion import (
+    FreeMotionEstimate,
+    estimated_initial_state,
+    free_motions_and_priors,
+    spectra_per_initial_value,
+)
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import Change, elastic_modes, mode_count_near_band
+from identify.linear.nuisance import Change, elastic_mode_indices, mode_count_below_band_margin
 from identify.linear.observed_motion import BodyMotion
-from identify.linear.projection import to_free_inputs
+from identify.linear.projection import free_input_estimator_and_condition
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
-from identify.signals.spectra import edge_gain
+from identify.signals.spectra import low_pass_edge_gain
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.sensing import PASSBAND
@@ -60,7 +65,7 @@ class SpectralLines:
     def force_gain(self) -> Float[np.ndarray, " lines"]:
         """Gain of the low-pass of forces (`at_force_rate`)."""
         band_end_hz = min(PASSBAND, 0.5 / self.decimation) * self.rate_hz
-        return edge_gain(self.omega / (2 * np.pi * band_end_hz))
+        return low_pass_edge_gain(self.omega / (2 * np.pi * band_end_hz))
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """Spectra of signals with a tapered end and silence behind it, so that ringing does not wrap to the start."""
@@ -164,7 +169,9 @@ def force_weights(
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    contact_weights, condition_number = to_free_inputs(contact_accelerances, station_errors.covariances())
+    contact_weights, condition_number = free_input_estimator_and_condition(
+        contact_accelerances, station_errors.covariances()
+    )
     if not condition_number <= CONDITION_LIMIT:
         raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
     return contact_weights
@@ -176,12 +183,14 @@ def observed_body_motion(
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
     modal_accelerations = real_product(transform.inverse_shapes, accelerations[list(transform.station_rows)])
-    return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
+    return BodyMotion(response, modal_accelerations, elastic_mode_indices(response, len(modal_accelerations)))
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return mode_count_near_band(response) > sum(station.body == response.body.name for station in motion.stations)
+    return mode_count_below_band_margin(response) > sum(
+        station.body == response.body.name for station in motion.stations
+    )
 
 
 def driven_body_motion(
@@ -208,7 +217,7 @@ def driven_body_motion(
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic_indices=elastic_modes(response, max(visible_count, mode_count_near_band(response))),
+        elastic_indices=elastic_mode_indices(response, max(visible_count, mode_count_below_band_margin(response))),
     )
 
 
@@ -245,14 +254,16 @@ def start_free_motion(
     untapered, omega, force_count = replace(lines, is_tapered=False), lines.omega, len(motion.forces_n)
     sample_count, padding_samples = motion.sample_count, lines.padded_samples - motion.sample_count
     highest_hz = float(omega[-1]) / (2 * np.pi)
-    unit_motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
+    unit_motions, start_prior, end_prior = free_motions_and_priors(responses, motion, highest_hz, lines.padded_samples)
     derivative_orders = [sensor.measures.order for sensor in motion.sensors]
 
     def unit_spectra(cut_lines: SpectralLines, cut_samples: int) -> Complex[np.ndarray, "states stations lines"]:
         def cut_spectra(signals: Float[np.ndarray, "rows samples"]) -> Complex[np.ndarray, "rows lines"]:
             return cut_lines.spectra(signals[:, :cut_samples])
 
-        spectra = unit_free_spectra(unit_motions, derivative_orders, station_rows.is_in_metres, omega, cut_spectra)
+        spectra = spectra_per_initial_value(
+            unit_motions, derivative_orders, station_rows.is_in_metres, omega, cut_spectra
+        )
         return station_rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, sample_count), unit_spectra(untapered, padding_samples)
@@ -261,7 +272,7 @@ def start_free_motion(
     signals_by_force = accelerations_by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None]
     first_line = 0 if motion.zero_known else int(np.count_nonzero(omega < 2 * 2 * np.pi * CORNER_HZ))
     prior_mean, prior_deviation = (np.concatenate(ends) for ends in zip(start_prior, end_prior, strict=True))
-    state_estimate = estimated_states(
+    state_estimate = estimated_initial_state(
         np.concatenate([start_spectra, end_shift * end_spectra]),
         prior_mean,
         prior_deviation,

@@ -27,10 +27,10 @@ TINY_POWER = 1e-300
 """Power by which a force that is zero throughout is divided."""
 
 
-def unrecorded_shares(separation: Separation, estimates: Mapping[str, JointEstimate]) -> dict[str, float]:
+def beyond_band_motion_shares(separation: Separation, estimates: Mapping[str, JointEstimate]) -> dict[str, float]:
     """Motion (rms) of each identified contact beyond the recorded band, over its depth (rms) while it is closed."""
     contacts, records = separation.rig.contacts, separation.records
-    rate_hz, section = records[0].sample_rate_hz, _hardest_section(separation)
+    rate_hz, section = records[0].sample_rate_hz, _strongest_force_section(separation)
     depths_m, force_by_contact = dict[str, float](), dict[int, Float[np.ndarray, " fine"]]()
     for group, record in zip(separation.contact_groups, records, strict=True):
         for contact_index, sign in zip(group.contact_indices, group.signs, strict=True):
@@ -38,7 +38,7 @@ def unrecorded_shares(separation: Separation, estimates: Mapping[str, JointEstim
                 eta_m = interpolated(sign * (record.eta_m + estimate.drift_m)[section], rate_hz)
                 velocity = interpolated(sign * (record.velocity_m_per_s + estimate.drift_m_per_s)[section], rate_hz)
                 force_by_contact[contact_index] = estimate.force_n(eta_m, velocity)
-                if np.any(depth_m := estimate.unit_spring_m(eta_m)):
+                if np.any(depth_m := estimate.spring_force_over_stiffness_m(eta_m)):
                     depths_m[contacts[contact_index].name] = float(np.sqrt(np.mean(depth_m[depth_m != 0] ** 2)))
     if not depths_m:
         return {}
@@ -47,7 +47,7 @@ def unrecorded_shares(separation: Separation, estimates: Mapping[str, JointEstim
     return {name: float(unseen_m[names.index(name)] / depth_m) for name, depth_m in depths_m.items()}
 
 
-def _hardest_section(separation: Separation) -> slice:
+def _strongest_force_section(separation: Separation) -> slice:
     """Samples in which the separated forces have most power, each over its own in the record."""
     records = separation.records
     powers = [record.force_n**2 / max(float(np.sum(record.force_n**2)), TINY_POWER) for record in records]

@@ -122,12 +122,14 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def bounded(self) -> bool:
         """Criterion B of the nominal rig; false where no quantity was compared."""
-        return all_hold(self.quantities) and not self.taken_up
+        return are_all_below_threshold(self.quantities) and not self.is_absorbed_by_tolerances
 
     @property
-    def taken_up(self) -> bool:
+    def is_absorbed_by_tolerances(self) -> bool:
         """True if tolerances take up what the named effects change, without which that matters."""
-        return all_hold(self.quantities) and not all(quantity.holds for quantity in self.quantities_beside)
+        return are_all_below_threshold(self.quantities) and not all(
+            quantity.holds for quantity in self.quantities_beside
+        )
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -137,7 +139,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def enough(self) -> bool:
         """Criterion R: what the named set leaves is bounded, or usual for tolerances and noise."""
-        return all_hold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
+        return are_all_below_threshold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
 
     @property
     def difference_matters(self) -> bool:
@@ -156,6 +158,6 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
         return Verdict.PARTLY_EXPLAINED if removes_half else Verdict.UNEXPLAINED
 
 
-def all_hold(quantities: tuple[Bounded, ...]) -> bool:
+def are_all_below_threshold(quantities: tuple[Bounded, ...]) -> bool:
     """Criterion B: there are quantities, and all are certainly below their thresholds."""
     return bool(quantities) and all(quantity.holds for quantity in quantities)

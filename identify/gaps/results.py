@@ -54,7 +54,7 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the effects in the keys of parameters and places."""
-        return labels_of(self.effects)
+        return unique_effect_labels(self.effects)
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -62,7 +62,7 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(words for words, strength in zip(self.words, self.strengths, strict=True) if strength.is_named)
 
 
-def labels_of(effects: Iterable[str]) -> tuple[str, ...]:
+def unique_effect_labels(effects: Iterable[str]) -> tuple[str, ...]:
     """Unique names of effects: "added_mass", "added_mass_2"."""
     counts = Counter[str]()
     labels = []

@@ -83,7 +83,7 @@ def reservation_words(gap: Gap) -> str:
         return ""
     if gap.between and gap.between.differing:
         return "the records differ"
-    return "another cause fits as well" if look_alikes_of(gap) else ""
+    return "another cause fits as well" if named_effects_with_look_alikes(gap) else ""
 
 
 def capitalised(text: str) -> str:
@@ -94,14 +94,14 @@ def bound_words(bound: Bounded) -> str:
     """Quantity that is not bounded, in words: its value, upper bound and limit, or the reason why there are none."""
     if bound.why or bound.value is None:
         return f"the {bound.name} ({bound.why})"
-    value, upper, limit = bound_numbers(bound)
+    value, upper, limit = bound_number_texts(bound)
     at_most = "with no upper bound" if bound.upper is None else f"at most {upper}"
     if bound.unit == "1":
         return f"the {bound.name} ({value} unexplained, {at_most}; {limit} matters)"
     return f"the {bound.name} ({value} off, {at_most}; three tolerances are {limit})"
 
 
-def bound_numbers(bound: Bounded) -> list[str]:
+def bound_number_texts(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm; more digits where a bound would else read as
     the limit that it exceeds."""
     unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
@@ -119,7 +119,7 @@ def bound_numbers(bound: Bounded) -> list[str]:
     return texts
 
 
-def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
+def named_effects_with_look_alikes(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     """Named effects of the likeliest cause that have look-alikes, each with these, in words."""
     words_by_effect = {
         strength.effect: words
@@ -149,7 +149,7 @@ _UNMEASURED_WORDS = {"distributed": "changing stiffness", "contact": "swinging c
 """Words for what is not measured, by its kind, where that is no force."""
 
 
-def findings_heading(gap: Diagnosis) -> str:
+def check_findings_introduction(gap: Diagnosis) -> str:
     """Sentence that introduces the findings of the check, which knows no force or motion that was not measured."""
     unmeasured = [
         words
@@ -239,11 +239,13 @@ def between_records_sentence(between: RecordDifferences) -> str:
     """Sentence on what differs between the records."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
-    sentence = f"Between the records, {joined([difference_words(comparison) for comparison in between.differing])}."
-    return f"{level_words(between.level_dependence)} {sentence}" if between.level_dependence else sentence
+    sentence = (
+        f"Between the records, {joined([parameter_trend_words(comparison) for comparison in between.differing])}."
+    )
+    return f"{level_dependence_sentence(between.level_dependence)} {sentence}" if between.level_dependence else sentence
 
 
-def level_words(change: LevelDependence) -> str:
+def level_dependence_sentence(change: LevelDependence) -> str:
     """Sentence on the change of a mode with the level: "The machine softens with the motion: ..."."""
     frequency = change_words(change.frequency_change, change.frequency_change_standard_error)
     damping = change_words(change.damping_change, change.damping_change_standard_error)
@@ -259,7 +261,7 @@ def level_words(change: LevelDependence) -> str:
     )
 
 
-def difference_words(comparison: ParameterByRecord) -> str:
+def parameter_trend_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter, with the level of the force if it follows that: "contact_clearance.factor (contact_2) grows
     (1.006 ± 0.004, 1.087 ± 0.004)"."""
     values = ", ".join(map(interval, comparison.values))

@@ -65,7 +65,7 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
         yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift_text(quantity), *p_texts
 
 
-def csv_of(history: History) -> bytes:
+def history_csv(history: History) -> bytes:
     """Content of history.csv: a row for each quantity and recording, with the half-widths of the 95 % intervals of the
     value alone and of its differences."""
     csv_buffer = StringIO()

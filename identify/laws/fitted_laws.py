@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
 from identify.signals.law_evaluation import evaluated_law, interpolated, low_passed
-from identify.signals.scores import part_scores
+from identify.signals.scores import cluster_scores
 
 HAT_COUNT, HAT_GROUP_COUNT = 81, 9
 MAX_KNEE_COUNT = 8
@@ -170,7 +170,7 @@ def mean_slopes_n_per_m(
     return tuple(float(slope) for slope in (law(right_m) - law(left_m)) / (right_m - left_m))
 
 
-def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray, " knees"]) -> PiecewiseLinear:
+def fitted_piecewise_linear(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray, " knees"]) -> PiecewiseLinear:
     """Continuous piecewise-linear law fitted under the low-pass from these knees; knees that do not help are dropped.
 
     The knees are found by nonlinear least squares, the slopes by linear ones within. Standard errors are sandwich
@@ -229,7 +229,7 @@ def _pieces_and_error_n(
     piece_columns, coefficients, residual = linear_fit(knees)
     if knees.size:
         piece_columns = np.concatenate([piece_columns, knee_derivatives(knees, coefficients)], axis=1)
-    parameter_scores = part_scores(piece_columns @ np.linalg.pinv(piece_columns.T @ piece_columns), residual)
+    parameter_scores = cluster_scores(piece_columns @ np.linalg.pinv(piece_columns.T @ piece_columns), residual)
     slope_scores = np.cumsum(parameter_scores[:, 1 : coefficients.size], axis=1)
     law = PiecewiseLinear(
         offset_n=float(coefficients[0]),
@@ -288,7 +288,7 @@ class SlidingFriction:
         return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
 
 
-def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
+def fitted_sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     """Friction fitted to the rows under the low-pass; standard errors are sandwich estimates as of straight pieces."""
     force_n = samples.force_n[rows]
     upper_n, lower_n = (
@@ -312,6 +312,6 @@ def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     log_steps = LOG_STEP * np.eye(optimum.size)
     residual_differences = [relative_residual(optimum + step) - relative_residual(optimum - step) for step in log_steps]
     derivatives = np.stack(residual_differences, axis=1) / (2 * LOG_STEP)
-    scores = part_scores(derivatives @ np.linalg.pinv(derivatives.T @ derivatives), -relative_residual(optimum))
+    scores = cluster_scores(derivatives @ np.linalg.pinv(derivatives.T @ derivatives), -relative_residual(optimum))
     standard_errors = np.exp(log_scales + optimum) * np.sqrt(np.sum(scores**2, axis=0))
     return replace(law_of_logarithms(optimum), standard_errors=tuple(standard_errors.tolist()))

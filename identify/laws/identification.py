@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.acceptance import AcceptedContacts, checked_contacts
+from identify.contacts.acceptance import AcceptedContacts, contacts_after_recording_check
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import LawForm
@@ -19,13 +19,13 @@ from identify.laws.fitted_laws import (
     PiecewiseLinear,
     Signal,
     SlidingFriction,
+    fitted_piecewise_linear,
+    fitted_sliding_friction,
     force_without_low_pass,
     hysteresis_share,
     law_knees_m,
     mean_slopes_n_per_m,
     polynomial,
-    sliding_friction,
-    straight_pieces,
 )
 from identify.laws.results import (
     CUBIC,
@@ -41,7 +41,7 @@ from identify.laws.results import (
 )
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.linear.joined import ContactGroup
-from identify.pages.wording import length_words
+from identify.pages.wording import record_length_words
 from identify.signals.kinematics import MotionQuantity
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
@@ -118,7 +118,7 @@ def identify_law(
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # raises before the long computation if it is missing
-    accepted = checked_contacts(recording, use, tolerances)
+    accepted = contacts_after_recording_check(recording, use, tolerances)
     progress(0.1)
     separation, refusals = accepted.separation, accepted.outcomes.refusals
     groups_and_records = zip(separation.contact_groups, separation.records, strict=True)
@@ -194,14 +194,14 @@ def _contact_law_fit(
     law_by_name: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
         law_by_name[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
-    law_by_name[SLIDING] = sliding_friction(record, samples.training_rows)
+    law_by_name[SLIDING] = fitted_sliding_friction(record, samples.training_rows)
     law_by_name |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
     tried_laws = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in law_by_name.items())
     held_out_errors_n = [tried.held_out_error_n for tried in tried_laws]
     best_tried = tried_laws[_simplest_equivalent_index(held_out_errors_n, samples.error_resolution_n)]
     # the final fit takes all excited rows
-    pieces = straight_pieces(record, samples.excited_rows, pieces.knees_m)
-    friction = sliding_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
+    pieces = fitted_piecewise_linear(record, samples.excited_rows, pieces.knees_m)
+    friction = fitted_sliding_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     estimate = ContactLawEstimate(
         contact=group.joined_contact.name,
@@ -241,14 +241,14 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
         for sign, name in zip(group.signs, contact_names, strict=True)
         if name in estimate_by_name
     )
-    record, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
+    record, velocity_m_per_s = _samples_with_drift(contact_record, estimates[:1])
     if len(estimates) > 1:
         damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
         record = replace(record, force_n=record.force_n - damping_n)
     start = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     stop = record.force_n.size - EDGE_SAMPLE_COUNT
     if stop - start < MIN_SAMPLE_COUNT:
-        words = length_words((start + MIN_SAMPLE_COUNT + EDGE_SAMPLE_COUNT) / max(record.force_n.size, 1))
+        words = record_length_words((start + MIN_SAMPLE_COUNT + EDGE_SAMPLE_COUNT) / max(record.force_n.size, 1))
         raise RigError(
             f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record {words}"
         )
@@ -277,19 +277,21 @@ def _fit_straight_pieces(
     best formula; the stops of the joint estimates where these are several."""
     record, rows = samples.record, samples.training_rows
     low_m, high_m = float(formula_fit.searched_eta_m.min()), float(formula_fit.searched_eta_m.max())
-    piecewise_laws = [straight_pieces(record, rows, knees_m)]
+    piecewise_laws = [fitted_piecewise_linear(record, rows, knees_m)]
     max_good_error_n = EQUAL_ERROR_RATIO * formula_fit.least_error_n + samples.error_resolution_n
     if record.error_n(piecewise_laws[0], rows) > max_good_error_n:
-        piecewise_laws.append(straight_pieces(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1]))
+        piecewise_laws.append(
+            fitted_piecewise_linear(record, rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1])
+        )
     if len(samples.estimates) > 1:  # soft stops before a hard one
         stops_m = np.array(
             [side_sign * estimate.values[k] for estimate in samples.estimates for k, side_sign in ((0, -1), (1, 1))]
         )
-        piecewise_laws.append(straight_pieces(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
+        piecewise_laws.append(fitted_piecewise_linear(record, rows, stops_m[(stops_m > low_m) & (stops_m < high_m)]))
     return min(piecewise_laws, key=lambda law: record.error_n(law, rows))
 
 
-def _add_drift(
+def _samples_with_drift(
     record: ContactRecord, estimates: tuple[JointEstimate, ...]
 ) -> tuple[ForceSamples, Float[np.ndarray, " more"]]:
     """Force and relative displacement with the estimated drift added, and the relative velocity (m/s)."""

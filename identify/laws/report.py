@@ -193,11 +193,13 @@ def _draw_sliding(force_axes: Any, residual_axes: Any, law: ContactLawFit) -> No
 def curves(laws: Sequence[ContactLawFit]) -> dict[str, Table]:
     """Tables by name: `law_over_time` (relative displacement, separated force and low-passed force of the law) and, for
     the N-th contact, `law_N` (formula and straight pieces over relative displacement); none without a law."""
-    tables = {f"law_{contact_number}": _over_displacement(law) for contact_number, law in enumerate(laws, start=1)}
-    return tables | ({"law_over_time": _over_time(laws)} if laws else {})
+    tables = {
+        f"law_{contact_number}": _law_over_displacement_table(law) for contact_number, law in enumerate(laws, start=1)
+    }
+    return tables | ({"law_over_time": _law_over_time_table(laws)} if laws else {})
 
 
-def _over_time(laws: Sequence[ContactLawFit]) -> Table:
+def _law_over_time_table(laws: Sequence[ContactLawFit]) -> Table:
     row_count = min(law.record.force_n.size for law in laws)
     columns: Table = {"time_s": laws[0].time_s[:row_count]}
     for law in laws:
@@ -208,7 +210,7 @@ def _over_time(laws: Sequence[ContactLawFit]) -> Table:
     return columns
 
 
-def _over_displacement(law: ContactLawFit) -> Table:
+def _law_over_displacement_table(law: ContactLawFit) -> Table:
     contact_name, eta_m = (
         law.result.contact,
         np.linspace(law.searched_eta_m.min(), law.searched_eta_m.max(), TABULATED_POINT_COUNT),

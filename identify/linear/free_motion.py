@@ -18,7 +18,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import Change, Nuisance, NuisanceKind
-from identify.linear.projection import Covariances, Projection, without_free_inputs
+from identify.linear.projection import Covariances, Projection, residuals_without_free_inputs
 from identify.linear.sampled_motion import Sampling, free_motion, sampled_accelerations
 from identify.signals.kinematics import Kinematics
 from rig.model.description import Station
@@ -52,7 +52,7 @@ MeansAndDeviations = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " val
 """Means and standard deviations."""
 
 
-def free_motions(
+def free_motions_and_priors(
     responses: Sequence[Response], motion: Kinematics, highest_hz: float, sample_count: int
 ) -> tuple[list[FreeMotion], MeansAndDeviations, MeansAndDeviations]:
     """Free motions of all modes below a frequency, with the priors of the initial values and of those at the end.
@@ -124,7 +124,7 @@ class InitialStateEstimate:
         return FreeMotionEstimate(signals, unit_spectra, error_root)
 
 
-def unit_free_spectra(
+def spectra_per_initial_value(
     motions: list[FreeMotion],
     derivative_orders: list[int],
     is_in_metres: Bool[np.ndarray, "stations lines"],
@@ -143,7 +143,7 @@ def unit_free_spectra(
     return unit_spectra
 
 
-def estimated_states(
+def estimated_initial_state(
     unit_spectra: Complex[np.ndarray, "values stations lines"],
     prior_mean: Float[np.ndarray, " values"],
     prior_deviation: Float[np.ndarray, " values"],
@@ -161,7 +161,7 @@ def estimated_states(
     normal_matrix, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
     unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, unit_spectra)
     unit_and_unexplained = [unit_spectra, unexplained_spectra[None]]
-    for residual_rows in without_free_inputs(unit_and_unexplained, spectra_by_contact, error_covariances):
+    for residual_rows in residuals_without_free_inputs(unit_and_unexplained, spectra_by_contact, error_covariances):
         real_rows = np.concatenate([residual_rows.real, residual_rows.imag])
         normal_matrix += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
         gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
@@ -197,7 +197,7 @@ class FreeMode:
         return np.outer(self.shape, self.initial_state @ self.sensed_unit_accelerations)
 
     @property
-    def missed_acceleration(self) -> Complex[np.ndarray, "sensors lines"]:
+    def unsensed_acceleration(self) -> Complex[np.ndarray, "sensors lines"]:
         """Acceleration by the free motion that the sensors miss."""
         return np.outer(self.shape, self.initial_state @ (self.unit_accelerations - self.sensed_unit_accelerations))
 
@@ -276,7 +276,7 @@ def _real_products(
     return np.asarray(rows.view(float) @ np.ascontiguousarray(columns).view(float).T)
 
 
-def state_changes(
+def initial_state_changes(
     motions: Sequence[FreeMode],
     body_names: Sequence[str],
     sensor_response: Complex[np.ndarray, "sensors lines"],

@@ -40,7 +40,7 @@ def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
     return tuple(groups)
 
 
-def group_rig_of(rig: Rig) -> Rig:
+def rig_with_joined_contacts(rig: Rig) -> Rig:
     """Rig with one contact for each pair of places, which has the names of all and the law of the first."""
     return replace(rig, contacts=tuple(group.joined_contact for group in contact_groups(rig)))
 

@@ -93,7 +93,7 @@ def modal_equations(
 
     Given the contact forces, the motion by the modes beyond the fitted ones is subtracted from the stations: the
     response of each is its receptance, as the rig's description has it, times its modal force. The last quarter second
-    is then left out (`correctable_samples`), as the contact forces after the record's end are unknown.
+    is then left out (`correctable_sample_count`), as the contact forces after the record's end are unknown.
     """
     transform = transformation(rig, body, motion)
     mode_count = min(mode_count, transform.inverse_shapes.shape[0])
@@ -137,7 +137,7 @@ def equivalent_force_n(
     return input_shapes / equation.shape_at_force @ forces_n
 
 
-def correctable_samples(motion: Kinematics) -> int:
+def correctable_sample_count(motion: Kinematics) -> int:
     """Number of samples from whose modal coordinates the higher modes can be subtracted."""
     return motion.sample_count - round(0.25 * motion.sample_rate_hz)
 
@@ -150,7 +150,7 @@ def _without_higher_modes(
     contact_force_n: Float[np.ndarray, "contacts samples"],
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
-    body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
+    body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_sample_count(motion)
     padded_length = next_fast_len(motion.sample_count, real=True)
     line_hz = np.fft.rfftfreq(padded_length, 1 / motion.sample_rate_hz)
     force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), padded_length)

@@ -108,7 +108,7 @@ class Response:
 
     def shapes(self, places: Sequence[Place]) -> Float[np.ndarray, "places modes"]:
         """Mode shapes at places of motion, -h phi''(x) at strain gauges; zero on other bodies and at the ground."""
-        return self._cache(tuple(places), lambda: self._shapes_at(places, 0.0))
+        return self._array(tuple(places), lambda: self._shapes_at(places, 0.0))
 
     def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
         """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
@@ -153,9 +153,9 @@ class Response:
             sensor_weights[:, sensor_indices] = self.shapes(stations)[:, :mode_count] @ inverse_shapes
             return sensor_weights
 
-        return self._cache((tuple(sensor_places), tuple(stations)), make)
+        return self._array((tuple(sensor_places), tuple(stations)), make)
 
-    def _cache(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
+    def _array(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
         """Array by a key, made once; not to be written to."""
         if key not in self.shape_cache:
             self.shape_cache[key] = make()
@@ -210,7 +210,7 @@ class Response:
         hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed_modes))
 
-    def with_high_passed(self, mode_indices: tuple[int, ...]) -> "Response":
+    def with_slow_springs(self, mode_indices: tuple[int, ...]) -> "Response":
         """Response in which the springs of these modes act on the high-passed displacement alone."""
         hz, zeta = self.dynamics.natural_hz, self.dynamics.damping_ratios
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, mode_indices))
@@ -304,7 +304,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
     eta_shapes, _ = eta_shapes_and_omega(rig, responses)
-    if _force_rank(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
+    if _identifiable_force_count(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
             "modes, or fewer contacts"
@@ -313,7 +313,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         return responses
     passed_modes = _high_passed_modes(responses, eta_shapes)
     return tuple(
-        r.with_high_passed(tuple(sorted(m for body, m in passed_modes if body == k))) for k, r in enumerate(responses)
+        r.with_slow_springs(tuple(sorted(m for body, m in passed_modes if body == k))) for k, r in enumerate(responses)
     )
 
 
@@ -324,18 +324,18 @@ def _high_passed_modes(
     body_modes = [(k, m) for k, response in enumerate(responses) for m in range(response.mode_count)]
     rigid_counts = [max(response.body.rigid_modes, response.body.is_mass) for response in responses]
     high_passed_indices = [i for i, (k, m) in enumerate(body_modes) if m < rigid_counts[k]]
-    force_rank = _force_rank(eta_shapes, high_passed_indices)
+    force_rank = _identifiable_force_count(eta_shapes, high_passed_indices)
     natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
     for i in np.argsort(natural_hz, kind="stable").tolist():
         if force_rank == len(eta_shapes):
             break
-        if _force_rank(eta_shapes, [*high_passed_indices, i]) > force_rank:
+        if _identifiable_force_count(eta_shapes, [*high_passed_indices, i]) > force_rank:
             high_passed_indices.append(i)
             force_rank += 1
     return [body_modes[i] for i in high_passed_indices]
 
 
-def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], mode_indices: Sequence[int]) -> int:
+def _identifiable_force_count(eta_shapes: Float[np.ndarray, "contacts modes"], mode_indices: Sequence[int]) -> int:
     """Number of contact forces that some modes tell apart."""
     least_value = RANK_TOLERANCE * float(np.max(np.abs(eta_shapes), initial=0.0))
     return int(np.linalg.matrix_rank(eta_shapes[:, list(mode_indices)], least_value))

@@ -114,7 +114,7 @@ class ObservedSignals:
     transverse: ObservedTransverse | None = None
     is_from_displacement: Bool[np.ndarray, "sensors lines"] | None = None
 
-    def lines_given_by(
+    def line_mask_of_channel(
         self, channel: Sensor, sensor_index: int, base: ObservedBase | None = None
     ) -> Bool[np.ndarray, " lines"]:
         """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
@@ -132,13 +132,13 @@ class ObservedSignals:
         return all(body.sensor_weights is not None for body in self.bodies)
 
 
-def elastic_modes(response: Response, mode_count: int) -> Int[np.ndarray, " some"]:
+def elastic_mode_indices(response: Response, mode_count: int) -> Int[np.ndarray, " some"]:
     """Modes among the first `mode_count` that bend a body; none for a single mass."""
     body = response.body
     return np.arange(body.rigid_modes, max(mode_count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
 
 
-def mode_count_near_band(response: Response, margin: float = BAND_MARGIN) -> int:
+def mode_count_below_band_margin(response: Response, margin: float = BAND_MARGIN) -> int:
     """Number of modes up to `margin` times the band's end."""
     dynamics = response.dynamics
     return int(np.count_nonzero(dynamics.natural_hz < margin * dynamics.omega[-1] / (2 * np.pi)))
@@ -170,7 +170,7 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
             for kind, relative in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(relative):
                     signals = relative * (observed.signals[[i]] + response * base_acceleration)
-                    signals = signals * observed.lines_given_by(channel, i)
+                    signals = signals * observed.line_mask_of_channel(channel, i)
                     absolute_displacement = observed.displacements[[i]] + base_displacement
                     displacements = relative * absolute_displacement if channel == displacement_sensor else None
                     pattern = SensorPattern(relative * response, sensor_units[i]) if observed.is_motion_sensed else None
@@ -203,7 +203,7 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     for channel in dict.fromkeys((base.sensor, base.displacement_sensor)):
         for kind, relative_change in _chain_changes(channel, observed.tolerances, observed.omega).items():
             if np.any(relative_change):
-                given_lines = np.stack([observed.lines_given_by(channel, i, base) for i in sensor_indices])
+                given_lines = np.stack([observed.line_mask_of_channel(channel, i, base) for i in sensor_indices])
                 accelerations = given_lines * base.acceleration + base.station_accelerations * (channel == base.sensor)
                 signals = -relative_change * observed.sensor_response * accelerations
                 displacements = None
@@ -212,7 +212,7 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
                 yield Change(Nuisance(kind, channel.name), sensor_indices, signals, displacements)
 
 
-def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
+def crosstalk_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
     crosstalk_share, sensors, units = observed.tolerances.crosstalk, observed.sensors, np.eye(len(observed.sensors))
     gives_displacement = [a == b for a, b in zip(sensors, observed.displacement_sensors, strict=True)]
@@ -269,7 +269,7 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, sensors: li
         for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 acceleration_change = tolerance_m * slope_acceleration[None]
-                signals = response * acceleration_change * observed.lines_given_by(channel, i)
+                signals = response * acceleration_change * observed.line_mask_of_channel(channel, i)
                 displacements = double_integral * acceleration_change if channel == displacement_sensor else None
                 pattern = None
                 if motion.sensor_weights is not None:
@@ -296,11 +296,11 @@ def _mode_changes(
         yield Change(Nuisance(NuisanceKind.MASS, body.name), sensors, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         sensitivities = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
-        if with_common_tolerances and (tolerance := _tolerance_of(tolerances, kind)):
+        if with_common_tolerances and (tolerance := _frequency_or_damping_tolerance(tolerances, kind)):
             signals = tolerance * sensor_response * real_product(shapes, sensitivities * motion.acceleration)
             yield Change(Nuisance(kind, body.name), sensors, signals)
         for mode_index in motion.elastic_indices.tolist():
-            if tolerance := _tolerance_of(tolerances.of_mode(body.name, mode_index + 1), kind):
+            if tolerance := _frequency_or_damping_tolerance(tolerances.of_mode(body.name, mode_index + 1), kind):
                 mode_response = tolerance * sensor_response * (shapes[:, mode_index, None] * sensitivities[mode_index])
                 pattern = None
                 if sensor_weights is not None and mode_index < len(sensor_weights):
@@ -309,6 +309,6 @@ def _mode_changes(
                 yield Change(Nuisance(kind, body.name, mode_index + 1), sensors, signals, sensor_pattern=pattern)
 
 
-def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:
+def _frequency_or_damping_tolerance(tolerances: Tolerances, kind: NuisanceKind) -> float:
     """Tolerance of frequencies or of damping ratios."""
     return tolerances.frequency if kind is NuisanceKind.FREQUENCY else tolerances.damping

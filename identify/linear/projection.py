@@ -64,7 +64,7 @@ def projection(
     return Projection(by_input, to_inputs, deviation, free_count)
 
 
-def estimated_inputs(
+def estimated_inputs_and_log_det(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     standardised_signals: Complex[np.ndarray, "sensors lines"],
     free_count: int,
@@ -98,7 +98,7 @@ def input_residual(
     return residual
 
 
-def to_free_inputs(
+def free_input_estimator_and_condition(
     by_input: Complex[np.ndarray, "inputs sensors lines"], covariances: Covariances
 ) -> tuple[Complex[np.ndarray, "inputs sensors lines"], float]:
     """T of free inputs where the sensors' errors have a covariance; and the largest condition number of N.
@@ -117,7 +117,7 @@ def to_free_inputs(
     return to_inputs, condition_number
 
 
-def without_free_inputs(
+def residuals_without_free_inputs(
     signal_sets: Sequence[Complex[np.ndarray, "_ sensors lines"]],
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     covariances: Covariances,

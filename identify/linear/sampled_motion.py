@@ -6,7 +6,7 @@ q_0 u(t) + q_0' v(t) with
     u = (p_2 exp(p_1 t) - p_1 exp(p_2 t)) / (p_2 - p_1),   v = (exp(p_2 t) - exp(p_1 t)) / (p_2 - p_1)
 
 A sensor shows the sum over its samples, the first one halved, under a half cosine at the record's end: a sum of
-geometric series (`tapered_sum`).
+geometric series (`tapered_exponential_spectrum`).
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,9 @@ def free_motion(
         return np.stack([time_s, ones, zeros] if initial_order else [ones, zeros, zeros])
     poles = _poles(natural_hz, damping_ratio)
     exponentials = [np.exp(pole * time_s) for pole in poles]
-    derivatives = [_pole_combination(poles, exponentials, initial_order, k) / (poles[1] - poles[0]) for k in range(3)]
+    derivatives = [
+        _derivative_from_pole_terms(poles, exponentials, initial_order, k) / (poles[1] - poles[0]) for k in range(3)
+    ]
     return np.asarray(np.real(derivatives))
 
 
@@ -40,7 +42,7 @@ def _poles(natural_hz: float, damping_ratio: float) -> Poles:
     return 2 * np.pi * natural_hz * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
 
 
-def _pole_combination(
+def _derivative_from_pole_terms(
     poles: Poles, pole_terms: Sequence[np.ndarray], initial_order: int, derivative_order: int
 ) -> np.ndarray:
     """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
@@ -68,7 +70,7 @@ class Sampling:
         return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in sample_counts)
 
 
-def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " lines"]:
+def tapered_exponential_spectrum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " lines"]:
     """Transform of exp(pole t) over M samples, the first one halved, and F more that fade (`kinematics.taper`).
 
     With z = exp((pole - i omega) / rate), the sum (z^n - 1) / (z - 1) of z^0 to z^(n - 1), and c = cos(pi / F),
@@ -91,6 +93,8 @@ def sampled_accelerations(
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles, order = _poles(natural_hz, damping_ratio), sampling.derivative_order
     poles = poles - max(0.0, LEAST_LOG_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
-    tapered_sums = [tapered_sum(complex(pole), sampling) for pole in poles]
+    tapered_sums = [tapered_exponential_spectrum(complex(pole), sampling) for pole in poles]
     acceleration_factor = (1j * sampling.omega) ** (2 - order) / ((poles[1] - poles[0]) * sampling.rate_hz)
-    return np.stack([acceleration_factor * _pole_combination(poles, tapered_sums, k, order) for k in range(2)])
+    return np.stack(
+        [acceleration_factor * _derivative_from_pole_terms(poles, tapered_sums, k, order) for k in range(2)]
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import BAND_MARGIN, Change, Nuisance, NuisanceKind, mode_count_near_band
+from identify.linear.nuisance import BAND_MARGIN, Change, Nuisance, NuisanceKind, mode_count_below_band_margin
 from rig.model.description import Rig, Sensor, Station, force_names
 
 CONVERGED_SHARE = 0.4
@@ -58,7 +58,9 @@ def truncations_of(
     input_names = (*exciting_names, *(contact.name for contact in rig.contacts))
     truncations = []
     for response in responses if tolerance else ():
-        first_mode = max(mode_count_near_band(response, band_margin), int(CONVERGED_SHARE * response.mode_count))
+        first_mode = max(
+            mode_count_below_band_margin(response, band_margin), int(CONVERGED_SHARE * response.mode_count)
+        )
         rows_by_place: dict[tuple[object, bool], list[int]] = {}
         for row, sensor in sensors.items():
             if sensor.station.body == response.body.name and not response.body.is_mass:

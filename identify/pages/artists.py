@@ -29,13 +29,15 @@ LabelledRenderers = Iterator[tuple[str, Any]]
 
 
 def is_drawable(axes: Any) -> bool:
-    """True if `draw_artists` and `tick_names` can show everything in the axes."""
+    """True if `draw_artists` and `fixed_tick_names` can show everything in the axes."""
     from matplotlib.collections import LineCollection, PathCollection, PolyCollection, QuadMesh
     from matplotlib.patches import Rectangle, StepPatch
     from matplotlib.ticker import FuncFormatter
 
     computes_ticks = any(
-        isinstance(axis.get_major_formatter(), FuncFormatter) and axis.get_scale() != "log" and not tick_names(axis)
+        isinstance(axis.get_major_formatter(), FuncFormatter)
+        and axis.get_scale() != "log"
+        and not fixed_tick_names(axis)
         for axis in (axes.xaxis, axes.yaxis)
     )
     known_types = (LineCollection, PathCollection, PolyCollection, QuadMesh)
@@ -49,7 +51,7 @@ def _is_bar_label(text: Any) -> bool:
     return getattr(text, "xycoords", None) == "data" and text.arrowprops is None and text.anncoords == "offset points"
 
 
-def tick_names(axis: Any) -> dict[float, str]:
+def fixed_tick_names(axis: Any) -> dict[float, str]:
     """Names on an axis by their places, which are fixed; empty for an axis of numbers."""
     from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter
 
@@ -59,7 +61,7 @@ def tick_names(axis: Any) -> dict[float, str]:
     return {float(position): formatter(position, index) for index, position in enumerate(locator.locs)}
 
 
-def tick_places(axis: Any) -> list[float]:
+def fixed_tick_positions(axis: Any) -> list[float]:
     """Places of the ticks of an axis that were set; empty where the axis chooses them."""
     from matplotlib.ticker import FixedLocator
 
@@ -82,7 +84,7 @@ def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
     draw_functions = {
         "Line2D": _draw_line,
         "StepPatch": _draw_steps,
-        "LineCollection": _draw_segments,
+        "LineCollection": _draw_error_bars,
         "QuadMesh": _draw_mesh,
         "PathCollection": _draw_points,
     }
@@ -129,7 +131,7 @@ def _draw_line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
         yield plot.vspan(x=x[:1], **style) if is_data_x else plot.hspan(y=y[:1], **style)
         return
     is_joined = dash is not None and line.get_linewidth() > 0
-    x, y = _thin_points(x, y, is_joined)
+    x, y = _decimated_points(x, y, is_joined)
     if is_joined and line.get_drawstyle() == "steps-mid":
         yield plot.step(x, y, mode="center", **style)
     elif is_joined:
@@ -185,7 +187,7 @@ def _draw_bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
     return plot.hstrip(y0=y_low, y1=y_low + height, **fill_style)
 
 
-def _draw_segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
+def _draw_error_bars(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     """Error bars."""
     segments = [np.asarray(segment, dtype=np.float32) for segment in lines.get_segments()]
     colour, width_px = _hex_colour(lines.get_colors()[0]), _PX_PER_POINT * lines.get_linewidths()[0]
@@ -259,7 +261,7 @@ def _add_colour_bar(plot: Any, colour_mapper: Any, figure: Any) -> None:
         plot.add_layout(ColorBar(color_mapper=colour_mapper, title=bar.get_ylabel(), width=10, padding=4), "right")
 
 
-def _thin_points(
+def _decimated_points(
     x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], is_joined: bool
 ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
     """Points in single precision, at most MAX_POINTS: extremes of every bucket of a line, every n-th of dots."""

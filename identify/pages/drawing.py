@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from identify.pages.drawing_texts import NARROW_WIDTH, WIDTH
-from identify.pages.machine import DrawnMark, has_spring, rig_drawing
+from identify.pages.machine import DrawnMark, has_spring, rig_drawing_svg
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
@@ -25,10 +25,10 @@ _RING = '<circle class="{}" cx="18" cy="12" r="9"/>'
 
 def drawing_html(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark] = ()) -> str:
     """Drawings of a rig, of which the screen shows the one that fits, and their key."""
-    wide, narrow = (rig_drawing(rig, contact_lines, marks, width_px) for width_px in (WIDTH, NARROW_WIDTH))
+    wide, narrow = (rig_drawing_svg(rig, contact_lines, marks, width_px) for width_px in (WIDTH, NARROW_WIDTH))
     items = (
         f'<li><svg class="machine" viewBox="0 0 36 24" aria-hidden="true">{icon}</svg>{escape(words)}</li>'
-        for icon, words in _key(rig, contact_lines, marks)
+        for icon, words in _legend_entries(rig, contact_lines, marks)
     )
     return f'<div class="broad">{wide}</div><div class="narrow">{narrow}</div><ul class="key">{"".join(items)}</ul>'
 
@@ -42,7 +42,9 @@ def _contact_kind(law: ContactLaw) -> str:
     return "contact, two stops" if np.isfinite(law.lower_clearance_m + law.upper_clearance_m) else "contact, one stop"
 
 
-def _key(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark]) -> Iterator[tuple[str, str]]:
+def _legend_entries(
+    rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark]
+) -> Iterator[tuple[str, str]]:
     """Icon and words of each symbol that occurs."""
     if any(not body.is_mass for body in rig.bodies):
         yield f'{_BODY}<circle class="origin" cx="2" cy="12" r="3"/>', "body, its lengths in m from the dot"

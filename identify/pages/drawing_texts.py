@@ -36,11 +36,11 @@ HELD_WORDS = "is held: no rigid-body mode"
 
 @dataclass
 class TextSpans:
-    """Texts of one level, as horizontal spans by line: `line_for` finds the first line where a span is free."""
+    """Texts of one level, as horizontal spans by line: `first_free_line` finds the first line where a span is free."""
 
     spans_by_line: list[list[tuple[float, float]]] = field(default_factory=list)
 
-    def line_for(self, left_px: float, right_px: float, line_count: int = 1) -> int:
+    def first_free_line(self, left_px: float, right_px: float, line_count: int = 1) -> int:
         first_line = 0
         while any(
             left_px < taken_right_px and taken_left_px < right_px
@@ -53,7 +53,7 @@ class TextSpans:
             spans.append((left_px, right_px))
         return first_line
 
-    def take_below(self, text_line: int, x_px: float) -> None:
+    def reserve_leader_line(self, text_line: int, x_px: float) -> None:
         """Take the place of the line that leads from a ring at x to the text on a line of its own."""
         for spans in self.spans_by_line[:text_line]:
             spans.append((x_px - LEADER_GAP, x_px + LEADER_GAP))
@@ -83,10 +83,10 @@ def contact_text(
     width_px = max(map(plain_width_px, text_lines))
     if width_px <= right_room_px:
         right_px = x_px + offset_px + width_px
-        first_line = text_spans.line_for(x_px - STOP_HALF_WIDTH, right_px, len(text_lines))
+        first_line = text_spans.first_free_line(x_px - STOP_HALF_WIDTH, right_px, len(text_lines))
         return DrawnText(x_px + offset_px, "start", text_lines, first_line)
     end_px = max(x_px - offset_px, width_px)
-    first_line = text_spans.line_for(end_px - width_px, max(end_px, x_px + STOP_HALF_WIDTH), len(text_lines))
+    first_line = text_spans.first_free_line(end_px - width_px, max(end_px, x_px + STOP_HALF_WIDTH), len(text_lines))
     return DrawnText(end_px, "end", text_lines, first_line)
 
 
@@ -124,8 +124,8 @@ def mark_texts(
             lines = _even_lines(unbroken_html(words), len(words))
         half_px = BOLD_LETTER_WIDTH * max(map(len, lines)) / 2
         middle_px = max(min(x_px, right_px - half_px), left_px + half_px)
-        first_line = text_spans.line_for(middle_px - half_px, middle_px + half_px, len(lines))
-        text_spans.take_below(first_line, x_px)
+        first_line = text_spans.first_free_line(middle_px - half_px, middle_px + half_px, len(lines))
+        text_spans.reserve_leader_line(first_line, x_px)
         texts[index] = DrawnText(middle_px, "middle", lines, first_line)
         unplaced.remove(index)
     return [texts[index] for index in range(len(words_at_x))]

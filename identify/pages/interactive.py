@@ -6,7 +6,7 @@ from itertools import count, groupby
 from textwrap import fill
 from typing import Any
 
-from identify.pages.artists import COLOUR_BAR, draw_artists, is_drawable, tick_names, tick_places
+from identify.pages.artists import COLOUR_BAR, draw_artists, fixed_tick_names, fixed_tick_positions, is_drawable
 
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
 _LEAST_HEIGHT_PX, _LEAST_WIDTH_PX = 220, 290
@@ -124,7 +124,7 @@ def _set_axis(bokeh_axis: Any, axes: Any, axis: Any) -> None:
 
     bokeh_axis.axis_label = PlainText(text=_axis_label(axes, axis))
     bokeh_axis.axis_label_text_font_style = "normal"
-    if names := tick_names(axis):
+    if names := fixed_tick_names(axis):
         bokeh_axis.ticker = FixedTicker(ticks=list(names))
         bokeh_axis.major_label_orientation = _SLANT_RAD if axis is axes.xaxis else "horizontal"
         texts = {position: PlainText(text=fill(name, _TICK_LINE_LETTERS)) for position, name in names.items()}
@@ -134,7 +134,7 @@ def _set_axis(bokeh_axis: Any, axes: Any, axis: Any) -> None:
         bokeh_axis.ticker = CustomJSTicker(major_code=_LOG_TICKS)
     else:
         bokeh_axis.formatter.power_limit_high = _PLAIN_POWER
-        if places := tick_places(axis):
+        if places := fixed_tick_positions(axis):
             bokeh_axis.ticker = FixedTicker(ticks=places)
 
 

@@ -31,7 +31,7 @@ from identify.pages.drawing_texts import (
     ruler_numbers,
 )
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
-from rig.model.layout import left_ends
+from rig.model.layout import left_end_m_by_body
 
 LEFT_MARGIN, NAME_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 30.0, 20.0, (120.0, 46.0)
 """Left margin, right margin beside the longest name, thickness of a beam, width and height of a mass, px."""
@@ -114,11 +114,11 @@ class _Layout:
         return self.tops_px[body.name] + _height_px(body)
 
 
-def rig_drawing(
+def rig_drawing_svg(
     rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark] = (), width_px: float = WIDTH
 ) -> str:
     """SVG of a rig: bodies, sensors, forces, contacts with their lines of text, and marks with theirs."""
-    left_ends_m = left_ends(rig)
+    left_ends_m = left_end_m_by_body(rig)
     extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
     name_px = max([bold_width_px(body.name) for body in rig.bodies if not body.is_mass], default=0.0)
     right_margin_px = NAME_MARGIN + min(name_px, width_px / 3)
@@ -126,10 +126,10 @@ def rig_drawing(
     layout = _Layout(rig, width_px, left_ends_m, px_per_m)
     spans_below, spans_above = ({body.name: TextSpans() for body in rig.bodies} for _ in range(2))
     for station in layout.drawn_forces:
-        spans_below[station.body].line_for(*layout.force_span_px(station))
+        spans_below[station.body].first_free_line(*layout.force_span_px(station))
     for body in filter(has_spring, rig.bodies):
         ground_px = _spring_x_px(layout, body)
-        spans_below[body.name].line_for(ground_px - GROUND_HALF_WIDTH, ground_px + GROUND_HALF_WIDTH)
+        spans_below[body.name].first_free_line(ground_px - GROUND_HALF_WIDTH, ground_px + GROUND_HALF_WIDTH)
     contact_texts: list[tuple[Contact, DrawnText]] = []
     for contact in rig.contacts:
         lines, body = [contact.name, *contact_lines.get(contact.name, ())], layout.upper_body(contact)
@@ -156,7 +156,7 @@ def rig_drawing(
         *_supports(layout),
         *_sensors(layout),
         *_forces(layout),
-        *_foot_notes(notes, y_px + FOOT_HEIGHT - 6),
+        *_foot_note_elements(notes, y_px + FOOT_HEIGHT - 6),
         *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
         *(element for mark, text in marks_and_texts for element in _mark_words(layout, mark, text)),
     ]
@@ -283,7 +283,7 @@ def _forces(layout: _Layout) -> Iterator[str]:
         yield _text_element(x_px + 9, y_px + 33, "start", "F", "dim")
 
 
-def _foot_notes(notes: Sequence[str], baseline_px: float) -> Iterator[str]:
+def _foot_note_elements(notes: Sequence[str], baseline_px: float) -> Iterator[str]:
     """Notes at the foot of the drawing, the first of them at this height."""
     for line, note in enumerate(notes):
         yield _text_element(LEFT_MARGIN, baseline_px + LINE_HEIGHT * line, "start", note, "dim")

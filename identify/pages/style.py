@@ -52,13 +52,13 @@ def picture(draw: Callable[[Any], object], width_in: float = 7.2, height_in: flo
         for axes in figure.axes:
             for axis in (axes.xaxis, axes.yaxis):
                 if axis.get_scale() == "log":
-                    _plain_decades(axis)
+                    _set_plain_log_labels(axis)
         png_buffer = BytesIO()
         figure.savefig(png_buffer, format="png", bbox_inches="tight")
     return Picture(png_buffer.getvalue(), figure)
 
 
-def _plain_decades(axis: Any) -> None:
+def _set_plain_log_labels(axis: Any) -> None:
     """Label a logarithmic axis with plain numbers, between the powers of ten only where it spans few."""
     lowest_value, highest_value = sorted(axis.get_view_interval())
     is_narrow = highest_value < 20 * lowest_value

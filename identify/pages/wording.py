@@ -92,7 +92,7 @@ def p_value_words(p_value: float) -> str:
     return f"{size}: {next(words for limit, words in P_VALUE_WORDS if p_value < limit)}"
 
 
-def length_words(length_ratio: float | None) -> str:
+def record_length_words(length_ratio: float | None) -> str:
     """Length of a further record over that of this one, rounded up: "about twice as long"; "longer" if it is unknown or
     too large to be advised."""
     if length_ratio is None or not 1 < length_ratio <= LARGEST_LENGTH_RATIO:

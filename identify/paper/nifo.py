@@ -49,7 +49,7 @@ class Nifo:
         """Rms over frequency of the deviation from the spectral mean."""
         return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
 
-    def described_frf(self) -> Complex[np.ndarray, " lines"]:
+    def nominal_frf(self) -> Complex[np.ndarray, " lines"]:
         """FRF of the mode as the rig's description has it."""
         return receptance(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
 

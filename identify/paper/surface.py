@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
 
 from identify.linear.modal import ModalEquation
-from identify.signals.scores import PART_COUNT, part_scores
+from identify.signals.scores import PART_COUNT, cluster_scores
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import penetration_m
 
@@ -110,7 +110,7 @@ def fit_surface(
     stops_m = solution.x * reach_m
     columns = columns_of(stops_m)
     fitted, column_weights = _projection(columns, measured)
-    covariance = _sandwich(np.concatenate([columns, solution.jac / reach_m], axis=1), measured - fitted)
+    covariance = _sandwich_covariance(np.concatenate([columns, solution.jac / reach_m], axis=1), measured - fitted)
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
     contact_parts, stiffness_n_per_m = np.zeros((len(eta_m), measured.size)), np.full(len(eta_m), np.nan)
     for i, (j, start) in enumerate(starts.items()):
@@ -126,7 +126,7 @@ def fit_surface(
     return Surface(equation, decimation, measured, fitted, contact_parts, tuple(fitted_stops), stiffness_n_per_m)
 
 
-def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
+def stops_from_eta_density(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     """Stops by maximum likelihood of the density of the relative displacement,
 
         log p = const - a eta - b eta^2 / 2 - kappa dz(eta; lower, upper)^2 / 2
@@ -179,14 +179,14 @@ def _projection(
     return columns @ column_weights, column_weights
 
 
-def _sandwich(
+def _sandwich_covariance(
     jacobian: Float[np.ndarray, "samples parameters"], residual: Samples
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Sandwich covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
     norms = _column_norms(jacobian)
     unit_columns = jacobian / norms
     inverse_normal = np.linalg.pinv(unit_columns.T @ unit_columns, rcond=1e-12, hermitian=True)
-    scores = part_scores(unit_columns @ inverse_normal, residual) / norms
+    scores = cluster_scores(unit_columns @ inverse_normal, residual) / norms
     return np.asarray(scores.T @ scores * PART_COUNT / (PART_COUNT - 1))
 
 

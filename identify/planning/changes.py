@@ -158,7 +158,7 @@ def _widest_interval_middle(rig: Rig, body: Body) -> Station | None:
 
 def _force_level_changes(test: PlannedTest) -> Iterator[PlannedChange]:
     for level_factor in FORCE_FACTORS:
-        changed_test = test.at_level(level_factor)
+        changed_test = test.with_level_factor(level_factor)
         yield PlannedChange("force", f"excite with {changed_test.level_text} ({level_factor:g} times)", changed_test)
 
 

@@ -35,7 +35,7 @@ from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.shaken_base import check_base, with_inertial_force
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import Candidate, candidates, scale_of
+from identify.gaps.search.candidates import Candidate, candidates, effect_range_scale
 from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, parameters_alone_differ
 from identify.gaps.search.hypothesis import MIN_GAIN, Search
 from identify.gaps.search.local_model import MIN_REMAINING_SHARE, CandidateTerm, LocalModel, local_model
@@ -87,17 +87,17 @@ def detectable_effects(
         record = record_of(recording, tolerances=test.tolerances)
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
-        range_scale = scale_of(record, record.rig)
+        range_scale = effect_range_scale(record, record.rig)
         estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
         library = candidates(range_scale, record.channel_names, record.zero_known, record.has_force)
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         hypothesis = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
         quadratic_model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)
-    contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in searched}
+    contact_info = {c.name: _contact_fit_information(c, record.rig, estimates, test.tolerances) for c in searched}
     return _smallest_effects(quadratic_model, library, contact_info, test.duration_s / simulated_s)
 
 
-def _contact_information(
+def _contact_fit_information(
     candidate: Candidate, rig: Rig, estimates: Mapping[str, LawEstimate], tolerances: Tolerances
 ) -> float:
     """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
@@ -129,7 +129,7 @@ def _smallest_effects(
     contact fit."""
     terms = [term for term in model.candidate_terms if len(term.column_indices) == 1]
     column_indices = np.array([term.column_indices[0] for term in terms], dtype=int)
-    information_matrix, is_hidden = _term_information(model, column_indices)
+    information_matrix, is_hidden = _information_and_hidden_mask(model, column_indices)
     information_by_term = np.where(is_hidden, 0.0, np.diag(information_matrix)) * length_ratio
     inverse_roots = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information_matrix))))
     correlations = np.abs(information_matrix) * np.outer(inverse_roots, inverse_roots)
@@ -141,7 +141,9 @@ def _smallest_effects(
     for name, term_indices in indices_by_candidate.items():
         candidate = terms[term_indices[0]].candidate
         log_odds = float(np.log(NAMED_ODDS) + log_prior((), kind_count) - log_prior((candidate.kind.name,), kind_count))
-        named_steps = [_named_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_indices]
+        named_steps = [
+            _smallest_detectable_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_indices
+        ]
         effect_sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_indices, named_steps, strict=True))
         largest_correlations = np.max(correlations[term_indices], axis=0)
         alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE_CORRELATION)} - {name}
@@ -160,7 +162,7 @@ def _smallest_effects(
     return tuple(effects)
 
 
-def _term_information(
+def _information_and_hidden_mask(
     model: LocalModel, column_indices: Int[np.ndarray, " terms"]
 ) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
@@ -174,7 +176,7 @@ def _term_information(
     return information, np.diag(information) <= MIN_REMAINING_SHARE * np.diag(term_products)
 
 
-def _named_step(information: float, contact_info: float, required_log_odds: float) -> float:
+def _smallest_detectable_step(information: float, contact_info: float, required_log_odds: float) -> float:
     """Strength, in steps, that is named with 95 % power; infinite without information."""
     total_information = information / TEMPERATURE + contact_info
     if not total_information > 0:

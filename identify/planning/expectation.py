@@ -19,14 +19,14 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import RING
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
 from identify.contacts.law_form import DAMPING_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
-from identify.contacts.space_contacts import check_directions, space_contacts
+from identify.contacts.space_contacts import check_both_directions_measured, space_contacts
 from identify.planning.planned_test import PlannedTest, simulated_recording
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
@@ -58,7 +58,7 @@ class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
     widening_factor: float
 
     @property
-    def stated_error(self) -> float:
+    def widened_standard_error(self) -> float:
         """Standard error that is stated, with its factor."""
         return self.widening_factor * self.standard_error
 
@@ -180,14 +180,14 @@ def expected_contacts(rig: Rig, tests: Sequence[SimulatedTest]) -> tuple[Expecte
     return tuple(_expected_contact(contact.name, tests) for contact in rig.contacts)
 
 
-def largest_miss_and_contact(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
+def largest_error_z_and_contact(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
     """Largest difference between an estimate and the simulated value in standard errors, and the contact's name."""
     misses_and_contacts = [
-        (abs(error_parts.estimate - error_parts.simulated_value) / error_parts.stated_error, name)
+        (abs(error_parts.estimate - error_parts.simulated_value) / error_parts.widened_standard_error, name)
         for test in tests
         for name, parts_by_quantity in test.error_parts.items()
         for error_parts in parts_by_quantity.values()
-        if error_parts.stated_error > 0
+        if error_parts.widened_standard_error > 0
     ]
     return max(misses_and_contacts, default=(0.0, ""))
 
@@ -201,9 +201,9 @@ def _estimates_and_refusals(
 ) -> tuple[Mapping[str, JointEstimate | AnnularEstimate], Mapping[str, Refusal]]:
     """Estimates and refusals of `identify contact` by contact, of a plane rig or of one in space."""
     if not recording.rig.in_space:
-        outcomes = find_contacts(recording, "auto", tolerances, FORMS).outcomes
+        outcomes = estimated_contacts(recording, "auto", tolerances, FORMS).outcomes
         return outcomes.estimates, outcomes.refusals
-    check_directions(recording.rig, "auto")
+    check_both_directions_measured(recording.rig, "auto")
     identified = space_contacts(recording, "auto", tolerances)
     return {**identified.annular, **identified.plane.estimates}, {**identified.refusals, **identified.plane.refusals}
 
@@ -264,11 +264,15 @@ def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedCont
 
 
 def _expected_quantity(record_parts: Sequence[ErrorParts]) -> ExpectedQuantity:
-    log_stated_errors = np.log([max(error_parts.stated_error, np.finfo(float).tiny) for error_parts in record_parts])
-    median_parts = sorted(record_parts, key=lambda error_parts: error_parts.stated_error)[len(record_parts) // 2]
+    log_stated_errors = np.log(
+        [max(error_parts.widened_standard_error, np.finfo(float).tiny) for error_parts in record_parts]
+    )
+    median_parts = sorted(record_parts, key=lambda error_parts: error_parts.widened_standard_error)[
+        len(record_parts) // 2
+    ]
     return ExpectedQuantity(
         value=record_parts[0].simulated_value,
-        standard_error=float(np.exp(np.median(log_stated_errors))) if median_parts.stated_error else 0.0,
+        standard_error=float(np.exp(np.median(log_stated_errors))) if median_parts.widened_standard_error else 0.0,
         spread_factor=float(np.exp(np.std(log_stated_errors, ddof=1))) if len(record_parts) > 1 else 1.0,
         limited_by=median_parts.source,
     )

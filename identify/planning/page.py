@@ -70,7 +70,7 @@ def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
         yield contact.name, *(_interval_text(contact.quantities[name], name, without_unit=True) for name in QUANTITIES)
 
 
-def ring_sentences(plan: PlanReport) -> Iterator[str]:
+def annular_contact_sentences(plan: PlanReport) -> Iterator[str]:
     """Sentence on friction and centre of each annular contact, without a full stop."""
     for contact in plan.contacts:
         names = [name for name in contact.quantities if name not in QUANTITIES]
@@ -110,7 +110,7 @@ def effect_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]
         yield effect.effect, effect.place, _size_range_text([effect]), ", ".join(effect.alike)
 
 
-def kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
+def effect_kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each kind of effect: the range over all its places."""
     for kind in dict.fromkeys(effect.effect for effect in effects):
         kind_effects = [effect for effect in effects if effect.effect == kind]
@@ -131,7 +131,7 @@ def _size_range_text(effects: Sequence[DetectableEffect]) -> str:
     return f"{number(least_size, 2)} to {number(greatest_size, 2)}{unit}"
 
 
-def idle_sentence(plan: PlanReport) -> str:
+def idle_sensor_sentence(plan: PlanReport) -> str:
     """Sentence on the sensors that add nothing; empty if there are none or none was left out."""
     if not plan.idle_sensors:
         return ""
@@ -155,7 +155,7 @@ def test_sentence(plan: PlanReport) -> str:
     return f"{plan.duration_s:g} s of {excitation_words} from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
-def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
+def _interval_limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     for contact in plan.contacts:
         for quantity_name, quantity in contact.quantities.items():
             yield (
@@ -204,7 +204,11 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times in "
         f"other draws for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
     )
-    rings_html = page.list_html(f"{text}." for text in ring_sentences(plan)) if any(ring_sentences(plan)) else ""
+    rings_html = (
+        page.list_html(f"{text}." for text in annular_contact_sentences(plan))
+        if any(annular_contact_sentences(plan))
+        else ""
+    )
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
         undetermined_rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
@@ -214,7 +218,9 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
             "a difference from what rig.json says, from the best to the worst place.</p>"
         )
-        sections.append(("Which effects would be named", intro_html + page.table(KIND_HEAD, kind_rows(plan.effects))))
+        sections.append(
+            ("Which effects would be named", intro_html + page.table(KIND_HEAD, effect_kind_rows(plan.effects)))
+        )
     if plan.notes:
         sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
@@ -226,7 +232,7 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         )
         sections.append(("What would help, ranked", intro_html + page.table(CHANGE_HEAD, change_rows(plan.changes))))
     if plan.sensors:
-        idle_html = f"<p>{escape(idle_sentence(plan))}</p>" if plan.idle_sensors else ""
+        idle_html = f"<p>{escape(idle_sensor_sentence(plan))}</p>" if plan.idle_sensors else ""
         sections.append(("Each sensor left out", idle_html + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
     return sections
 
@@ -235,10 +241,10 @@ def _folded_sections(plan: PlanReport) -> list[tuple[str, str]]:
     intro = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
     table_html = page.table(EFFECT_HEAD, effect_rows(plan.effects))
     effect_sections = [("Which effects would be named, place by place", intro + table_html)] if plan.effects else []
-    return [*effect_sections, *_limit_sections(plan)]
+    return [*effect_sections, *_interval_limit_sections(plan)]
 
 
-def _limit_sections(plan: PlanReport) -> list[tuple[str, str]]:
+def _interval_limit_sections(plan: PlanReport) -> list[tuple[str, str]]:
     if not plan.contacts:
         return []
     intro_html = (
@@ -248,6 +254,6 @@ def _limit_sections(plan: PlanReport) -> list[tuple[str, str]]:
     return [
         (
             "What limits each interval",
-            intro_html + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
+            intro_html + page.table(("value", "expected", "factor", "limited by"), _interval_limit_rows(plan)),
         )
     ]

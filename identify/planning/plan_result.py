@@ -49,5 +49,5 @@ class PlanResult(Summarized):
     def summary(self) -> Summary:
         """Sentence on what the test will tell and what helps most, and the expected interval of each contact."""
         contact_rows = tuple(dict(zip(page.CONTACT_HEAD, row, strict=True)) for row in page.contact_rows(self.report))
-        below = (*page.ring_sentences(self.report), *self.report.notes)
+        below = (*page.annular_contact_sentences(self.report), *self.report.notes)
         return Summary(contact_rows, above=(page.sentence(self.report),), below=below)

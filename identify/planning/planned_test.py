@@ -74,7 +74,7 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
     def with_duration(self, duration_s: float) -> "PlannedTest":
         return replace(self, duration_s=duration_s)
 
-    def at_level(self, level_factor: float) -> "PlannedTest":
+    def with_level_factor(self, level_factor: float) -> "PlannedTest":
         """Test with every level that many times as high."""
         if self.base_rms_m_per_s2 is not None:
             return replace(self, base_rms_m_per_s2=level_factor * self.base_rms_m_per_s2)
@@ -155,10 +155,10 @@ def simulated_recording(test: PlannedTest, actual_rig: Rig, simulate: Simulate, 
             acceleration_rms_m_per_s2=rms_m_per_s2, low_hz=low_hz, high_hz=high_hz, seed=seed, start_s=QUIET_S
         )
         actual_rig = replace(actual_rig, base_motion=base_motion)
-    return simulate(test.rig, actual_rig, drawn_forces_n(test, seed), seed)
+    return simulate(test.rig, actual_rig, random_forces_n(test, seed), seed)
 
 
-def drawn_forces_n(test: PlannedTest, seed: int) -> Float[np.ndarray, "forces samples"]:
+def random_forces_n(test: PlannedTest, seed: int) -> Float[np.ndarray, "forces samples"]:
     """Forces of the planned test, drawn with a seed, N; zero where the base alone shakes the rig."""
     rate_hz = test.rig.sample_rate_hz
     sample_count, quiet_count = round(test.duration_s * rate_hz), round(QUIET_S * rate_hz)

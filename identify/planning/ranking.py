@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from identify.contacts.separation import check_described
+from identify.contacts.separation import check_rig_is_modelled
 from identify.gaps.decision.prepare import simulator_named
 from identify.pages.wording import COVERED
 from identify.planning.changes import PlannedChange, changes_of
@@ -23,7 +23,7 @@ from identify.planning.expectation import (
     SimulatedTest,
     Undetermined,
     expected_contacts,
-    largest_miss_and_contact,
+    largest_error_z_and_contact,
     simulated_test,
 )
 from identify.planning.planned_test import PlannedTest
@@ -60,7 +60,7 @@ def ranked_plan(
 
     Raises RigError if the rig has no contacts or nothing that the identification knows, or if it cannot be simulated.
     """
-    check_described(test.rig)
+    check_rig_is_modelled(test.rig)
     simulator_named(simulator)
     all_changes = list(changes_of(test))
     changes = all_changes[:max_change_count]
@@ -77,7 +77,9 @@ def ranked_plan(
     effects, effect_notes = _effects_and_notes(test, simulator)
     progress(1.0)
     expectations = expected_contacts(test.rig, outcomes)
-    sensor_removals = sorted((r for r in tried_changes if r.kind == "leave out sensor"), key=_need_key, reverse=True)
+    sensor_removals = sorted(
+        (r for r in tried_changes if r.kind == "leave out sensor"), key=_sensor_need_key, reverse=True
+    )
     return PlanReport(
         rig=test.rig.name,
         duration_s=test.duration_s,
@@ -115,17 +117,19 @@ def _tried_changes(
     """Changes against the unchanged test, in their order. `run_all` takes runs, and how many were done before them."""
     if not changes:
         return []
-    unchanged = run_all([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
-    seed_order = sorted(range(SIMULATION_COUNT), key=lambda index: _widest_share(unchanged[index]))
+    unchanged = run_all([_changed_test_run(test, test, simulator, seed) for seed in SEEDS], 0)
+    seed_order = sorted(range(SIMULATION_COUNT), key=lambda index: _widest_interval_share(unchanged[index]))
     usual_index = seed_order.pop(SIMULATION_COUNT // 2)
-    first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
+    first_runs = [_changed_test_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
     outcome_lists = [[outcome] for outcome in run_all(first_runs, SIMULATION_COUNT)]
     reference = [unchanged[usual_index], *(unchanged[index] for index in seed_order)]
     tried_changes = [
         _tried_change(change, reference[:1], outcomes) for change, outcomes in zip(changes, outcome_lists, strict=True)
     ]
     finalists = _finalist_indices(tried_changes)
-    further_runs = [_tried_run(test, changes[k].test, simulator, SEEDS[i]) for k in finalists for i in seed_order]
+    further_runs = [
+        _changed_test_run(test, changes[k].test, simulator, SEEDS[i]) for k in finalists for i in seed_order
+    ]
     further_outcomes = iter(run_all(further_runs, SIMULATION_COUNT + len(changes)))
     for k in finalists:
         outcome_lists[k] += [next(further_outcomes) for _ in seed_order]
@@ -133,7 +137,7 @@ def _tried_changes(
     return tried_changes
 
 
-def _tried_run(test: PlannedTest, changed_test: PlannedTest, simulator: str, seed: int) -> SimulationRun:
+def _changed_test_run(test: PlannedTest, changed_test: PlannedTest, simulator: str, seed: int) -> SimulationRun:
     """Run of a changed test for as long as that of the unchanged one; of one that lasts longer, longer in
     proportion."""
     max_simulated_s = min(test.duration_s, LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES / test.rig.sample_rate_hz)
@@ -166,7 +170,9 @@ def _tried_change(
     log_factors = {
         key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in common_keys
     }
-    widest_shares = np.array([[_widest_share(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
+    widest_shares = np.array(
+        [[_widest_interval_share(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)]
+    )
     largest = max(log_factors, key=lambda key: (abs(log_factors[key]), key), default=None)
     return TriedChange(
         kind=change.kind,
@@ -189,7 +195,7 @@ def _determined_names(outcomes: Sequence[SimulatedTest]) -> set[str]:
     return {name for name in names if sum(name in outcome.error_parts for outcome in outcomes) >= len(outcomes) / 2}
 
 
-def _widest_share(outcome: SimulatedTest) -> float:
+def _widest_interval_share(outcome: SimulatedTest) -> float:
     """Widest share; 1 if a contact is not determined."""
     return max([*_interval_shares(outcome).values(), *(1.0 for _ in outcome.refused_contacts)], default=1.0)
 
@@ -198,7 +204,7 @@ def _rank_key(change: TriedChange) -> tuple[int, float]:
     return len(change.lost) - len(change.gained), change.widest_factor
 
 
-def _need_key(change: TriedChange) -> tuple[int, float]:
+def _sensor_need_key(change: TriedChange) -> tuple[int, float]:
     """Need of a sensor that is left out."""
     return len(change.lost) - len(change.gained), change.largest_growth
 
@@ -221,7 +227,7 @@ def _plan_notes(test: PlannedTest, outcomes: Sequence[SimulatedTest], is_truncat
             f"{LONGEST_SIMULATED_S:g} s were simulated; for {test.duration_s:g} s scatter and slow motion are taken to "
             "average, and tolerances are not"
         )
-    miss, name = largest_miss_and_contact(outcomes)
+    miss, name = largest_error_z_and_contact(outcomes)
     if miss > MAX_MISS_STANDARD_ERRORS:
         yield (
             f"an estimate of {name} from a simulated record missed what was simulated by {miss:.1f} standard errors: "

@@ -62,7 +62,7 @@ class TriedChange(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.gained and not self.lost) or (not self.lost and self.widest_factor <= HELPS_FACTOR)
 
     @property
-    def adds_nothing(self) -> bool:
+    def is_idle_sensor(self) -> bool:
         """True of a sensor without which no interval grows."""
         return self.kind == "leave out sensor" and not self.lost and self.largest_growth <= ADDS_NOTHING_FACTOR
 
@@ -96,4 +96,4 @@ class PlanReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def idle_sensors(self) -> tuple[str, ...]:
-        return tuple(change.words for change in self.sensors if change.adds_nothing)
+        return tuple(change.words for change in self.sensors if change.is_idle_sensor)

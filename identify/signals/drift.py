@@ -39,7 +39,7 @@ class DriftPrior:
     slow_force_density: float = 0.0
 
     @property
-    def unfollowed_noise_m(self) -> float:
+    def noise_above_knot_band_m(self) -> float:
         """Standard deviation of the twice integrated noise above the frequency that the knots can follow.
 
         The integral of (s / (2 pi f)^2)^2 from f = `HIGHEST_DRIFT_HZ` on is s^2 / (16 pi^4 3 f^3).
@@ -48,7 +48,7 @@ class DriftPrior:
 
 
 @dataclass(frozen=True)
-class Spline:
+class DriftSpline:
     """Spline b = value @ knots, with b' = rate @ knots, at every sample, and the force force_n @ knots beside it.
 
     Its prior is a least-squares one, curvature @ knots = curvature_target, rows divided by their standard deviation.
@@ -89,7 +89,7 @@ def slow_force_density(
     return float(np.sqrt(np.mean(octave_means))) if octave_means else 0.0, float(np.sqrt(rest_variance))
 
 
-def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Spline:
+def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> DriftSpline:
     """Cubic spline over a record with the prior of `drift`; without a drift, one without knots, which is zero.
 
     White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h, and
@@ -99,7 +99,7 @@ def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Splin
     """
     if drift is None:
         empty_matrix = csr_matrix((sample_count, 0))
-        return Spline(empty_matrix, empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
+        return DriftSpline(empty_matrix, empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
     times_s = np.arange(sample_count) / rate_hz
     inner_knots_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / KNOT_SPACING_S))) + 1)
     spacing_s = inner_knots_s[1]
@@ -111,29 +111,29 @@ def spline(sample_count: int, rate_hz: float, drift: DriftPrior | None) -> Splin
         slow_weight = np.sqrt(4 * spacing_s * (drift.slow_noise_density**-2 - drift.noise_density**-2))
         pair_means = diags([0.5, 0.5], [0, 1], shape=(inner_knots_s.size - 1, inner_knots_s.size))
         weights = vstack([weights, slow_weight * pair_means.tocsr()[::2]])
-    value, rate = csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)), _rate_matrix(times_s, knots_s)
+    value, rate = csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)), _spline_rate_matrix(times_s, knots_s)
     curvature, no_value = csr_matrix(weights @ second_difference), csr_matrix(value.shape)
     curvature_target = weights @ np.interp(inner_knots_s, times_s, drift.acceleration_m_per_s2)
     if not drift.slow_force_density:
-        return Spline(value, rate, no_value, curvature, curvature_target)
+        return DriftSpline(value, rate, no_value, curvature, curvature_target)
     third_difference = diags([-1.0, 3.0, -3.0, 1.0], [0, 1, 2, 3], shape=(inner_knots_s.size - 1, value.shape[1]))
     force_prior = vstack([third_difference / spacing_s**3, (2 * np.pi * CORNER_HZ) ** 3 * eye(value.shape[1])])
     force_prior = np.sqrt(2 * spacing_s) / drift.noise_density * force_prior
-    return Spline(
-        value=_taking_turns(hstack([value, no_value])),
-        rate=_taking_turns(hstack([rate, no_value])),
-        force_n=_taking_turns(hstack([no_value, drift.slow_force_density / drift.noise_density * rate])),
-        curvature=_taking_turns(block_diag([curvature, force_prior])),
+    return DriftSpline(
+        value=_interleaved_halves(hstack([value, no_value])),
+        rate=_interleaved_halves(hstack([rate, no_value])),
+        force_n=_interleaved_halves(hstack([no_value, drift.slow_force_density / drift.noise_density * rate])),
+        curvature=_interleaved_halves(block_diag([curvature, force_prior])),
         curvature_target=np.concatenate([curvature_target, np.zeros(force_prior.shape[0])]),
     )
 
 
-def _taking_turns(columns: spmatrix) -> csr_matrix:
+def _interleaved_halves(columns: spmatrix) -> csr_matrix:
     """Columns of the first half and of the second, which take turns so that products of them are banded."""
     return csr_matrix(columns.tocsc()[:, np.arange(columns.shape[1]).reshape(2, -1).T.ravel()])
 
 
-def _rate_matrix(times_s: Float[np.ndarray, " samples"], knots_s: Float[np.ndarray, " places"]) -> csr_matrix:
+def _spline_rate_matrix(times_s: Float[np.ndarray, " samples"], knots_s: Float[np.ndarray, " places"]) -> csr_matrix:
     """First derivative by differences of quadratic splines: b' = sum_i (c_i - c_(i-1)) / h B2_i."""
     knot_spacing_s = knots_s[1] - knots_s[0]
     quadratic_splines = csr_matrix(BSpline.design_matrix(times_s, knots_s[1:-1], 2))

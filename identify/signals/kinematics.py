@@ -197,7 +197,8 @@ def kinematics(
         displacement_sensors=tuple(_nearest_sensor(station_sensors[station], 0) for station in body_stations),
         sample_rate_hz=rate_hz,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
-        zero_known=not integrates or _contacts_show_zero(recording.rig, station_sensors, transform.excited_from),
+        zero_known=not integrates
+        or _is_displacement_zero_known(recording.rig, station_sensors, transform.excited_from),
         forces_n=forces_n,
         displacement_m=displacement,
         velocity_m_per_s=velocity,
@@ -290,7 +291,7 @@ def _motion(recording: Recording, sensors: SensorsByStation, transform: _PaddedT
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 
 
-def _contacts_show_zero(rig: Rig, station_sensors: SensorsByStation, excited_from: int) -> bool:
+def _is_displacement_zero_known(rig: Rig, station_sensors: SensorsByStation, excited_from: int) -> bool:
     """True if displacements are measured at both sides of every contact, in a record that begins at rest."""
     contact_sides = {side for contact in rig.contacts for side in contact_stations(contact)}
     contact_sides |= {ON_GROUND} if rig.base_sensors else set()

@@ -85,7 +85,7 @@ def finer_signal_batches(
     blocks = sliding_window_view(padded_signals, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
     taper, batch_blocks = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES), max(1, BATCH_VALUES // (PADDED_SAMPLES * factor))
     for first_block in range(0, block_count, batch_blocks):
-        yield _finer(blocks[:, first_block : first_block + batch_blocks] * taper, factor)
+        yield _upsampled_blocks(blocks[:, first_block : first_block + batch_blocks] * taper, factor)
 
 
 def evaluated_on_batches(
@@ -108,7 +108,9 @@ def evaluated_on_batches(
         return decimated(law(*signals), decimation)
     result_taper = _taper(PADDED_SAMPLES * factor, MARGIN_SAMPLES * factor, MARGIN_SAMPLES * factor)
     inner_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
-    results = [_coarser(law(*signals) * result_taper, factor, multiple)[..., inner_samples] for signals in batches]
+    results = [
+        _resampled_results(law(*signals) * result_taper, factor, multiple)[..., inner_samples] for signals in batches
+    ]
     blocks = np.concatenate(results, axis=-2)
     return decimated(blocks.reshape(*blocks.shape[:-2], -1)[..., : sample_count * multiple], decimation)
 
@@ -132,14 +134,16 @@ def penetration(
     return evaluated_on_batches(law, batches, eta_m.size, sample_rate_hz)
 
 
-def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Float[np.ndarray, "rows blocks fine"]:
+def _upsampled_blocks(
+    blocks: Float[np.ndarray, "rows blocks length"], factor: int
+) -> Float[np.ndarray, "rows blocks fine"]:
     """Blocks at `factor` times their rate."""
     fine_spectra = rfft(blocks) * factor
     fine_spectra[..., -1] /= 2  # half the rate stands for both signs
     return np.asarray(irfft(fine_spectra, PADDED_SAMPLES * factor))
 
 
-def _coarser(
+def _resampled_results(
     fine_results: Float[np.ndarray, "*results fine"], factor: int, multiple: int
 ) -> Float[np.ndarray, "*results length"]:
     """Results at multiple / factor times the rate."""
@@ -176,20 +180,20 @@ class LawTangent:
         """Change of the force, N, with changes of relative displacement at the rate of T."""
         return decimated(self.stiffness_n_per_m * eta_change_m, self.rate_multiple)
 
-    def spline_columns(self, spline_values: csr_matrix) -> csc_matrix:
+    def force_change_by_coefficient(self, spline_values: csr_matrix) -> csc_matrix:
         """Change of the force, N/m, with each coefficient of a spline, whose value is spline_values @ coefficients."""
         columns = spline_values.tocsc()
         moving_columns = np.flatnonzero(np.diff(columns.indptr))
         selection_shape = moving_columns.size, columns.shape[1]
         rows = np.arange(moving_columns.size)
         selection = csc_matrix((np.ones(moving_columns.size), (rows, moving_columns)), shape=selection_shape)
-        return self._moving_columns(columns[:, moving_columns]) @ selection
+        return self._force_columns_in_windows(columns[:, moving_columns]) @ selection
 
-    def _moving_columns(self, spline_values: csc_matrix) -> csc_matrix:
+    def _force_columns_in_windows(self, spline_values: csc_matrix) -> csc_matrix:
         """Columns of a spline that moves the contact."""
         if not spline_values.shape[1]:
             return csc_matrix(spline_values.shape)
-        first_samples, splines = _windows(spline_values)
+        first_samples, splines = _spline_windows(spline_values)
         window_sample_count, rate_multiple = splines.shape[1], self.rate_multiple
         spline_increments = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1) - splines
         finer_splines = splines[..., None] + spline_increments[..., None] * (np.arange(rate_multiple) / rate_multiple)
@@ -204,7 +208,7 @@ class LawTangent:
         return csc_matrix((forces[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape)
 
 
-def _windows(columns: csc_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
+def _spline_windows(columns: csc_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
     """First sample of each spline's window, a margin before its support, and the spline's values in it."""
     support = np.diff(columns.indptr)
     first_samples = columns.indices[columns.indptr[:-1]] - TANGENT_MARGIN_SAMPLES

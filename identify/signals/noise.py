@@ -32,14 +32,14 @@ ROUNDING_SHARE = 1e-7
 """Smallest noise of a channel, over its largest value: that of 24 bits."""
 
 
-def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
+def acceleration_noise_m_per_s2(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
     """Standard deviation per sample of each station's acceleration noise, m/s^2, from `noise_source`."""
     source, rate_hz = noise_source(motion, rig), motion.sample_rate_hz
     if source == "the quiet start of the record":
         return motion.acceleration_m_per_s2[:, : motion.quiet_sample_count].std(axis=1)
     if source == "noise_density in rig.json":
-        base_noise = _described_noise(motion.base.sensor, rate_hz) if motion.base else 0.0
-        return np.array([np.hypot(_described_noise(sensor, rate_hz), base_noise) for sensor in motion.sensors])
+        base_noise = _rms_from_noise_density(motion.base.sensor, rate_hz) if motion.base else 0.0
+        return np.array([np.hypot(_rms_from_noise_density(sensor, rate_hz), base_noise) for sensor in motion.sensors])
     sensor_signals = zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)
     return np.array([_noise_from_high_band(row, max(0, 2 - s.measures.order), rate_hz) for s, row in sensor_signals])
 
@@ -70,7 +70,7 @@ def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:
     return "the highest frequencies of the record"
 
 
-def _described_noise(sensor: Sensor, rate_hz: float) -> float:
+def _rms_from_noise_density(sensor: Sensor, rate_hz: float) -> float:
     """Rms of white noise s in the d-th derivative, differentiated n = 2 - d times: s (2 pi)^n sqrt(f^(2n+1)/(2n+1))."""
     differentiations = max(0, 2 - sensor.measures.order)
     exponent = 2 * differentiations + 1

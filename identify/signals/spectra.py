@@ -146,7 +146,7 @@ def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: flo
 
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
-    ramped = _ramped(signals, 1)
+    ramped = _with_ramped_ends(signals, 1)
     fine_signals = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
     return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
@@ -154,35 +154,35 @@ def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Flo
 def decimated(
     signals: Float[np.ndarray, "*rows samples"], factor: int, is_tapered: bool = False
 ) -> Float[np.ndarray, "*rows fewer"]:
-    """Every factor-th sample after a low-pass at half the new rate, ideal or tapered by `edge_gain`; the ends of a
-    record are smoothed."""
+    """Every factor-th sample after a low-pass at half the new rate, ideal or tapered by `low_pass_edge_gain`; the ends
+    of a record are smoothed."""
     if factor == 1:
         return signals
-    ramped = _ramped(signals, factor)
+    ramped = _with_ramped_ends(signals, factor)
     new_length = ramped.shape[-1] // factor
     subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], new_length, factor), -1, -2)
     low_spectra = np.einsum("pk,...pk->...k", _phase_factors(new_length, factor), scipy.fft.rfft(subsequences))
     if new_length % 2 == 0:
         low_spectra[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
     if is_tapered:
-        low_spectra *= edge_gain(np.linspace(0, 1, new_length // 2 + 1))
+        low_spectra *= low_pass_edge_gain(np.linspace(0, 1, new_length // 2 + 1))
     new_count = -(-signals.shape[-1] // factor)
     return np.asarray(scipy.fft.irfft(low_spectra / factor, new_length)[..., RAMP_SAMPLES : RAMP_SAMPLES + new_count])
 
 
 def at_force_rate(signals: Float[np.ndarray, "*rows samples"], decimation: int) -> Float[np.ndarray, "*rows fewer"]:
     """Every `decimation`-th sample of signals, low-passed as separated forces are: to half the new rate, or, if that is
-    the recorded one, to `PASSBAND` of it, above which the sensors' own filters act; both by `edge_gain`."""
+    the recorded one, to `PASSBAND` of it, above which the sensors' own filters act; both by `low_pass_edge_gain`."""
     if decimation > 1:
         return decimated(signals, decimation, is_tapered=True)
-    ramped = _ramped(signals, 1)
+    ramped = _with_ramped_ends(signals, 1)
     spectra = scipy.fft.rfft(ramped)
-    spectra *= edge_gain(np.linspace(0, 0.5 / PASSBAND, spectra.shape[-1]))
+    spectra *= low_pass_edge_gain(np.linspace(0, 0.5 / PASSBAND, spectra.shape[-1]))
     low_passed = scipy.fft.irfft(spectra, ramped.shape[-1])
     return np.asarray(low_passed[..., RAMP_SAMPLES : RAMP_SAMPLES + signals.shape[-1]])
 
 
-def edge_gain(band_share: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " lines"]:
+def low_pass_edge_gain(band_share: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " lines"]:
     """Gain of a low-pass at shares of its band: 1, and from `EDGE_SHARE` on a cosine that falls to 0 at its end.
 
     An ideal low-pass rings at its edge for the whole record, of what the record's ends cut off.
@@ -202,7 +202,7 @@ def _phase_factors(new_length: int, factor: int) -> Complex[np.ndarray, "factor 
     return np.asarray(np.exp(-2j * np.pi * phase_products / (new_length * factor)))
 
 
-def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
+def _with_ramped_ends(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
     sample_count, rise_samples = signals.shape[-1], RAMP_SAMPLES * factor
     padded_length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
@@ -214,7 +214,7 @@ def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[n
     return ramped
 
 
-def force_band(
+def force_band_hz(
     force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, outside_share: float = 1e-3
 ) -> tuple[float, float]:
     """Band that holds all but `outside_share` of the force's power at either end, Hz; of several forces the union.
@@ -223,11 +223,13 @@ def force_band(
     """
     forces_n = np.atleast_2d(force_n)
     acting_forces = [row_n for row_n in forces_n if np.any(row_n)] or forces_n[:1]
-    lows_hz, highs_hz = zip(*(_band_of(row_n, sample_rate_hz, outside_share) for row_n in acting_forces), strict=True)
+    lows_hz, highs_hz = zip(
+        *(_single_force_band_hz(row_n, sample_rate_hz, outside_share) for row_n in acting_forces), strict=True
+    )
     return min(lows_hz), max(highs_hz)
 
 
-def _band_of(
+def _single_force_band_hz(
     force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, outside_share: float
 ) -> tuple[float, float]:
     """Band of one force, Hz."""

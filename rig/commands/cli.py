@@ -12,7 +12,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, fmu, format_words, import_, recover, schema
+from rig.commands.cli_files import draw, export_, fmu, format_help_texts, import_, recover, schema
 from rig.commands.cli_init import init
 from rig.commands.cli_view import view
 from rig.commands.command_line import (
@@ -20,14 +20,14 @@ from rig.commands.command_line import (
     Json,
     StoppedError,
     Version,
-    check_ending,
+    check_file_ending,
     help_filled_by,
     literal_console,
     progress_bar,
+    progress_spinner,
     refuse_existing,
     run,
     say,
-    working,
 )
 from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
     from rig.model.description import Station
     from rig.recording import Recording, Signals
-    from rig.simulation.own import OwnRig
+    from rig.simulation.own import UserRig
     from rig.simulation.reference import Reference
 else:
     # what a command needs of the other rooms is imported when it runs: the help is shown at once
-    ndarray = Station = Recording = Signals = OwnRig = Reference = Any
+    ndarray = Station = Recording = Signals = UserRig = Reference = Any
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -54,17 +54,17 @@ def _callback(version: Version = False) -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
-def _record_words() -> dict[str, str]:
+def _record_help_texts() -> dict[str, str]:
     """Words for the help of `rig record`: reference rigs, plants, and every setting and effect with its defaults."""
     from rig.effects import effects
-    from rig.simulation.own import OwnRigSettings
+    from rig.simulation.own import UserRigSettings
     from rig.simulation.plants import PLANTS
     from rig.simulation.reference import REFERENCES, settings_in_order
 
     def defaults_text(struct_type: type[msgspec.Struct]) -> str:
         return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
 
-    settings_by_rig = {**REFERENCES, "FILE.json": OwnRigSettings}
+    settings_by_rig = {**REFERENCES, "FILE.json": UserRigSettings}
     paragraphs = (
         *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings_by_rig.items()),
         "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
@@ -78,7 +78,7 @@ def _first_paragraph(documented_class: type) -> str:
     return " ".join((getdoc(documented_class) or "").partition("\n\n")[0].split())
 
 
-@app.command(cls=help_filled_by(_record_words), epilog="{settings}")
+@app.command(cls=help_filled_by(_record_help_texts), epilog="{settings}")
 def record(
     scenario: Annotated[
         str, typer.Argument(metavar="RIG", help="One of {references}, or a rig of your own: its rig.json.")
@@ -111,7 +111,7 @@ def record(
     """
     from rig.effects import effect_named
     from rig.recording import truth_path
-    from rig.simulation.own import OwnRig, plant_for
+    from rig.simulation.own import UserRig, default_plant_name
     from rig.simulation.plants import PLANTS, plant_named
     from rig.simulation.record import record as record_rig
 
@@ -124,16 +124,16 @@ def record(
     setting_texts = {key: value for key, _, value in setting_parts}
     setting_texts |= {} if duration is None else {"duration_s": str(duration)}
     setting_texts |= {} if seed is None else {"seed": str(seed)}
-    machine = _reference_or_own_rig(scenario, setting_texts)
+    machine = _reference_or_user_rig(scenario, setting_texts)
     rig = machine.rig()
     excitation = machine.force()
-    plant = plant or plant_for(rig)
+    plant = plant or default_plant_name(rig)
     try:
         actual_rig = reduce(lambda modified_rig, text: effect_named(text).applied_to(modified_rig), effect or [], rig)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
-    check_ending(out, (".mcap",), "a recording")
+    check_file_ending(out, (".mcap",), "a recording")
     refuse_existing(truth_path(out), force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
@@ -152,36 +152,36 @@ def record(
             raise
         raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
-        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level_json(machine)}))
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_force_level_json(machine)}))
     else:
         forces_phrase = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_words = f"{forces_phrase} {excitation.rms_n:g} N rms, {excitation.low_hz:g} to {excitation.high_hz:g} Hz"
         if rig.is_on_ground(rig.forces[0]):
             force_words = "no force, the base shakes"
         say(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_words}")
-        if isinstance(machine, OwnRig):
+        if isinstance(machine, UserRig):
             say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.reason}")
             for warning in machine.warnings:
                 say(f"warning: {warning}")
         say(f"{truth_path(out)}: what only a simulator knows")
 
 
-def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
+def _force_level_json(machine: Reference | UserRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
-    from rig.simulation.own import OwnRig
+    from rig.simulation.own import UserRig
 
-    if not isinstance(machine, OwnRig):
+    if not isinstance(machine, UserRig):
         return {}
     return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.reason, "warnings": machine.warnings}}
 
 
-def _reference_or_own_rig(scenario: str, setting_texts: dict[str, str]) -> Reference | OwnRig:
+def _reference_or_user_rig(scenario: str, setting_texts: dict[str, str]) -> Reference | UserRig:
     """Reference rig by its name, or the rig in a JSON file.
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
     """
     from rig.model.description import read_rig
-    from rig.simulation.own import own_rig
+    from rig.simulation.own import user_rig
     from rig.simulation.reference import REFERENCES, reference
 
     is_file = Path(scenario).suffix == ".json"
@@ -190,7 +190,7 @@ def _reference_or_own_rig(scenario: str, setting_texts: dict[str, str]) -> Refer
         raise typer.BadParameter(f"{scenario!r} is none of {names}, and no FILE.json{suggested_name}", param_hint="RIG")
     rig = read_rig(Path(scenario)) if is_file else None
     try:
-        return reference(scenario, setting_texts) if rig is None else own_rig(rig, setting_texts)
+        return reference(scenario, setting_texts) if rig is None else user_rig(rig, setting_texts)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--set") from error
 
@@ -201,10 +201,10 @@ def info(file: File, as_json: Json = False) -> None:
 
     Example: rig info barrel_cradle.mcap
     """
-    from rig.model.contact_laws import walls_m
+    from rig.model.contact_laws import stop_positions_m_and_sides
     from rig.recording import read
 
-    with working(f"reading {file.name}"):
+    with progress_spinner(f"reading {file.name}"):
         recording = read(file)
     if as_json:
         print(json.dumps(_summary_json(recording)))
@@ -219,7 +219,9 @@ def info(file: File, as_json: Json = False) -> None:
     contact_table = _empty_table("Contacts, as rig.json believes", *headings)
     for contact in rig.contacts:
         law, against_words = contact.law, "ground" if contact.against is None else _station_text(contact.against)
-        clearance_words = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
+        clearance_words = (
+            ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(stop_positions_m_and_sides(law))) or "no stops"
+        )
         if law.spatial:
             clearance_words = f"{1e3 * law.clearance_m:g} all around"
         stiffness_words = f"{law.stiffness_n_per_m:g}"
@@ -239,7 +241,7 @@ def check(file: File, as_json: Json = False) -> None:
     """
     from rig.recording import read
 
-    with working(f"reading {file.name}"):
+    with progress_spinner(f"reading {file.name}"):
         recording = read(file)
     if as_json:
         print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
@@ -251,8 +253,8 @@ def check(file: File, as_json: Json = False) -> None:
 app.command()(view)
 app.command()(demo)
 app.command()(recover)
-app.command("import", cls=help_filled_by(format_words))(import_)
-app.command("export", cls=help_filled_by(format_words))(export_)
+app.command("import", cls=help_filled_by(format_help_texts))(import_)
+app.command("export", cls=help_filled_by(format_help_texts))(export_)
 app.command()(draw)
 app.command()(fmu)
 app.command()(schema)

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
+from rig.commands.command_line import (
+    Force,
+    Json,
+    check_file_ending,
+    progress_bar,
+    progress_spinner,
+    refuse_existing,
+    say,
+)
 from rig.errors import one_line
 from rig.files import check_source, write_bytes
 
@@ -19,7 +27,7 @@ else:
     Rig = Any  # what a command needs of rig.lab and rig.model is imported when it runs: the help is shown at once
 
 
-def format_words() -> dict[str, str]:
+def format_help_texts() -> dict[str, str]:
     """Words for the help: suffixes that are read, formats that are written."""
     from rig.lab.exporting import WRITERS
     from rig.lab.tables import READERS
@@ -40,8 +48,8 @@ def recover(
     from rig.recording.recovery import recover as recover_recording
 
     refuse_existing(out, force, file)
-    check_ending(out, (".mcap",), "a recording")
-    with working(f"recovering {file.name}"):
+    check_file_ending(out, (".mcap",), "a recording")
+    with progress_spinner(f"recovering {file.name}"):
         losses = recover_recording(file, out)
     if as_json:
         print(json.dumps({"recording": str(out), "groups": msgspec.to_builtins(losses)}))
@@ -77,13 +85,13 @@ def import_(
             raise typer.BadParameter(
                 "a recording needs a --map; leave --out away to have one proposed", param_hint="--out"
             )
-        _propose(source, write_map, rig, force, as_json)
+        _propose_map(source, write_map, rig, force, as_json)
         return
     if out is None or write_map is not None or rig is not None:
         raise typer.BadParameter("give --out with --map, and neither --write-map nor --rig", param_hint="--map")
     refuse_existing(out, force, source, map_)
-    check_ending(out, (".mcap",), "a recording")
-    with working(f"importing {source.name}"):
+    check_file_ending(out, (".mcap",), "a recording")
+    with progress_spinner(f"importing {source.name}"):
         history_steps = import_file(source, map_, out)
     if as_json:
         print(json.dumps({"recording": str(out), "history": history_steps}))
@@ -93,20 +101,20 @@ def import_(
         say(f"  {history_step}")
 
 
-def _propose(source_path: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
+def _propose_map(source_path: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
     """Print the map proposed for a file, or write it and print the observations behind it."""
-    from rig.lab.looking import look_at
+    from rig.lab.looking import proposed_import_map
     from rig.model.description import read_rig
     from rig.recording import RIG_NAME
 
     if write_map is not None:
         refuse_existing(write_map, force, source_path)
-        check_ending(write_map, (".toml",), "a map")
+        check_file_ending(write_map, (".toml",), "a map")
     map_folder = (write_map or source_path).parent
     rig_path = rig_path or next((p for p in (map_folder / RIG_NAME, source_path.parent / RIG_NAME) if p.exists()), None)
     rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, map_folder)).as_posix()
-    with working(f"looking at {source_path.name}"):
-        proposal = look_at(source_path, None if rig_path is None else read_rig(rig_path), rig_name)
+    with progress_spinner(f"looking at {source_path.name}"):
+        proposal = proposed_import_map(source_path, None if rig_path is None else read_rig(rig_path), rig_name)
     if write_map is not None:
         write_bytes(proposal.text.encode(), write_map)
     if as_json:
@@ -145,10 +153,10 @@ def export_(
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     refuse_existing(out, force, file)
-    check_ending(out, FILE_ENDINGS_BY_FORMAT[format_], f"a file of the format {format_}")
+    check_file_ending(out, FILE_ENDINGS_BY_FORMAT[format_], f"a file of the format {format_}")
     written_paths = [out]
     if map_ is not None:
-        check_ending(map_, (".toml",), "a map")
+        check_file_ending(map_, (".toml",), "a map")
         refuse_existing(map_, force, file, out)
         written_paths += [map_, map_.with_name(RIG_NAME)]
         refuse_existing(written_paths[-1], force, file, out, map_)
@@ -157,7 +165,7 @@ def export_(
     print(f"{', '.join(map(str, written_paths))}: written")
 
 
-def _rig_in(file: Path) -> Rig:
+def _rig_from_file(file: Path) -> Rig:
     """Rig of a rig.json or of a recording."""
     from rig.model.description import read_rig
     from rig.recording import read
@@ -179,8 +187,8 @@ def draw(
     check_source(file)
     svg_path = out or file.with_suffix(".svg")
     refuse_existing(svg_path, force, file)
-    check_ending(svg_path, (".svg",), "a drawing")
-    draw_rig(_rig_in(file), svg_path)
+    check_file_ending(svg_path, (".svg",), "a drawing")
+    draw_rig(_rig_from_file(file), svg_path)
     print(f"{svg_path}: written; a browser shows it")
 
 
@@ -200,8 +208,8 @@ def fmu(
         raise typer.BadParameter(f"{step} is not a finite number above zero", param_hint="--step")
     check_source(file)
     refuse_existing(out, force, file)
-    check_ending(out, (".fmu",), "an FMU")
-    export_fmu(_rig_in(file), out, step)
+    check_file_ending(out, (".fmu",), "an FMU")
+    export_fmu(_rig_from_file(file), out, step)
     print(f"{out}: written; its force is the value at the end of the next step")
 
 

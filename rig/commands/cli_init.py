@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_group
 
-from rig.commands.command_line import Force, Json, refuse_existing, say, working
+from rig.commands.command_line import Force, Json, progress_spinner, refuse_existing, say
 from rig.model.decoding import explained
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def _callback() -> None:
 
 def _kind_command(kind_name: str, kind: RigKind) -> Callable[..., None]:
     """Command that starts one kind of rig, with an option for each field of the kind."""
-    from rig.lab.starting import MAP_NAME, write_start
+    from rig.lab.starting import MAP_NAME, write_rig_and_map
     from rig.recording import RIG_NAME
 
     help_by_field = _help_by_field(kind)
@@ -82,9 +82,9 @@ def _kind_command(kind_name: str, kind: RigKind) -> Callable[..., None]:
         for target_path in (out / RIG_NAME, out / MAP_NAME):
             refuse_existing(target_path, force, new_folder=True)
         rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in text_by_field.items() if v is not None})
-        with working(f"describing a rig of the kind {kind_name}"):
+        with progress_spinner(f"describing a rig of the kind {kind_name}"):
             rig, rig_notes = rig_start.rig_and_notes()
-        written_paths = write_start(rig, rig_start.map_text(rig), out)
+        written_paths = write_rig_and_map(rig, rig_start.map_text(rig), out)
         if as_json:
             print(json.dumps({"rig": str(written_paths[0]), "map": str(written_paths[1]), "notes": rig_notes}))
             return

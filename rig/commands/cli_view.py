@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.command_line import Force, check_ending, progress_bar, refuse_existing, working
+from rig.commands.command_line import Force, check_file_ending, progress_bar, progress_spinner, refuse_existing
 from rig.extras import needs_extra
 from rig.files import check_source
 
@@ -50,7 +50,7 @@ def view(
 
     with needs_extra("view", "rig view (rerun)"):
         from rig.viewer.deflection import deflection
-        from rig.viewer.gap import read_corrected, read_gap
+        from rig.viewer.gap import read_corrected_rig, read_gap
         from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.prediction import WINDOW_S, predicted_motion
         from rig.viewer.viewing import open_viewer, write_rrd
@@ -62,7 +62,7 @@ def view(
     rrd_path = out or file.with_suffix(".rrd")
     truth_file_path = truth or truth_path(file)
     refuse_existing(rrd_path, force, file, truth_file_path, *(path for path in (contact, gap) if path is not None))
-    check_ending(rrd_path, (".rrd",), "a view")
+    check_file_ending(rrd_path, (".rrd",), "a view")
     recording = read(file)
     truth_recording = read_truth(truth_file_path) if truth or truth_file_path.exists() else None
     identified_contacts = NOTHING_IDENTIFIED
@@ -71,9 +71,9 @@ def view(
     shown_gap, prediction = None, None
     if gap is not None:
         shown_gap = read_gap(gap, recording.rig, recording.duration_s)
-        if (corrected_rig := read_corrected(gap, recording.rig)) is not None:
+        if (corrected_rig := read_corrected_rig(gap, recording.rig)) is not None:
             shown_motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
-            with working("predicting the believed and the corrected rig"):
+            with progress_spinner("predicting the believed and the corrected rig"):
                 prediction = predicted_motion(recording, shown_motion, corrected_rig, modal, window_s, station)
     with progress_bar(f"writing {rrd_path.name}") as progress:
         write_rrd(

@@ -24,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperCommand
 
-from rig.errors import RigError, is_plain, one_line
+from rig.errors import RigError, has_no_control_characters, one_line
 from rig.files import check_target, part_path_of
 
 INTERRUPTED_STATUS = 130
@@ -78,7 +78,7 @@ def run(app: typer.Typer, command_name: str) -> None:
 
     Ctrl-C, a termination request and a closed terminal are interruptions.
     """
-    _prepare(command_name)
+    _prepare_streams_and_signals(command_name)
     try:
         try:
             app(prog_name=command_name)
@@ -104,11 +104,11 @@ def run(app: typer.Typer, command_name: str) -> None:
         exit_status = 1
         sentence = one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
-    _print_fitted(f"{command_name}: {sentence}", is_error=True)
+    _print_wrapped_line(f"{command_name}: {sentence}", is_error=True)
     sys.exit(exit_status)
 
 
-def _prepare(command_name: str) -> None:
+def _prepare_streams_and_signals(command_name: str) -> None:
     """Prepare the process: escape unencodable output, turn SIGTERM and SIGHUP into interruptions, silence warnings.
 
     Exits if standard output is closed.
@@ -145,7 +145,7 @@ def repeat_lost_interrupt(unraisable: Any) -> None:
 
 def say(text: str) -> None:
     """Print a line on standard output, with control characters escaped; a terminal breaks it between words."""
-    _print_fitted(text if is_plain(text) else one_line(text))
+    _print_wrapped_line(text if has_no_control_characters(text) else one_line(text))
 
 
 def print_sentence(sentence: str, console: Console) -> None:
@@ -166,7 +166,7 @@ def fitted(text: str, width: int) -> str:
     return wrapper.fill(text_without_breaks).replace("\u2060", " ")
 
 
-def _print_fitted(line: str, is_error: bool = False) -> None:
+def _print_wrapped_line(line: str, is_error: bool = False) -> None:
     """Print a line, fitted to a terminal; where it is piped it stays one line, for programs that read lines."""
     stream = sys.stderr if is_error else sys.stdout
     print(fitted(line, get_terminal_size().columns) if stream.isatty() else line, file=stream)
@@ -203,14 +203,14 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def working(description: str) -> Iterator[None]:
+def progress_spinner(description: str) -> Iterator[None]:
     """Spinner on standard error for work of unknown duration. Silent when piped."""
     console = Console(stderr=True)
     with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
         yield
 
 
-def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None:
+def check_file_ending(path: Path, endings: Sequence[str], content_words: str) -> None:
     """Raise RigError unless the name of a file to be written ends as files of its content do."""
     if path.suffix.lower() not in endings:
         ending_words = f"ends in {path.suffix!r}" if path.suffix else "has no ending"

@@ -34,7 +34,7 @@ def doctor() -> int:
             f"{', '.join(missing_packages)} missing: pip install '{NAME}[{extra}]'" if missing_packages else "installed"
         )
         print(f"  {extra:9} {purpose}: {installation_words}")
-    conflict_sentences = [*taken_packages(), *taken_commands()]
+    conflict_sentences = [*package_conflict_sentences(), *command_conflict_sentences()]
     for sentence in conflict_sentences:
         print(sentence)
     return int(bool(conflict_sentences))
@@ -53,7 +53,7 @@ def installed_version(package: str) -> str | None:
         return None
 
 
-def taken_packages() -> Iterator[str]:
+def package_conflict_sentences() -> Iterator[str]:
     """Sentence for each of the project's packages that another distribution provides too."""
     owners_by_package = packages_distributions()
     for package_name in COMMANDS:
@@ -73,7 +73,7 @@ def taken_packages() -> Iterator[str]:
             )
 
 
-def taken_commands() -> Iterator[str]:
+def command_conflict_sentences() -> Iterator[str]:
     """Sentence for each command that the shell finds elsewhere, or not at all."""
     scripts_folder = Path(sysconfig.get_path("scripts")).resolve()
     for command_name in COMMANDS:

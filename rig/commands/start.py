@@ -46,7 +46,7 @@ def both() -> None:
 def _start(command_name: str) -> None:
     if sys.argv[1:] == ["doctor"]:
         _doctor()
-    _check_date(command_name)
+    _check_source_date_epoch(command_name)
 
     def exit_interrupted(*_: Any) -> None:
         os.write(2, f"{command_name}: interrupted\n".encode())
@@ -67,7 +67,7 @@ def _start(command_name: str) -> None:
     main()
 
 
-def _check_date(command_name: str) -> None:
+def _check_source_date_epoch(command_name: str) -> None:
     """Exit with a sentence if SOURCE_DATE_EPOCH, which numpy parses when scipy is imported, is no valid date."""
     date_text = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not (date_text.isascii() and date_text.isdigit() and int(date_text[:20]) < LAST_DATE_S):

@@ -67,7 +67,7 @@ def outcomes_of_tasks(
     Raises RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
     """
     make_folder(folder)
-    result_paths = [kept_path(function, parameters, folder) for parameters in parameter_sets]
+    result_paths = [task_result_path(function, parameters, folder) for parameters in parameter_sets]
     unfinished_indices = [task_index for task_index, result_path in enumerate(result_paths) if not result_path.exists()]
     tasks = [parameter_sets[task_index] for task_index in unfinished_indices]
     completions = _completions_on_dask(function, tasks, dask) if dask else _completions_on_processes(function, tasks)
@@ -99,7 +99,7 @@ def outcomes_of_tasks(
     ]
 
 
-def kept_path(function: Callable[[Parameters], TaskResult], parameters: Parameters, folder: Path) -> Path:
+def task_result_path(function: Callable[[Parameters], TaskResult], parameters: Parameters, folder: Path) -> Path:
     """File in which the result of a task is kept."""
     hashed_name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
     return folder / f"{hashlib.sha256(hashed_name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
@@ -117,7 +117,9 @@ def _completions_on_dask(
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
     with client, client.get_executor(retries=MAX_LOST_PROCESSES) as executor:
-        index_by_future = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
+        index_by_future = {
+            executor.submit(_run_on_one_thread, function, task): index for index, task in enumerate(tasks)
+        }
         for future in as_completed(index_by_future):
             yield index_by_future[future], future
 
@@ -132,14 +134,14 @@ def _completions_on_processes(function: Callable[[Parameters], TaskResult], task
     waiting_indices = deque(range(len(tasks)))
     while waiting_indices:
         for task_index, future in _completions_on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
-            if _is_lost(future):
+            if _has_lost_process(future):
                 suspect_indices.append(task_index)
             else:
                 yield task_index, future
     for task_index in suspect_indices:
         for _ in range(MAX_LOST_PROCESSES - 1):
             ((_, future),) = _completions_on_pool(function, tasks, deque([task_index]), 1)
-            if not _is_lost(future):
+            if not _has_lost_process(future):
                 break
         else:
             loss_reason = f"its process was lost {MAX_LOST_PROCESSES} times (out of memory?)"
@@ -163,14 +165,14 @@ def _completions_on_pool(
         while True:
             try:
                 while waiting_indices and not is_broken and len(index_by_future) < process_count:
-                    future = pool.submit(_on_one_thread, function, tasks[waiting_indices[0]])
+                    future = pool.submit(_run_on_one_thread, function, tasks[waiting_indices[0]])
                     index_by_future[future] = waiting_indices.popleft()
             except BrokenProcessPool:
                 is_broken = True
             if not index_by_future:
                 return
             for future in wait(index_by_future, return_when=FIRST_COMPLETED).done:
-                is_broken = is_broken or _is_lost(future)
+                is_broken = is_broken or _has_lost_process(future)
                 yield index_by_future.pop(future), future
     except BaseException:
         for process in set(multiprocessing.active_children()) - earlier_processes:
@@ -180,7 +182,7 @@ def _completions_on_pool(
         pool.shutdown(cancel_futures=True)
 
 
-def _is_lost(future: Future[Any]) -> bool:
+def _has_lost_process(future: Future[Any]) -> bool:
     return isinstance(future.exception(), BrokenProcessPool)
 
 
@@ -199,7 +201,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _on_one_thread(function: Callable[[Parameters], TaskResult], parameters: Parameters) -> TaskResult:
+def _run_on_one_thread(function: Callable[[Parameters], TaskResult], parameters: Parameters) -> TaskResult:
     """Result of a task, computed on one thread, as a task runs on every core."""
     with threadpool_limits(1):
         return function(parameters)

@@ -22,7 +22,7 @@ class AddedMass(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to half of the body's mass."""
-        return cls.ranged_along_body(scale, mass_kg=(0.0, 0.5 * scale.mass_kg()))
+        return cls.with_ranges_along_body(scale, mass_kg=(0.0, 0.5 * scale.mass_kg()))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

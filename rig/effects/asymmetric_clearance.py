@@ -26,7 +26,7 @@ class AsymmetricClearance(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to four fifths of the smaller clearance, either way."""
         max_shift_m = 0.8 * scale.clearance_m()
-        return cls.ranged(shift_m=(-max_shift_m, max_shift_m))
+        return cls.with_ranges(shift_m=(-max_shift_m, max_shift_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

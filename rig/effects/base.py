@@ -184,14 +184,14 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         ]
 
     @classmethod
-    def ranged(cls, **range_by_parameter: tuple[float, float]) -> ParameterSet:
+    def with_ranges(cls, **range_by_parameter: tuple[float, float]) -> ParameterSet:
         """The declared parameters, some with other ranges."""
-        return parameters_of(cls).ranged(range_by_parameter)
+        return parameters_of(cls).with_ranges(range_by_parameter)
 
     @classmethod
-    def ranged_along_body(cls, scale: Scale, **range_by_parameter: tuple[float, float]) -> ParameterSet:
-        """Parameters as `ranged`, without the position along the body if that is a single mass."""
-        parameter_set = cls.ranged(**range_by_parameter)
+    def with_ranges_along_body(cls, scale: Scale, **range_by_parameter: tuple[float, float]) -> ParameterSet:
+        """Parameters as `with_ranges`, without the position along the body if that is a single mass."""
+        parameter_set = cls.with_ranges(**range_by_parameter)
         return parameter_set if scale.length_m() else parameter_set.excluding("relative_position")
 
     @classmethod
@@ -209,7 +209,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """Rig with the effect; raises RigError where the effect does not apply."""
         raise NotImplementedError
 
-    def missing_place(self, rig: Rig, missing_words: str) -> RigError:
+    def missing_place_error(self, rig: Rig, missing_words: str) -> RigError:
         return RigError(
             f"effect {self.name}: rig {rig.name!r} has no {missing_words}; choose another place or another effect"
         )
@@ -221,11 +221,11 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """
         law_by_contact = {c.name: c.law for c in rig.contacts if contact in (None, c.name)}
         if not law_by_contact:
-            raise self.missing_place(rig, "contact" if contact is None else f"contact {contact!r}")
+            raise self.missing_place_error(rig, "contact" if contact is None else f"contact {contact!r}")
         changed_laws = {}
         for contact_name, law in law_by_contact.items():
             if not isinstance(law, law_type):
-                raise self.missing_place(rig, f"{law_type.__struct_config__.tag} at {contact_name!r}")
+                raise self.missing_place_error(rig, f"{law_type.__struct_config__.tag} at {contact_name!r}")
             changed_laws[contact_name] = change_law(law)
         return replace(rig, contacts=tuple(replace(c, law=changed_laws.get(c.name, c.law)) for c in rig.contacts))
 
@@ -235,7 +235,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         for body in rig.bodies:
             if body.name == body_name:
                 return body
-        raise self.missing_place(rig, f"body {body_name!r}")
+        raise self.missing_place_error(rig, f"body {body_name!r}")
 
     def station(self, rig: Rig, body_name: str | None, relative_position: float) -> Station:
         """Station at a relative position (0 to 1) along a body."""
@@ -250,7 +250,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             beam for beam in rig.beams if end_condition in (None, beam.ends) and beam_name in (None, beam.name)
         )
         if not beams:
-            raise self.missing_place(
+            raise self.missing_place_error(
                 rig, f"{end_condition or ''} beam {'' if beam_name is None else repr(beam_name)}".strip()
             )
         return beams
@@ -259,7 +259,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """Rig with one sensor changed, the last if none is named."""
         chosen_sensors = [sensor for sensor in rig.sensors if sensor_name in (None, sensor.name)][-1:]
         if not chosen_sensors:
-            raise self.missing_place(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
+            raise self.missing_place_error(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
         return replace(
             rig, sensors=tuple(change_sensor(sensor) if sensor in chosen_sensors else sensor for sensor in rig.sensors)
         )

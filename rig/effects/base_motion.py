@@ -28,7 +28,7 @@ class ShakingBase(Effect, frozen=True):
         highest_m_per_s2 = (
             2 * scale.force_rms_n / min(scale.with_place({"body": body.name}).mass_kg() for body in scale.rig.bodies)
         )
-        return cls.ranged(
+        return cls.with_ranges(
             acceleration_rms_m_per_s2=(0.0, highest_m_per_s2), low_hz=scale.band_hz, high_hz=scale.band_hz
         )
 

@@ -22,7 +22,7 @@ class ClearanceWear(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a doubled clearance at the record's end."""
-        return cls.ranged(growth_per_minute=(0.0, 60 / scale.duration_s))
+        return cls.with_ranges(growth_per_minute=(0.0, 60 / scale.duration_s))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -19,5 +19,5 @@ class CommonGain(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         if len(rig.sensors) < 2:  # of one it is its gain
-            raise self.missing_place(rig, "second sensor")
+            raise self.missing_place_error(rig, "second sensor")
         return replace(rig, sensors=tuple(replace(sensor, gain=sensor.gain * self.factor) for sensor in rig.sensors))

@@ -23,7 +23,7 @@ class ContactDamping(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the contact's stiffness and the lighter body's mass."""
         critical_n_s_per_m = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
-        return cls.ranged(damping_n_s_per_m=(0.0, critical_n_s_per_m))
+        return cls.with_ranges(damping_n_s_per_m=(0.0, critical_n_s_per_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -25,7 +25,7 @@ class ContactPosition(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the shortest beam, either way."""
         max_shift_m = 0.1 * _shortest_beam_m(scale.rig)
-        return cls.ranged(shift_m=(-max_shift_m, max_shift_m))
+        return cls.with_ranges(shift_m=(-max_shift_m, max_shift_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
@@ -46,7 +46,7 @@ class ContactPosition(Effect, frozen=True):
 
     def _shifted_station(self, rig: Rig, station: Station, shift_m: float) -> Station:
         if station.body not in [beam.name for beam in rig.beams]:
-            raise self.missing_place(
+            raise self.missing_place_error(
                 rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
             )
         return Station(station.body, station.position_m + shift_m)

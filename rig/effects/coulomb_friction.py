@@ -22,7 +22,7 @@ class CoulombFriction(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force."""
-        return cls.ranged(force_n=(0.0, 2 * scale.force_rms_n))
+        return cls.with_ranges(force_n=(0.0, 2 * scale.force_rms_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

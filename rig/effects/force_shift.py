@@ -25,7 +25,7 @@ class ForceShift(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to 5 ms, or five samples, either way."""
         max_shift_s = max(5e-3, 5 / scale.rig.sample_rate_hz)
-        return cls.ranged(shift_s=(-max_shift_s, max_shift_s))
+        return cls.with_ranges(shift_s=(-max_shift_s, max_shift_s))
 
     def applied_to(self, rig: Rig) -> Rig:
         force_sensor = rig.force_sensor

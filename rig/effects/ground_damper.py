@@ -22,11 +22,11 @@ class GroundDamper(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the body's stiffness at its softest point and its mass."""
-        return cls.ranged_along_body(scale, damping_n_s_per_m=(0.0, _critical_n_s_per_m(scale)))
+        return cls.with_ranges_along_body(scale, damping_n_s_per_m=(0.0, _critical_damping_n_s_per_m(scale)))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, damping_n_s_per_m=0.02 * _critical_n_s_per_m(scale))
+        return cls.placed(scale, damping_n_s_per_m=0.02 * _critical_damping_n_s_per_m(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
@@ -35,5 +35,5 @@ class GroundDamper(Effect, frozen=True):
         )
 
 
-def _critical_n_s_per_m(scale: Scale) -> float:
+def _critical_damping_n_s_per_m(scale: Scale) -> float:
     return float(2 * (scale.stiffness_n_per_m() * scale.mass_kg()) ** 0.5)

@@ -23,7 +23,7 @@ class GroundFriction(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force."""
-        return cls.ranged_along_body(scale, force_n=(0.0, 2 * scale.force_rms_n))
+        return cls.with_ranges_along_body(scale, force_n=(0.0, 2 * scale.force_rms_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

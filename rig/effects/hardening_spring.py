@@ -34,7 +34,7 @@ class HardeningSpring(Effect, frozen=True):
             if scale.is_supported()
             else highest_n_per_m3
         )
-        return cls.ranged_along_body(scale, cubic_n_per_m3=(-softest_n_per_m3, highest_n_per_m3))
+        return cls.with_ranges_along_body(scale, cubic_n_per_m3=(-softest_n_per_m3, highest_n_per_m3))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -29,7 +29,7 @@ class HertzStop(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Exponent from 1 to 2; reference force from a hundredth to a hundred times the rms of the exciting force."""
-        return cls.ranged(reference_force_n=(0.01 * scale.force_rms_n, 100 * scale.force_rms_n))
+        return cls.with_ranges(reference_force_n=(0.01 * scale.force_rms_n, 100 * scale.force_rms_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -33,7 +33,7 @@ class LinearSpring(Effect, frozen=True):
         """
         scale_n_per_m = _stiffness_scale_n_per_m(scale)
         lowest_n_per_m = -MAX_MISSING_SHARE * scale.stiffness_n_per_m(np.median) if scale.is_supported() else 0.0
-        return cls.ranged_along_body(
+        return cls.with_ranges_along_body(
             scale, stiffness_n_per_m=(lowest_n_per_m, 5 * scale_n_per_m if scale.is_supported() else scale_n_per_m)
         )
 

@@ -22,11 +22,11 @@ class NonlinearContact(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a stop whose force is doubled where it equals three times the exciting force's root mean square."""
-        return cls.ranged(cubic_n_per_m3=(0.0, _doubling_n_per_m3(scale)))
+        return cls.with_ranges(cubic_n_per_m3=(0.0, _force_doubling_cubic_n_per_m3(scale)))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, cubic_n_per_m3=0.05 * _doubling_n_per_m3(scale))
+        return cls.placed(scale, cubic_n_per_m3=0.05 * _force_doubling_cubic_n_per_m3(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(
@@ -37,7 +37,7 @@ class NonlinearContact(Effect, frozen=True):
         )
 
 
-def _doubling_n_per_m3(scale: Scale) -> float:
+def _force_doubling_cubic_n_per_m3(scale: Scale) -> float:
     """k / depth^2, at the depth to which three times the exciting force's root mean square presses the stop."""
     stiffness_n_per_m = scale.contact_stiffness_n_per_m()
     return stiffness_n_per_m**3 / (3 * scale.force_rms_n) ** 2

@@ -11,7 +11,7 @@ from rig.model.description import Rig
 from rig.model.parameters import Parameter
 
 
-class OneStop(Effect, frozen=True):
+class OneStopStiffness(Effect, frozen=True):
     """One stop of a contact alone, the upper or the lower, is `factor` times as stiff as believed."""
 
     name: ClassVar[str] = "one_stop"

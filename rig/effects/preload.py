@@ -23,7 +23,7 @@ class Preload(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force, either way."""
         max_force_n = 2 * scale.force_rms_n
-        return cls.ranged_along_body(scale, force_n=(-max_force_n, max_force_n))
+        return cls.with_ranges_along_body(scale, force_n=(-max_force_n, max_force_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -26,7 +26,7 @@ class SensorDelay(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to 2 ms, or five samples, either way."""
         max_delay_s = max(2e-3, 5 / scale.rig.sample_rate_hz)
-        return cls.ranged(delay_s=(-max_delay_s, max_delay_s))
+        return cls.with_ranges(delay_s=(-max_delay_s, max_delay_s))
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_sensor(rig, self.sensor, lambda sensor: replace(sensor, delay_s=sensor.delay_s + self.delay_s))

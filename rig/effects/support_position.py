@@ -31,9 +31,11 @@ class SupportPosition(Effect, frozen=True):
         """Up to a tenth of the body, either way, as far as every support stays on it."""
         body_name = cls(body=scale.place.get("body")).supported_body(scale.rig)
         length_m = scale.rig.body(body_name).length_m
-        positions_m = [support.station.position_m for support in _supports(scale.rig, body_name)]
+        positions_m = [support.station.position_m for support in _supports_or_springs(scale.rig, body_name)]
         max_shift_m = MAX_SHIFT_SHARE * length_m
-        return cls.ranged(shift_m=(max(-max_shift_m, -min(positions_m)), min(max_shift_m, length_m - max(positions_m))))
+        return cls.with_ranges(
+            shift_m=(max(-max_shift_m, -min(positions_m)), min(max_shift_m, length_m - max(positions_m)))
+        )
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
@@ -49,19 +51,19 @@ class SupportPosition(Effect, frozen=True):
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Every body that supports or springs hold along its length."""
         del sensors
-        return [{"body": body.name} for body in rig.bodies if body.length_m and _supports(rig, body.name)]
+        return [{"body": body.name} for body in rig.bodies if body.length_m and _supports_or_springs(rig, body.name)]
 
     def supported_body(self, rig: Rig) -> str:
         """Name of the body, by default the first that is supported; raises RigError if there is none."""
         for place in self.placements(rig, ()):
             if self.body in (None, place["body"]):
                 return str(place["body"])
-        raise self.missing_place(
+        raise self.missing_place_error(
             rig, "support or spring along a body" if self.body is None else f"support or spring along {self.body!r}"
         )
 
     def applied_to(self, rig: Rig) -> Rig:
-        shifted_supports = _supports(rig, self.supported_body(rig))
+        shifted_supports = _supports_or_springs(rig, self.supported_body(rig))
         return replace(
             rig,
             supports=tuple(
@@ -75,7 +77,7 @@ class SupportPosition(Effect, frozen=True):
         return replace(support, station=Station(station.body, station.position_m + self.shift_m))
 
 
-def _supports(rig: Rig, body_name: str) -> Sequence[Support | PointSpring]:
+def _supports_or_springs(rig: Rig, body_name: str) -> Sequence[Support | PointSpring]:
     """Supports of a body; its springs where it has none."""
     supports = [support for support in rig.supports if support.station.body == body_name]
     return supports or [spring for spring in rig.springs if spring.station.body == body_name]

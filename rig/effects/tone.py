@@ -27,7 +27,7 @@ class HarmonicForce(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force, at the frequencies that a record tells."""
         max_force_n = 2 * scale.force_rms_n
-        return cls.ranged_along_body(
+        return cls.with_ranges_along_body(
             scale, cosine_n=(-max_force_n, max_force_n), sine_n=(-max_force_n, max_force_n), frequency_hz=scale.band_hz
         )
 

@@ -55,7 +55,7 @@ class SampleTimes:
         return self.stamps_s[first_sample:end_sample]
 
 
-def evenly_sampled(
+def even_samples_and_steps(
     values: Float[np.ndarray, "channels samples"], sample_times: SampleTimes, rate_hz: float, resample: bool
 ) -> tuple[Float[np.ndarray, "channels evenly"], tuple[str, ...]]:
     """Samples at the times k / rate_hz after the first, and the processing steps in words.

@@ -47,7 +47,7 @@ class UnreadableError(ValueError):
     """Fault of a file, in words that fit between "cannot be read as .mat (" and ")"."""
 
 
-def decode_text(encoded_text: bytes) -> str:
+def utf8_or_latin1_text(encoded_text: bytes) -> str:
     """Text of unknown encoding: UTF-8, or else Latin-1."""
     try:
         return encoded_text.decode()

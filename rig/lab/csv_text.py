@@ -78,7 +78,7 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     if has_names is None:
         has_names = not all(is_number(name, form.decimal) for name in header_names if name)
     skipped_count = form.lines_before_names + has_names + form.lines_after_names
-    line_shape = _count_lines(path, form, skipped_count)
+    line_shape = _count_sample_lines(path, form, skipped_count)
     cell_count = used_count = line_shape.cell_count
     if has_names:
         used_count = _used_column_count(path, header_names, cell_count, line_shape.trailing_empty_count)
@@ -123,7 +123,7 @@ def sample_lines(path: Path, form: TextForm, skipped_line_count: int) -> Iterato
             yield line_number, line.rstrip("\n")
 
 
-def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _SampleLines:
+def _count_sample_lines(path: Path, form: TextForm, skipped_line_count: int) -> _SampleLines:
     delimiter = form.delimiter
     numbered_lines = sample_lines(path, form, skipped_line_count)
     line_number, first_line = next(numbered_lines, (0, ""))
@@ -166,7 +166,7 @@ class _CsvColumns:
             if form.decimal != ".":
                 self._check_decimal(indices, lines)
             if form.cut_incomplete_end:
-                lines = self._complete_lines(indices, lines, remaining_lines)
+                lines = self._lines_before_incomplete_end(indices, lines, remaining_lines)
             texts = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
             if not texts:
                 continue
@@ -186,7 +186,7 @@ class _CsvColumns:
             for name, unit, samples in zip(column_names, column_units, column_values[:, :read_line_count], strict=True)
         ]
 
-    def _complete_lines(
+    def _lines_before_incomplete_end(
         self, indices: Sequence[int], lines: NumberedLines, remaining_lines: Iterator[tuple[int, str]]
     ) -> NumberedLines:
         """Lines up to the first that lacks a number in a chosen column; raises RigError if a whole line follows it."""
@@ -194,7 +194,7 @@ class _CsvColumns:
         def is_whole(line: str) -> bool:
             cells = cells_of(line, self.form.delimiter)
             return len(cells) > max(indices) and all(
-                number_in(cells[line_index], self.form.decimal) is not None for line_index in indices
+                finite_number_or_none(cells[line_index], self.form.decimal) is not None for line_index in indices
             )
 
         whole_count = next((line_index for line_index, (_, line) in enumerate(lines) if not is_whole(line)), len(lines))
@@ -269,7 +269,7 @@ def is_number(cell: str, decimal: str) -> bool:
     return _float_or_none(cell, decimal) is not None
 
 
-def number_in(cell: str, decimal: str) -> float | None:
+def finite_number_or_none(cell: str, decimal: str) -> float | None:
     """Finite number in a cell; None if there is none, or it has the other decimal separator."""
     number = _float_or_none(cell, decimal)
     if number is None or not math.isfinite(number) or (decimal != "." and "." in cell):

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.extras import needs_extra
 from rig.files import atomic_write, write_bytes
-from rig.lab.mode_shapes import mode_shapes, nodes_of
+from rig.lab.mode_shapes import mode_shapes, node_number_by_station
 from rig.model.description import to_json
 from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
@@ -59,7 +59,7 @@ def _write_uff(recording: Recording, path: Path, _: Progress) -> None:
     with needs_extra("lab", f"{path}: a UFF file"):
         import pyuff
 
-    node_by_station = nodes_of(recording.rig)
+    node_by_station = node_number_by_station(recording.rig)
     datasets = [*mode_shapes(recording.rig, node_by_station)]
     time_axis = {"abscissa_spacing": 1, "abscissa_spec_data_type": _UFF_TIME_KIND, "abscissa_axis_units_lab": "s"}
     uff_fields: dict[str, object] = {"type": 58, "binary": 1, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}

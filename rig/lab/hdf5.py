@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, decode_text
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, utf8_or_latin1_text
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH
 
 NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
@@ -65,7 +65,7 @@ def _group_blocks(
         full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
             yield item
-        elif not is_new(item, visited_addresses):
+        elif not is_first_visit(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
             yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, nesting_depth + 1)
@@ -93,7 +93,7 @@ def members(group: Any, prefix: str, nesting_depth: int) -> Iterator[tuple[str, 
             yield name, group[name]
 
 
-def is_new(item: Any, visited_addresses: set[int]) -> bool:
+def is_first_visit(item: Any, visited_addresses: set[int]) -> bool:
     """True if an object is visited for the first time, under any name; raises UnreadableError if there are too many."""
     import h5py
 
@@ -111,7 +111,7 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
     """
-    if sentence := elsewhere_sentence(dataset, dataset_name):
+    if sentence := external_storage_refusal(dataset, dataset_name):
         yield Refused(dataset_name, sentence)
         return
     try:
@@ -131,7 +131,7 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
     yield ColumnBlock(channel_names, shape[sample_axis], read, working_bytes)
 
 
-def elsewhere_sentence(dataset: Any, dataset_name: str) -> str:
+def external_storage_refusal(dataset: Any, dataset_name: str) -> str:
     """Sentence that refuses a dataset whose numbers are in other files; empty if they are in this one."""
     import h5py
 
@@ -150,7 +150,7 @@ def _other_file_sentence(content_name: str, reason: str) -> str:
 def _read_columns(
     path: Path, dataset: Any, sample_axis: int, names: Sequence[str], indices: Sequence[int]
 ) -> list[Column]:
-    check_stored(path, dataset, names[indices[0]])
+    check_written_and_decompressible(path, dataset, names[indices[0]])
     for attribute in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
         if attribute in dataset.attrs and dataset.attrs.get_id(attribute).shape not in SINGLE_VALUE_SHAPES:
             raise UnreadableError(f"its dataset {names[0]!r} has an attribute {attribute!r} of other than one value")
@@ -184,7 +184,7 @@ def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) ->
     return values
 
 
-def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
+def check_written_and_decompressible(path: Path, dataset: Any, dataset_name: str) -> None:
     """Raise RigError if samples were never written, have unknown filters, or expand beyond their chunk."""
     import h5py
 
@@ -198,7 +198,9 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     chunk_filters = [creation_properties.get_filter(k) for k in range(creation_properties.get_nfilters())]
     compression_codes = [code for code, *_ in chunk_filters if code not in PLAIN_FILTERS]
     if len(compression_codes) > 1 or not set(compression_codes) <= set(MAX_EXPANSION):
-        filter_names = ", ".join(f"{code} {decode_text(filter_name)!r}" for code, _, _, filter_name in chunk_filters)
+        filter_names = ", ".join(
+            f"{code} {utf8_or_latin1_text(filter_name)!r}" for code, _, _, filter_name in chunk_filters
+        )
         raise RigError(
             f"{dataset_label} is stored by the filters {filter_names}, which are not read; store it by gzip or without"
         )
@@ -218,7 +220,9 @@ def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     if stored_values < dataset.size:
         raise _unwritten_error(dataset_label, dataset.size - stored_values, dataset.size)
     for chunk_offset in doubtful_offsets:
-        if compression_codes == [LZF] or not _swells_within(dataset.id.read_direct_chunk(chunk_offset)[1], chunk_bytes):
+        if compression_codes == [LZF] or not _is_inflated_size_at_most(
+            dataset.id.read_direct_chunk(chunk_offset)[1], chunk_bytes
+        ):
             raise RigError(
                 f"{dataset_label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
             )
@@ -230,7 +234,7 @@ def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) 
     )
 
 
-def _swells_within(compressed: bytes, max_bytes: int) -> bool:
+def _is_inflated_size_at_most(compressed: bytes, max_bytes: int) -> bool:
     """True if a zlib stream decompresses to at most `max_bytes`."""
     decompressor, decompressed_count = zlib.decompressobj(), 0
     for first_byte in range(0, len(compressed), BYTES_PER_INFLATION):
@@ -248,5 +252,5 @@ def attribute_text(item: Any, attribute_names: Sequence[str]) -> str | None:
             attribute_value = np.ravel(np.asarray(item.attrs[attribute_name], dtype=object))[0]
             if isinstance(attribute_value, str):
                 attribute_value = attribute_value.encode("utf-8", "surrogateescape")
-            return decode_text(attribute_value) if isinstance(attribute_value, bytes) else str(attribute_value)
+            return utf8_or_latin1_text(attribute_value) if isinstance(attribute_value, bytes) else str(attribute_value)
     return None

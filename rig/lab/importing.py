@@ -9,14 +9,14 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.files import sha256_of
-from rig.lab.clock import RATE_TOLERANCE, SampleTimes, evenly_sampled
+from rig.lab.clock import RATE_TOLERANCE, SampleTimes, even_samples_and_steps
 from rig.lab.column import Column
 from rig.lab.import_map import Map, Source, read_map
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import Table, read_table
 from rig.lab.units import si_factor
 from rig.model.description import Rig
-from rig.recording import RECORDED, channel_groups, with_history, writing
+from rig.recording import RECORDED, channel_groups, with_processing_steps, writing
 from rig.recording.writer import SAMPLES_AT_ONCE
 
 
@@ -47,13 +47,15 @@ def _import(
     source_by_channel = {name: ("force", force) for name, force in zip(rig.force_names, forces, strict=False)}
     source_by_channel |= {sensor.name: (sensor.quantity, column_map.sensors[sensor.name]) for sensor in rig.sensors}
     try:
-        columns, si_factors = source_columns(table, source_by_channel)
+        columns, si_factors = columns_and_si_factors(table, source_by_channel)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
         sample_times = sample_times_of(table, list(columns.values()), column_map.time, column_map.sample_rate_hz)
         si_rows = rows_in_si(columns, si_factors)
-        values, resampling_steps = evenly_sampled(si_rows, sample_times, rig.sample_rate_hz, column_map.resample)
+        values, resampling_steps = even_samples_and_steps(
+            si_rows, sample_times, rig.sample_rate_hz, column_map.resample
+        )
     except RigError as error:
         raise RigError(f"{source_label}: {error}") from error
     processing_steps = (
@@ -63,13 +65,13 @@ def _import(
         *resampling_steps,
         *table.notes,
     )
-    provenance = with_history({"made_by": "rig import", **origin, "map": map_path.name}, *processing_steps)
+    provenance = with_processing_steps({"made_by": "rig import", **origin, "map": map_path.name}, *processing_steps)
     zero_forces = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
     _write_recording(out, rig, zero_forces | dict(zip(columns, values, strict=True)), provenance)
     return processing_steps
 
 
-def source_columns(
+def columns_and_si_factors(
     table: Table, source_by_name: Mapping[str, tuple[str, Source]]
 ) -> tuple[dict[str, Column], dict[str, float]]:
     """Columns by source name, with the factors from their numbers to the SI unit of the quantity.

@@ -16,8 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, decode_text
-from rig.lab.hdf5 import attribute_text, check_stored, dataset_blocks, elsewhere_sentence, is_new, members, open_hdf5
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, utf8_or_latin1_text
+from rig.lab.hdf5 import (
+    attribute_text,
+    check_written_and_decompressible,
+    dataset_blocks,
+    external_storage_refusal,
+    is_first_visit,
+    members,
+    open_hdf5,
+)
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 _HEADER_BYTES = 128
@@ -80,7 +88,7 @@ class _Head:
     data_offset: int
 
     @property
-    def is_real(self) -> bool:
+    def is_real_numeric(self) -> bool:
         return self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX_FLAG
 
 
@@ -114,7 +122,7 @@ class _Version5File:
             return memoryview(_decompressed_element(compressed, element_size))[data_start:]
 
         head = self._head(first_bytes[data_start:])
-        if head.is_real:
+        if head.is_real_numeric:
             yield from self._numeric_blocks(head, first_bytes[data_start:], head.name, unpacked_data, element_size)
         elif head.array_class in (_CELL, _STRUCT):
             memory_label = f"{self._path}: its variable {head.name!r}"
@@ -136,7 +144,7 @@ class _Version5File:
             yield from self._element_blocks(content, head.data_offset, cell_names, nesting_depth + 1)
         elif head.array_class == _STRUCT:
             yield from self._struct_blocks(content, head, name, nesting_depth + 1)
-        elif head.is_real:
+        elif head.is_real_numeric:
             yield from self._numeric_blocks(head, content, name, lambda: content, 0)
 
     def _struct_blocks(self, content: memoryview, head: _Head, name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
@@ -146,7 +154,9 @@ class _Version5File:
         if name_length < 1:
             raise UnreadableError(f"the fields of its struct {name!r} have no names")
         name_starts = range(0, len(names_bytes), name_length)
-        struct_fields = [decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts]
+        struct_fields = [
+            utf8_or_latin1_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts
+        ]
         struct_count = self._count_elements(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
         struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
         field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
@@ -184,7 +194,7 @@ class _Version5File:
         _, shape_bytes, offset = self._element(array_bytes, offset)
         _, name_bytes, offset = self._element(array_bytes, offset)
         shape = tuple(np.frombuffer(shape_bytes, f"{self._byte_order}i4").tolist())
-        return _Head(flags & 0xFF, flags, shape, decode_text(bytes(name_bytes)), offset)
+        return _Head(flags & 0xFF, flags, shape, utf8_or_latin1_text(bytes(name_bytes)), offset)
 
     def _tag(self, content: memoryview, offset: int) -> tuple[int, int, int, int]:
         """Tag of an element: type, length and offset of its data, and offset of the next element."""
@@ -262,8 +272,10 @@ class _Version73File:
         if isinstance(item, Refused):
             yield item
         elif isinstance(item, h5py.Group):
-            for field, member in members(item, f"{name}.", nesting_depth) if is_new(item, self._visited) else ():
-                has_references = isinstance(member, h5py.Dataset) and _holds_references(member)
+            for field, member in (
+                members(item, f"{name}.", nesting_depth) if is_first_visit(item, self._visited) else ()
+            ):
+                has_references = isinstance(member, h5py.Dataset) and _has_object_references(member)
                 if has_references and not _has_class(member, "cell"):
                     yield from self._reference_blocks(member, f"{name}(", f").{field}", nesting_depth + 1)
                 else:
@@ -276,20 +288,20 @@ class _Version73File:
     def _reference_blocks(self, dataset: Any, prefix: str, suffix: str, depth: int) -> Iterator[ColumnBlock | Refused]:
         """Blocks of the targets of references, named prefix + number + suffix."""
         name = f"{prefix}1{suffix}"
-        if not is_new(dataset, self._visited):
+        if not is_first_visit(dataset, self._visited):
             return
-        if sentence := elsewhere_sentence(dataset, name):
+        if sentence := external_storage_refusal(dataset, name):
             yield Refused(name, sentence)
             return
         self._reference_count += dataset.size
         if depth > MAX_DEPTH or self._reference_count > MAX_ITEMS:
             raise UnreadableError(f"its cells are more than {MAX_DEPTH} deep, or more than {MAX_ITEMS}")
-        check_stored(self._path, dataset, name)
+        check_written_and_decompressible(self._path, dataset, name)
         for reference_number, reference in enumerate(dataset[()].T.ravel(order="F"), start=1):
             yield from self.array_blocks(f"{prefix}{reference_number}{suffix}", self._file[reference], depth)
 
 
-def _holds_references(dataset: Any) -> bool:
+def _has_object_references(dataset: Any) -> bool:
     import h5py
 
     return h5py.check_ref_dtype(dataset.dtype) is h5py.Reference

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.model.description import Body, Rig, Station, stations_of
+from rig.model.description import Body, Rig, Station, rig_stations
 from rig.model.modes import mode_count, modes_of
 
 MAX_MODES_PER_BEAM = 24
@@ -17,10 +17,10 @@ NODES_PER_BODY = 1000
 """Numbering: node 2003 is the third of the second body."""
 
 
-def nodes_of(rig: Rig) -> dict[Station, int]:
+def node_number_by_station(rig: Rig) -> dict[Station, int]:
     """Node numbers: PLACE_COUNT nodes from end to end of a beam, the places of a modal basis, and all stations."""
     number_by_station: dict[Station, int] = {}
-    stations = (*stations_of(rig), *rig.forces)
+    stations = (*rig_stations(rig), *rig.forces)
     for body_number, body in enumerate(rig.bodies, start=1):
         positions_m = {station.position_m for station in stations if station.body == body.name}
         tolerance_m = SAME_NODE_SHARE * body.length_m
@@ -48,10 +48,10 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
     yield {"type": 15, "node_nums": node_numbers, **zero_columns, "x": x_m, "y": zeros, "z": zeros}
     for body in rig.bodies:
         body_nodes = {s.position_m: node for s, node in node_by_station.items() if s.body == body.name}
-        yield from _body_shapes(rig, body, body_nodes)
+        yield from _mode_shape_datasets(rig, body, body_nodes)
 
 
-def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
+def _mode_shape_datasets(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
     modes, taken_count = modes_of(rig, body), mode_count(body, MAX_MODES_PER_BEAM)
     shapes = modes.shapes(np.array([*node_by_position]), taken_count)
     mode_rows = zip(modes.frequencies_hz(taken_count), modes.damping_ratios(taken_count), shapes.T, strict=True)

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from itertools import islice, zip_longest
 from pathlib import Path
 
-from rig.lab.column import decode_text
-from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, lines_of, number_in
+from rig.lab.column import utf8_or_latin1_text
+from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, finite_number_or_none, lines_of
 
 MAX_HEADER_LINES = 2000
 MAX_LINE_LENGTH = 500
@@ -50,7 +50,7 @@ def recorded_date(source: Path, form: TextForm, stated_dates: Iterable[str]) -> 
     modification time.
     """
     date_lines = [*_header_lines(source, form), *dict.fromkeys(text for text in stated_dates if text)]
-    header_date, doubtful_text = date_in(date_lines)
+    header_date, doubtful_text = date_and_ambiguous_text(date_lines)
     if header_date is not None:
         saving_note = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
         zone_note = "" if header_date.tzinfo else ", which states no time zone"
@@ -60,7 +60,7 @@ def recorded_date(source: Path, form: TextForm, stated_dates: Iterable[str]) -> 
     return modification_date, f"the file's modification time, since {reason}"
 
 
-def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
+def date_and_ambiguous_text(lines: Iterable[str]) -> tuple[datetime | None, str]:
     """Date and time in the lines of a header, and a text that may be either of two dates.
 
     Lines that are labelled as a date come first. The time of day may stand in the same line, or in one of its own.
@@ -68,7 +68,7 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
     header_lines = [line[:MAX_LINE_LENGTH] for line in islice(lines, MAX_HEADER_LINES)]
     doubtful_text = ""
     for line in sorted(header_lines, key=lambda doubt: not _DATE_LABEL.search(doubt)):
-        year_month_day, doubt = _day_in(line)
+        year_month_day, doubt = _day_and_ambiguous_text(line)
         doubtful_text = doubtful_text or doubt
         if year_month_day is not None:
             clock_lines = [line, *(other_line for other_line in header_lines if _TIME_LABEL.search(other_line))]
@@ -77,7 +77,7 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
     return None, doubtful_text
 
 
-def rate_in(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
+def stated_sampling_rate_hz(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
     """Sampling rate, Hz, stated in the cells of a header: a rate or an interval, beside or below its label."""
     for row, next_row in zip_longest(header_rows, header_rows[1:], fillvalue=()):
         for k, cell in enumerate(row):
@@ -97,15 +97,15 @@ def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], de
     match = _NUMBER_PATTERN.search(text)
     if match is None:
         return None
-    number = number_in(match[0], decimal)
+    number = finite_number_or_none(match[0], decimal)
     if number is None:
-        number = number_in(match[0].replace(",", "."), ".")
+        number = finite_number_or_none(match[0].replace(",", "."), ".")
     unit_words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE_LENGTH].lower())
     unit_factor = next((factor_by_unit[word] for word in unit_words if word in factor_by_unit), 1.0)
     return None if number is None else number * unit_factor
 
 
-def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
+def _day_and_ambiguous_text(line: str) -> tuple[tuple[int, int, int] | None, str]:
     """Year, month and day in a line, and a text of two readings."""
     for date_pattern in (_YEAR_FIRST, _DAY_FIRST, _DAY_NAMED, _CTIME):
         if match := date_pattern.search(line):
@@ -113,18 +113,20 @@ def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
             year = int(match["year"])
             year += (1900 if year >= 70 else 2000) if year < 100 else 0
             year_month_day = (year, int(month) if month.isdigit() else _MONTH_NUMBERS[month], int(match["day"]))
-            if _is_date(year_month_day):
+            if _is_valid_date(year_month_day):
                 return year_month_day, ""
     if match := _EITHER_ORDER.search(line):
         first_number, second_number, year = int(match["first"]), int(match["second"]), int(match["year"])
-        valid_days = set(filter(_is_date, ((year, first_number, second_number), (year, second_number, first_number))))
+        valid_days = set(
+            filter(_is_valid_date, ((year, first_number, second_number), (year, second_number, first_number)))
+        )
         if len(valid_days) == 1:
             return valid_days.pop(), ""
         return None, match[0] if valid_days else ""
     return None, ""
 
 
-def _is_date(year_month_day: tuple[int, int, int]) -> bool:
+def _is_valid_date(year_month_day: tuple[int, int, int]) -> bool:
     try:
         return 1970 <= datetime(*year_month_day, tzinfo=UTC).year < 2200
     except ValueError:
@@ -154,7 +156,7 @@ def _header_lines(source: Path, form: TextForm) -> list[str]:
     suffix = source.suffix.lower()
     if suffix == ".mat":
         with source.open("rb") as stream:
-            return [decode_text(stream.read(_MATLAB_HEAD_BYTES))]
+            return [utf8_or_latin1_text(stream.read(_MATLAB_HEAD_BYTES))]
     if suffix not in TEXT_SUFFIXES:
         return []
     line_count = form.lines_before_names + form.lines_after_names + 2

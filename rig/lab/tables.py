@@ -98,7 +98,7 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] 
     for block in blocks:
         first_index = len(column_names)
         if isinstance(block, Refused):
-            if _may_select(block, first_index, column_keys):
+            if _is_possibly_requested(block, first_index, column_keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
         column_names += block.names
@@ -123,7 +123,7 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] 
     return Table(tuple(column_names), columns, notes)
 
 
-def _may_select(refused: Refused, column_count: int, column_keys: Collection[ColumnKey] | None) -> bool:
+def _is_possibly_requested(refused: Refused, column_count: int, column_keys: Collection[ColumnKey] | None) -> bool:
     """True if a key may select refused content: by its name, one of its channels, or a number beyond `column_count`."""
     if column_keys is None:
         return True

@@ -21,7 +21,7 @@ MAX_VISITS = 10_000_000
 """Largest number of channel visits, summed over segments, of npTDMS."""
 
 
-class _WholeFile(BufferedReader):
+class _BoundedReadFile(BufferedReader):
     """File whose reads are limited to the bytes left: a false length would otherwise allocate its memory."""
 
     def read(self, size: int | None = -1) -> bytes:
@@ -41,7 +41,7 @@ def tdms_blocks(path: Path) -> Blocks:
 
     log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
     file_bytes = path.stat().st_size
-    with _WholeFile(path.open("rb", buffering=0)) as stream:
+    with _BoundedReadFile(path.open("rb", buffering=0)) as stream:
         _check_segments(path, stream, file_bytes)
         stream.seek(0)
         with TdmsFile.open(stream) as file:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, utf8_or_latin1_text
 
 MARK_PATTERN = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 """Line that opens or closes a dataset; it directly follows the numbers of a binary one."""
@@ -78,7 +78,7 @@ def uff_blocks(path: Path) -> Blocks:
                 yield _history_block(content, dataset)
 
 
-def check_whole(path: Path) -> None:
+def check_uff_is_complete(path: Path) -> None:
     """Raise UnreadableError if the last dataset is incomplete, or there is none."""
     with path.open("rb") as stream:
         for _ in datasets_of(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)):
@@ -132,7 +132,7 @@ def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
     header_lines = []
     for _ in range(11):
         line, offset = _line(content, offset)
-        header_lines.append(decode_text(line[:200]))
+        header_lines.append(utf8_or_latin1_text(line[:200]))
     return type_line, header_lines, offset
 
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
 
-from rig.errors import RigError, is_plain
+from rig.errors import RigError, has_no_control_characters
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.quantities import QUANTITIES, Quantity, QuantityName
 
@@ -23,7 +23,7 @@ GROUND = "ground"
 
 def check_name(kind: str, name: str) -> None:
     """Raise RigError unless a name is printable, not empty and at most MAX_NAME_LENGTH characters long."""
-    if not (is_plain(name) and 0 < len(name) <= MAX_NAME_LENGTH):
+    if not (has_no_control_characters(name) and 0 < len(name) <= MAX_NAME_LENGTH):
         raise RigError(f"{kind} {name!r}: give a name of 1 to {MAX_NAME_LENGTH} signs, without control characters")
 
 

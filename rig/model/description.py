@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.files import contents
-from rig.limits import SCHEMA_VERSION, check_json, check_largest, check_schema_version
+from rig.limits import SCHEMA_VERSION, check_json_size_and_keys, check_largest_number, check_schema_version
 from rig.model.beam import Beam
 from rig.model.checks import check_components
 from rig.model.components import (
@@ -38,7 +38,7 @@ from rig.model.components import (
 from rig.model.decoding import converted
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
-from rig.model.rig_json import json_in_types
+from rig.model.rig_json import normalised_rig_json
 from rig.model.structure import Structure
 from rig.model.tolerances import Tolerances
 
@@ -69,7 +69,7 @@ __all__ = [
     "force_names",
     "from_json",
     "read_rig",
-    "stations_of",
+    "rig_stations",
     "to_json",
 ]
 
@@ -236,7 +236,7 @@ def force_names(count: int) -> tuple[str, ...]:
     return tuple(f"force_{k}" for k in range(1, count + 1)) if count > 1 else ("force",)
 
 
-def stations_of(rig: Rig) -> tuple[Station, ...]:
+def rig_stations(rig: Rig) -> tuple[Station, ...]:
     """Every distinct station on a body with a sensor or a contact, body by body from left to right."""
     stations = {sensor.station for sensor in rig.sensors if sensor not in rig.base_sensors} | {
         station for contact in contact_rows(rig) for station in contact_stations(contact)
@@ -295,16 +295,16 @@ def to_json(rig: Rig) -> bytes:
 
 def from_json(text: bytes, source_label: str) -> Rig:
     """Rig from a JSON text; raises RigError with `source_label`, the place and the reason if it is invalid."""
-    check_json(text, source_label)
+    check_json_size_and_keys(text, source_label)
     try:
         decoded = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source_label}: not a rig description: it is no JSON ({error}); correct it there") from error
     check_schema_version(decoded, source_label)
-    check_largest(decoded, source_label)
+    check_largest_number(decoded, source_label)
     error_prefix = f"{source_label}: not a rig description"
     try:
-        typed_json = json_in_types(decoded)
+        typed_json = normalised_rig_json(decoded)
     except RigError as error:
         raise RigError(f"{error_prefix}: {error}") from error
     return converted(typed_json, Rig, error_prefix)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.contact_laws import ContactLaw, stop_positions_m_and_sides
 from rig.model.description import Rig, Station
 from rig.model.modes import mode_count, modes_of, participation
 from rig.model.space import plane_rigs
@@ -46,10 +46,12 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
         planes = (plane_rig for direction, plane_rig in plane_rigs(rig).items() if direction in driven_directions)
         return max((rattling_level(plane_rig, low_hz, high_hz) for plane_rig in planes), key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
-    mean_square_receptances = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
+    mean_square_receptances = np.sum(
+        [_contact_mean_square_receptances(rig, station, omega) for station in rig.forces], axis=0
+    )
     contact_levels: list[tuple[float, str, float]] = []
     for contact, mean_square_m2_per_n2 in zip(rig.contacts, mean_square_receptances, strict=True):
-        rms_m_per_n, clearance_m = float(np.sqrt(mean_square_m2_per_n2)), reachable_clearance_m(contact.law)
+        rms_m_per_n, clearance_m = float(np.sqrt(mean_square_m2_per_n2)), mean_reachable_clearance_m(contact.law)
         if rms_m_per_n > 0 and clearance_m:
             contact_levels.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
     highest_level_n, contact_name, clearance_m = max(contact_levels, default=(np.inf, "", 0.0))
@@ -62,9 +64,9 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     return ForceLevel(float(f"{highest_level_n:.1g}"), reason)
 
 
-def reachable_clearance_m(law: ContactLaw) -> float:
+def mean_reachable_clearance_m(law: ContactLaw) -> float:
     """Mean clearance, m, of the stops of a contact that a laboratory's force can reach; zero if there are none."""
-    clearances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+    clearances_m = sorted(abs(wall_m) for wall_m, _ in stop_positions_m_and_sides(law))
     farthest_reachable_m = FARTHEST_STOP_M
     if clearances_m and clearances_m[0]:
         farthest_reachable_m = min(farthest_reachable_m, FAR_STOP_RATIO * clearances_m[0])
@@ -72,7 +74,9 @@ def reachable_clearance_m(law: ContactLaw) -> float:
     return sum(reachable_clearances_m) / len(reachable_clearances_m) if reachable_clearances_m else 0.0
 
 
-def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
+def _contact_mean_square_receptances(
+    rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]
+) -> Float[np.ndarray, " contacts"]:
     """Mean square receptance over the lines from a force at a station to every relative displacement, m^2/N^2.
 
     With G the receptances of the bodies without contacts, to the relative displacements eta from a force F and from the

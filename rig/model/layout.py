@@ -3,7 +3,7 @@
 from rig.model.description import Rig, Station
 
 
-def left_ends(rig: Rig) -> dict[str, float]:
+def left_end_m_by_body(rig: Rig) -> dict[str, float]:
     """Position of every body's left end, m: 0 for the first; the two stations of a contact have the same x."""
     left_m = {rig.bodies[0].name: 0.0}
     for _ in rig.bodies:

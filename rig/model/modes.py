@@ -12,16 +12,16 @@ from numpy.polynomial.legendre import leggauss
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.description import Body, Rig, stations_of
+from rig.model.description import Body, Rig, rig_stations
 from rig.model.oscillator import Oscillator
 from rig.model.structure import SAME_PLACE_M, Structure, structure_of
-from rig.model.supports import attached_springs
+from rig.model.supports import springs_including_supports
 
 ELEMENT_COUNT = 80
 """Elements of a beam with attachments: its sixteenth mode is within 0.02 % of Bernoulli-Euler theory."""
 
 PLACE_COUNT = 81
-"""Places along a beam at which `condensed` gives its shapes."""
+"""Places along a beam at which `with_attachments_merged` gives its shapes."""
 EIGENVALUE_ROUNDING = 1e-9
 """Share of the highest mode's eigenvalue within which rounding may make one negative: the mesh's highest is 1e5 times
 that of the sixteenth mode, of which double precision therefore loses some 2e-11."""
@@ -102,20 +102,20 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
     point_masses = [mass for mass in rig.masses if mass.station.body == body.name]
-    springs = [spring for spring in attached_springs(rig) if spring.station.body == body.name]
+    springs = [spring for spring in springs_including_supports(rig) if spring.station.body == body.name]
     clamps = [clamp for clamp in rig.clamps if clamp.body == body.name]
     linear_springs = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]
     if not (point_masses or linear_springs or clamps):
         return body
     if isinstance(body, Oscillator):
-        return with_attachments(rig, body)
+        return oscillator_with_attachments(rig, body)
     if isinstance(body, Structure):
-        return coupled_modes(rig, body)
+        return structure_modes_with_attachments(rig, body)
     nodes_m = np.linspace(0, body.length_m, ELEMENT_COUNT + 1)
     mass_matrix, stiffness_matrix = matrices(rig, body, nodes_m)
     held_count = held_coordinate_count(rig, body)
     _check_stable(rig, body, stiffness_matrix[held_count:, held_count:])
-    floating_count = _floating_count(body, nodes_m, stiffness_matrix)
+    floating_count = _rigid_mode_count(body, nodes_m, stiffness_matrix)
     natural_hz, free_vectors = _natural_modes(
         body, stiffness_matrix[held_count:, held_count:], mass_matrix[held_count:, held_count:], floating_count
     )
@@ -123,20 +123,20 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     return FiniteElementModes(body, nodes_m, natural_hz, eigenvectors)
 
 
-def condensed(rig: Rig) -> Rig:
+def with_attachments_merged(rig: Rig) -> Rig:
     """Rig whose point masses, linear springs, supports and clamps are part of its bodies, for what asks bodies for
     their modes: a mass on a stiffer spring, else a structure with the modes `modes_of`.
 
     Its shapes are given at all stations and at `PLACE_COUNT` places of the body. A structure loses a mode, the highest
     one, for each stiff support: that of the support's own motion.
     """
-    stations = [*(mass.station for mass in rig.masses), *(spring.station for spring in attached_springs(rig))]
+    stations = [*(mass.station for mass in rig.masses), *(spring.station for spring in springs_including_supports(rig))]
     attached_bodies = {station.body for station in stations} | {clamp.body for clamp in rig.clamps}
-    bodies = tuple(_condensed_body(rig, body) if body.name in attached_bodies else body for body in rig.bodies)
+    bodies = tuple(_with_attachments_merged(rig, body) if body.name in attached_bodies else body for body in rig.bodies)
     return msgspec.structs.replace(rig, bodies=bodies, masses=(), springs=(), supports=(), clamps=())
 
 
-def _condensed_body(rig: Rig, body: Body) -> Body:
+def _with_attachments_merged(rig: Rig, body: Body) -> Body:
     modes, count = modes_of(rig, body), body.max_modes
     if isinstance(modes, Oscillator):
         return modes
@@ -147,7 +147,7 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
             if support.station.body == body.name and support.stiffness_n_per_m is None
         ]
         count = max(1, count - len(stiff_supports))
-    stations_m = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
+    stations_m = [station.position_m for station in (*rig_stations(rig), *rig.forces) if station.body == body.name]
     positions_m = np.unique([*stations_m, *body.places(PLACE_COUNT)])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, count)
@@ -161,7 +161,7 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     )
 
 
-def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
+def neighbouring_basis_places_m(body: Body, position_m: float) -> tuple[float, ...]:
     """Nearest places (m) on either side at which a modal basis gives shapes; empty where the shapes are known.
 
     They are known at the places of the basis, and everywhere on a body that is described by mass and stiffness.
@@ -173,7 +173,7 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     return tuple(float(x_m) for x_m in places_m[max(next_index - 1, 0) : next_index + 1])
 
 
-def coupled_modes(rig: Rig, body: Structure) -> CoupledModes:
+def structure_modes_with_attachments(rig: Rig, body: Structure) -> CoupledModes:
     """Modes of a structure coupled by masses m and springs k, k_r at places with shapes p and slopes s:
 
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
@@ -185,7 +185,7 @@ def coupled_modes(rig: Rig, body: Structure) -> CoupledModes:
         if mass_point.station.body == body.name:
             displacement_shape = body.shapes(np.array([mass_point.station.position_m]), mode_total)[0]
             mass_matrix += mass_point.mass_kg * np.outer(displacement_shape, displacement_shape)
-    for spring in attached_springs(rig):
+    for spring in springs_including_supports(rig):
         if spring.station.body == body.name:
             position_m = np.array([spring.station.position_m])
             displacement_shape, shape_slope = (body.shapes(position_m, mode_total, order)[0] for order in (0, 1))
@@ -230,7 +230,7 @@ def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> 
             )
 
 
-def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
+def oscillator_with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
     """Oscillator with its point masses and linear springs added; it keeps its damping ratio."""
     mass_kg = body.mass_kg + sum(mass.mass_kg for mass in rig.masses if mass.station.body == body.name)
     added_n_per_m = sum(spring.stiffness_n_per_m for spring in rig.springs if spring.station.body == body.name)
@@ -241,14 +241,14 @@ def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
 
 def loaded_mass(rig: Rig, body: Body) -> Body:
     """Single mass with its point masses and linear springs; any other body as it is."""
-    return with_attachments(rig, body) if isinstance(body, Oscillator) else body
+    return oscillator_with_attachments(rig, body) if isinstance(body, Oscillator) else body
 
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
     attached = [mass for mass in rig.masses if mass.station.body == body.name]
     if isinstance(body, Oscillator):
-        return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
+        return oscillator_with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
     if isinstance(body, Structure):
         translation = body.translation()
         modal_translation = modes.eigenvectors.T @ translation if isinstance(modes, CoupledModes) else translation
@@ -275,12 +275,12 @@ def matrices(
 
     The only coordinate of a single mass is its displacement.
     """
-    mass_matrix, stiffness_matrix = _bare_matrices(body, nodes_m)
+    mass_matrix, stiffness_matrix = _bare_mass_and_stiffness(body, nodes_m)
     for point_mass in rig.masses:
         if point_mass.station.body == body.name:
             weights = hermite_weights(nodes_m, point_mass.station.position_m)
             mass_matrix += point_mass.mass_kg * np.outer(weights, weights)
-    for spring in attached_springs(rig):
+    for spring in springs_including_supports(rig):
         if spring.station.body == body.name:
             weights, slope_weights = (hermite_weights(nodes_m, spring.station.position_m, order) for order in (0, 1))
             stiffness_matrix += spring.stiffness_n_per_m * np.outer(weights, weights)
@@ -318,7 +318,7 @@ def hermite_weights(nodes_m: Float[np.ndarray, " nodes"], position_m: float, ord
     return weights
 
 
-def _bare_matrices(
+def _bare_mass_and_stiffness(
     body: Meshed, nodes_m: Float[np.ndarray, " nodes"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     if isinstance(body, Oscillator):
@@ -333,7 +333,7 @@ def _bare_matrices(
     return mass, stiffness
 
 
-def _floating_count(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
+def _rigid_mode_count(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
     """Number of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
     if beam.ends != "free-free":
         return 0

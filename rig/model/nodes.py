@@ -16,7 +16,7 @@ MAX_LISTED_NODES = 12
 """Nodes that an error lists where no name is near."""
 
 
-def with_positions(decoded: Mapping[str, Any]) -> None:
+def set_node_positions(decoded: Mapping[str, Any]) -> None:
     """Set the positions of the rows and stations of a decoded rig.json that are given by a node's name.
 
     Raises RigError, without the file's name, of a name that the basis lacks or has twice, and of a station with both a

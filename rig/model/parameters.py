@@ -63,7 +63,7 @@ class ParameterSet:
         """Indices of the strengths: parameters with a neutral value."""
         return [index for index, parameter in enumerate(self.parameters) if parameter.neutral is not None]
 
-    def belonging_to(self, owner: str) -> "ParameterSet":
+    def with_owner(self, owner: str) -> "ParameterSet":
         """The same parameters with this owner."""
         return ParameterSet(tuple(dataclasses.replace(parameter, of=owner) for parameter in self.parameters))
 
@@ -71,7 +71,7 @@ class ParameterSet:
         """Indices of the owner's parameters."""
         return [i for i, parameter in enumerate(self.parameters) if parameter.of == owner]
 
-    def ranged(self, ranges: Mapping[str, tuple[float, float]]) -> "ParameterSet":
+    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> "ParameterSet":
         """The same parameters with other ranges for some, by name."""
         return ParameterSet(
             tuple(

@@ -6,13 +6,13 @@ from typing import Any
 from rig.errors import RigError, hint
 from rig.model.components import GROUND
 from rig.model.contact_laws.base import CLEARANCES
-from rig.model.nodes import with_positions
+from rig.model.nodes import set_node_positions
 
 SCHEMA_KEY = "$schema"
 """Key that names the JSON Schema of rig.json, which is read over."""
 
 
-def json_in_types(decoded: Any) -> Any:
+def normalised_rig_json(decoded: Any) -> Any:
     """Description in the values of the types: a law without a type is a dead zone, a clearance of null infinite, and
     "ground" no station of a contact and the ground's of a sensor; nodes' names are their positions
     (`rig.model.nodes`). The name of its JSON Schema is left out.
@@ -33,7 +33,7 @@ def json_in_types(decoded: Any) -> Any:
         if isinstance(law := contact.get("law"), dict):
             law.setdefault("type", "dead_zone")
             law |= {field: math.inf for field in CLEARANCES if field in law and law[field] is None}
-    with_positions(decoded)
+    set_node_positions(decoded)
     return decoded
 
 

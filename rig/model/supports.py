@@ -11,7 +11,7 @@ RIGID_SUPPORT_RATIO = 1e7
 rigid support within 1e-4."""
 
 
-def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
+def springs_including_supports(rig: Rig) -> tuple[PointSpring, ...]:
     """Springs of a rig and its supports as springs.
 
     Raises RigError if a support stands where its body cannot move.
@@ -22,11 +22,12 @@ def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
 def _support_spring(body: Body, support: Support) -> PointSpring:
     stiffness = support.stiffness_n_per_m
     return PointSpring(
-        station=support.station, stiffness_n_per_m=_support_n_per_m(body, support) if stiffness is None else stiffness
+        station=support.station,
+        stiffness_n_per_m=_rigid_support_n_per_m(body, support) if stiffness is None else stiffness,
     )
 
 
-def _support_n_per_m(body: Body, support: Support) -> float:
+def _rigid_support_n_per_m(body: Body, support: Support) -> float:
     """Stiffness of a rigid support, N/m: RIGID_SUPPORT_RATIO / sum phi^2 / omega^2 over the elastic modes there."""
     omega = 2 * np.pi * body.frequencies_hz(body.max_modes)
     shapes = body.shapes(np.array([support.station.position_m]), body.max_modes)[0]

@@ -12,7 +12,7 @@ from rig.recording.file import (
     recordings_in,
     truth_groups,
     truth_path,
-    with_history,
+    with_processing_steps,
 )
 from rig.recording.foreign import RIG_NAME
 from rig.recording.planes import plane_recording
@@ -33,6 +33,6 @@ __all__ = [
     "recordings_in",
     "truth_groups",
     "truth_path",
-    "with_history",
+    "with_processing_steps",
     "writing",
 ]

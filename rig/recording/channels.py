@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import RigError
-from rig.limits import unique_keys
+from rig.limits import dict_with_unique_keys
 from rig.model.description import Rig, Station, check_name
 
 _JSON_TEXT_KEYS = ("names", "stations", "sample_rate_hz")
@@ -42,7 +42,7 @@ def _station_json(station: Station) -> dict[str, str | float]:
     return station_json if station.direction == "y" else station_json | {"direction": station.direction}
 
 
-def _station(value: Mapping[str, Any]) -> Station:
+def _station_from_json(value: Mapping[str, Any]) -> Station:
     return Station(str(value["body"]), float(value["position_m"]), value.get("direction", "y"))
 
 
@@ -52,8 +52,10 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
         raise RigError(f"the metadata of channel {topic} lack {missing_keys[0]!r}; see rig/recording/README.md")
     try:
         names = tuple(str(json_name) for json_name in json.loads(metadata["names"]))
-        station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if station_json is None else _station(station_json) for station_json in station_values)
+        station_values = json.loads(metadata["stations"], object_pairs_hook=dict_with_unique_keys)
+        stations = tuple(
+            None if station_json is None else _station_from_json(station_json) for station_json in station_values
+        )
         for channel_name in names:
             check_name("channel", channel_name)
         rate_hz = float(json.loads(metadata["sample_rate_hz"]))

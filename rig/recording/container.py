@@ -72,7 +72,9 @@ def open_recording(path: Path) -> BufferedReader:
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
 
-def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
+def records_of_complete_file(
+    file: BufferedReader, is_wanted: Callable[[Channel], bool] = lambda _: True
+) -> Iterator[McapRecord]:
     """Every record of a complete, opened file; raises one of DAMAGE where it is truncated or damaged.
 
     The data of a message are valid until the next record is requested. Messages of channels for which is_wanted is
@@ -112,8 +114,8 @@ def reason_of(error: Exception) -> str:
     return str(error) if type(error) in (ValueError, EOFError) else "a record cannot be decoded"
 
 
-def read_sound(file: BufferedReader) -> Iterator[McapRecord]:
-    """Every undamaged record of an opened file that may be truncated or damaged; data as in `read_complete`.
+def undamaged_records(file: BufferedReader) -> Iterator[McapRecord]:
+    """Every undamaged record of an opened file that may be truncated or damaged; data as in `records_of_complete_file`.
 
     A chunk without a checksum is skipped. Raises TooLargeError where the content exceeds the bound of the file.
     """
@@ -155,7 +157,7 @@ def records(
     if opcode == Opcode.CHUNK:
         yield from _chunk_records(_decompress(record_body, memory_counter), memory_counter, skipped_ids)
     elif opcode == Opcode.MESSAGE:
-        yield _message(record_body, memory_counter)
+        yield _decoded_message(record_body, memory_counter)
     elif opcode in _RECORD_TYPE_BY_OPCODE:
         if opcode != Opcode.ATTACHMENT and len(record_body) > MAX_DESCRIPTION_BYTES:
             raise RigError(
@@ -163,7 +165,7 @@ def records(
             )
         record = _RECORD_TYPE_BY_OPCODE[Opcode(opcode)].read(ReadDataStream(BytesIO(record_body)))
         if isinstance(record, Attachment):
-            _check_attachment(record, record_body)
+            _check_attachment_name_and_crc(record, record_body)
         if isinstance(record, Channel | Metadata):
             memory_counter.add(ENTRY_BYTES * (1 + len(record.metadata)))
         yield record
@@ -174,18 +176,18 @@ def _chunk_records(
 ) -> Iterator[McapRecord | UnreadMessages]:
     offset = 0
     while offset < len(chunk_records):
-        opcode, body_start, offset = _next_record(chunk_records, offset)
+        opcode, body_start, offset = _opcode_and_body_span(chunk_records, offset)
         if opcode == Opcode.MESSAGE and _CHANNEL_ID.unpack_from(chunk_records, body_start)[0] in skipped_ids:
-            run_length = _run_length(chunk_records[body_start - _HEAD.size :], _HEAD.size + offset - body_start)
+            run_length = _count_like_records(chunk_records[body_start - _HEAD.size :], _HEAD.size + offset - body_start)
             offset += (run_length - 1) * (_HEAD.size + offset - body_start)
             yield UnreadMessages(run_length)
         elif opcode == Opcode.MESSAGE:
-            yield _message(chunk_records[body_start:offset], memory_counter)
+            yield _decoded_message(chunk_records[body_start:offset], memory_counter)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield from records(opcode, chunk_records[body_start:offset], memory_counter)
 
 
-def _run_length(chunk_records: memoryview, record_bytes: int) -> int:
+def _count_like_records(chunk_records: memoryview, record_bytes: int) -> int:
     """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
     record_count = min(len(chunk_records) // record_bytes, 64)
     first_eight_bytes, last_eight_bytes = (
@@ -195,7 +197,7 @@ def _run_length(chunk_records: memoryview, record_bytes: int) -> int:
     return record_count if is_like_first.all() else int(np.argmin(is_like_first))
 
 
-def _message(record_body: memoryview, memory_counter: MemoryCounter) -> Message:
+def _decoded_message(record_body: memoryview, memory_counter: MemoryCounter) -> Message:
     memory_counter.add(MESSAGE_BYTES)
     channel_id, sequence, log_time, publish_time = _MESSAGE_FIELDS.unpack_from(record_body)
     return Message(channel_id, log_time, record_body[_MESSAGE_FIELDS.size :], publish_time, sequence)
@@ -206,16 +208,16 @@ def _top_level_records(file: BufferedReader) -> Iterator[tuple[int, memoryview]]
 
     The bytes are valid until the next record is requested.
     """
-    window, opcode = _Window(file), 0
+    window, opcode = _FileWindow(file), 0
     while opcode != Opcode.FOOTER:
-        opcode, body_length = _record_head(window.peek(_HEAD.size), 0)
+        opcode, body_length = _opcode_and_body_length(window.peek(_HEAD.size), 0)
         yield opcode, window.peek(_HEAD.size + body_length)
         window.move(_HEAD.size + body_length)
-    if window.peek(len(_MAGIC)) != _MAGIC or window.goes_beyond(len(_MAGIC)):
+    if window.peek(len(_MAGIC)) != _MAGIC or window.has_more_than(len(_MAGIC)):
         raise EOFError("its end is missing")
 
 
-class _Window:
+class _FileWindow:
     """Sliding window on a file in one reused buffer: allocation costs more than the reading."""
 
     def __init__(self, file: BufferedReader) -> None:
@@ -242,21 +244,21 @@ class _Window:
     def move(self, byte_count: int) -> None:
         self._position += byte_count
 
-    def goes_beyond(self, byte_count: int) -> bool:
+    def has_more_than(self, byte_count: int) -> bool:
         """True if the file goes on behind the next `byte_count` bytes."""
         return self._end - self._position > byte_count or bool(self._file.read(1))
 
 
-def _next_record(content: memoryview, offset: int) -> tuple[int, int, int]:
+def _opcode_and_body_span(content: memoryview, offset: int) -> tuple[int, int, int]:
     """Opcode of the record at an offset, and the start and end of its body."""
-    opcode, body_length = _record_head(content, offset)
+    opcode, body_length = _opcode_and_body_length(content, offset)
     body_start = offset + _HEAD.size
     if body_start + body_length > len(content):
         raise EOFError(f"a record of {body_length} bytes ends after {len(content) - body_start}")
     return opcode, body_start, body_start + body_length
 
 
-def _record_head(content: memoryview, offset: int) -> tuple[int, int]:
+def _opcode_and_body_length(content: memoryview, offset: int) -> tuple[int, int]:
     """Opcode of the record at an offset and the length of its body, at most MAX_RECORD_BYTES (else RigError)."""
     opcode, body_length = _HEAD.unpack_from(content, offset)
     if opcode == 0:
@@ -290,7 +292,7 @@ def _decompress(record_body: memoryview, memory_counter: MemoryCounter) -> memor
     return chunk_records
 
 
-def _check_attachment(record: Attachment, record_body: memoryview) -> None:
+def _check_attachment_name_and_crc(record: Attachment, record_body: memoryview) -> None:
     attachment_path = PurePosixPath(record.name.replace("\\", "/"))
     if attachment_path.is_absolute() or ".." in attachment_path.parts:
         raise RigError(f"the attachment {record.name!r} is named like a path out of its folder; rename it")

@@ -16,7 +16,16 @@ from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
 from rig.errors import RigError
-from rig.model.description import UNITS, Rig, Sensor, Station, check_shapes_known, contact_rows, from_json, stations_of
+from rig.model.description import (
+    UNITS,
+    Rig,
+    Sensor,
+    Station,
+    check_shapes_known,
+    contact_rows,
+    from_json,
+    rig_stations,
+)
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
 from rig.recording.assembly import SampleAssembly
@@ -165,7 +174,7 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file: signals that only a simulator has."""
-    stations = stations_of(rig)
+    stations = rig_stations(rig)
     contact_names = tuple(contact.name for contact in contact_rows(rig))
     rate_hz = rig.sample_rate_hz
     station_names = tuple(station.label for station in stations)
@@ -196,7 +205,7 @@ def read_truth(path: Path) -> Recording:
     return _load(path)
 
 
-def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
+def with_processing_steps(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
     """Provenance with further processing steps, one numbered entry each."""
     earlier_count = sum(key.startswith("history ") for key in provenance)
     return {**provenance, **{f"history {earlier_count + number}": step for number, step in enumerate(steps, start=1)}}
@@ -220,12 +229,14 @@ class FileContents:
     channels_by_group: dict[str, Channels] = field(default_factory=dict)
 
 
-def holds_blocks(channel: ChannelRecord) -> bool:
+def has_sample_blocks(channel: ChannelRecord) -> bool:
     topic_parts = channel.topic.split("/")
     return len(topic_parts) == 4 and topic_parts[1] == "rig" and topic_parts[3] == "block"
 
 
-def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Iterator[tuple[str, messages.Block]]:
+def blocks_with_group_names(
+    records: Iterable[McapRecord], contents: FileContents
+) -> Iterator[tuple[str, messages.Block]]:
     """Every block of samples with the name of its group; all other records are collected in `contents`.
 
     The values of a block are valid until the next one is requested. Raises ValueError or RigError, without the name of
@@ -244,7 +255,7 @@ def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Itera
             contents.attachments[record.name] = record.data if record.name == RIG_NAME else b""
         elif isinstance(record, Metadata) and record.name == PROVENANCE:
             _add_provenance(record, contents)
-        elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and holds_blocks(record):
+        elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and has_sample_blocks(record):
             group_name = record.topic.split("/")[2]
             group_by_channel_id[record.id] = group_name
             contents.channels_by_group[group_name] = from_metadata(record.topic, record.metadata)
@@ -272,7 +283,7 @@ def _load(path: Path) -> Recording:
     contents, assemblies = FileContents(), dict[str, SampleAssembly]()
     with container.open_recording(path) as file:
         max_value_count = path.stat().st_size // 8
-        blocks = group_blocks(container.read_complete(file, holds_blocks), contents)
+        blocks = blocks_with_group_names(container.records_of_complete_file(file, has_sample_blocks), contents)
         for group_name, block in container.with_path_in_error(path, blocks):
             if group_name not in assemblies:
                 group_channels = contents.channels_by_group

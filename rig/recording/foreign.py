@@ -23,7 +23,7 @@ class ForeignRecords:
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
 
-    def collecting(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
+    def collect_while_reading(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
         """Pass on the records of a file and keep those that are not the recording's own."""
         for record in records:
             if isinstance(record, Attachment | Metadata):
@@ -31,7 +31,7 @@ class ForeignRecords:
                     self.front_records.append(record)
             elif isinstance(record, Schema):
                 self.schemas.setdefault(record.id, record)
-            elif isinstance(record, Channel) and not _is_own(record):
+            elif isinstance(record, Channel) and not _is_rig_channel(record):
                 self.channels.setdefault(record.id, record)
             elif isinstance(record, Message) and record.channel_id in self.channels:
                 self.messages.append(replace(record, data=bytes(record.data)))
@@ -59,7 +59,7 @@ def copy_foreign_message(message: Message, chunk: Chunk) -> None:
     )
 
 
-def _is_own(channel: Channel) -> bool:
+def _is_rig_channel(channel: Channel) -> bool:
     topic_parts = channel.topic.split("/")
     return (
         len(topic_parts) >= 4

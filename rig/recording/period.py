@@ -8,7 +8,7 @@ MIN_CORRELATION, MAX_PERIOD_COUNT = 0.999, 64
 """Least autocorrelation at the period of a force that repeats; most periods in a record."""
 
 
-def period_of(force_n: Float[np.ndarray, " samples"]) -> int | None:
+def force_period_samples(force_n: Float[np.ndarray, " samples"]) -> int | None:
     """Samples after which a force repeats: the shortest lag at which its autocorrelation has a peak.
 
     None if it does not, or the record is shorter than two periods.

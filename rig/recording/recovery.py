@@ -12,7 +12,14 @@ from rig.files import check_target
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import Channels, check_channels
-from rig.recording.file import FileContents, channel_groups, group_blocks, rig_of, truth_groups, with_history
+from rig.recording.file import (
+    FileContents,
+    blocks_with_group_names,
+    channel_groups,
+    rig_of,
+    truth_groups,
+    with_processing_steps,
+)
 from rig.recording.foreign import ForeignRecords
 from rig.recording.messages import Block
 from rig.recording.writer import writing
@@ -46,7 +53,9 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
     contents, foreign, blocks_by_group = FileContents(), ForeignRecords(), defaultdict[str, list[Block]](list)
     with container.open_recording(damaged_path) as file:
         try:
-            for group, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
+            for group, block in blocks_with_group_names(
+                foreign.collect_while_reading(container.undamaged_records(file)), contents
+            ):
                 blocks_by_group[group].append(block.with_copied_values())
         except RigError as error:
             raise RigError(f"{damaged_path}: {error}") from error
@@ -55,7 +64,7 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
             raise RigError(f"{damaged_path}: cannot be recovered ({reason}); restore it from a copy") from error
     rig, groups = rig_of(damaged_path, contents), contents.channels_by_group
     blocks = {group: _undisputed_blocks(blocks_by_group[group]) for group in groups}
-    kept_count = min(map(_unbroken_count, blocks.values()), default=0)
+    kept_count = min(map(_gap_free_sample_count, blocks.values()), default=0)
     if not kept_count:
         raise RigError(
             f"{damaged_path}: holds no complete chunk of every group with its checksum; there is nothing to recover"
@@ -69,7 +78,9 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
     if set(values_by_group) != set(truth_groups(rig)):
         check_channels(damaged_path, rig, groups, channel_groups(rig))
     step = f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
-    with writing(target_path, rig, groups, with_history(contents.provenance, step), foreign) as recording_writer:
+    with writing(
+        target_path, rig, groups, with_processing_steps(contents.provenance, step), foreign
+    ) as recording_writer:
         recording_writer.append_all(values_by_group)
     return losses
 
@@ -85,7 +96,7 @@ def _undisputed_blocks(blocks: list[Block]) -> dict[int, Block]:
     return {start: block for start, block in block_by_start.items() if start not in disputed_starts}
 
 
-def _unbroken_count(block_by_start: dict[int, Block]) -> int:
+def _gap_free_sample_count(block_by_start: dict[int, Block]) -> int:
     """Number of samples from the start to the first gap."""
     stop_sample = 0
     while stop_sample in block_by_start and block_by_start[stop_sample].values.size:

@@ -9,7 +9,15 @@ from rig.model.description import Rig, check_shapes_known
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
-from rig.recording.file import FileContents, Recording, Signals, channel_groups, group_blocks, holds_blocks, rig_of
+from rig.recording.file import (
+    FileContents,
+    Recording,
+    Signals,
+    blocks_with_group_names,
+    channel_groups,
+    has_sample_blocks,
+    rig_of,
+)
 from rig.recording.foreign import RIG_NAME
 from rig.recording.messages import Block
 
@@ -24,7 +32,7 @@ def segments(path: Path, segment_s: float, overlap_s: float) -> Iterator[Recordi
     rig, start_sample = None, 0
     with container.open_recording(path) as file:
         for group_name, block in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, holds_blocks), contents)
+            path, blocks_with_group_names(container.records_of_complete_file(file, has_sample_blocks), contents)
         ):
             rig = rig or _checked_rig(path, contents)
             blocks_by_group[group_name].append(block.with_copied_values())
@@ -52,7 +60,7 @@ def bytes_per_second(path: Path) -> float:
     contents = FileContents()
     with container.open_recording(path) as file:
         for _ in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, holds_blocks), contents)
+            path, blocks_with_group_names(container.records_of_complete_file(file, has_sample_blocks), contents)
         ):
             break
     rig = _checked_rig(path, contents)

@@ -16,7 +16,7 @@ from mcap.records import Attachment, Metadata, Schema
 from mcap.records import Channel as ChannelRecord
 
 from rig.errors import CutOffError
-from rig.files import locked_part, sync_and_rename
+from rig.files import locked_part_path, sync_and_rename
 from rig.model.description import Rig, to_json
 from rig.recording import messages
 from rig.recording.channels import Channels, to_metadata
@@ -127,7 +127,7 @@ def _channel_records(
     topic, metadata = f"/rig/{group_name}/block", to_metadata(channels)
     yield ChannelRecord(id=block_id, topic=topic, message_encoding="protobuf", schema_id=1, metadata=metadata)
     for preview_id, channel_name in zip(preview_ids, channels.names, strict=True):
-        yield preview_record(preview_id, group_name, channel_name, channels.unit)
+        yield preview_channel_record(preview_id, group_name, channel_name, channels.unit)
 
 
 def start_date_ns(provenance: Mapping[str, str]) -> int:
@@ -150,7 +150,7 @@ def writing(
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
     interrupt_error = None
-    with locked_part(path) as part_path:
+    with locked_part_path(path) as part_path:
         try:
             with part_path.open("wb") as stream:
                 writer = RecordingWriter(stream, rig, channels_by_group, provenance, foreign)
@@ -177,7 +177,7 @@ def writing(
 PREVIEW_HZ = 50.0
 
 
-def preview_record(channel_id: int, group_name: str, channel_name: str, unit: str) -> ChannelRecord:
+def preview_channel_record(channel_id: int, group_name: str, channel_name: str, unit: str) -> ChannelRecord:
     """MCAP channel of the previews of a sensor, contact or force, under its name, so that a viewer shows it."""
     channel_metadata = {"unit": unit, "shown": "least, largest"}
     topic = f"/rig/{group_name}/preview/{channel_name}"
@@ -188,12 +188,16 @@ def previews(
     values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, samples_per_block: int
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
     """First samples of the parts (1/50 s) of blocks of `samples_per_block`, and the extremes of every part."""
-    part_starts = _part_starts(values.shape[1], samples_per_block, max(1, round(sample_rate_hz / PREVIEW_HZ)))
+    part_starts = _preview_interval_starts(
+        values.shape[1], samples_per_block, max(1, round(sample_rate_hz / PREVIEW_HZ))
+    )
     extremes = [extreme_function.reduceat(values, part_starts, axis=1) for extreme_function in (np.minimum, np.maximum)]
     return part_starts, np.stack(extremes, axis=2)
 
 
 @lru_cache(maxsize=16)
-def _part_starts(sample_count: int, samples_per_block: int, samples_per_part: int) -> Int[np.ndarray, " parts"]:
+def _preview_interval_starts(
+    sample_count: int, samples_per_block: int, samples_per_part: int
+) -> Int[np.ndarray, " parts"]:
     block_starts = range(0, sample_count, samples_per_block)
     return np.concatenate([np.arange(block, block + samples_per_block, samples_per_part) for block in block_starts])

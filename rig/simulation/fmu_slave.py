@@ -23,22 +23,26 @@ class RigFmu(Fmi3Slave):  # type: ignore[misc]
         self.description, self.author = f"{rig.name}, made by rig fmu", "rig-identify"
         self._stepwise = Stepwise(rig, step_s)
         self.force = 0.0
-        self._register("time", Fmi3Causality.independent, "time, s", lambda: self._stepwise.time_s)
+        self._register_float_variable("time", Fmi3Causality.independent, "time, s", lambda: self._stepwise.time_s)
         force_description = "force on the rig, N; the value given before a step is that at its end"
-        self._register("force", Fmi3Causality.input, force_description, lambda: self.force, start_value=0.0)
+        self._register_float_variable(
+            "force", Fmi3Causality.input, force_description, lambda: self.force, start_value=0.0
+        )
         for index, sensor in enumerate(rig.sensors):
-            self._output(f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", index)
+            self._register_output(
+                f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", index
+            )
         for index, contact in enumerate(rig.contacts):
-            self._output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", index)
-            self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", index)
+            self._register_output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", index)
+            self._register_output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", index)
 
-    def _output(self, variable_name: str, description: str, array_attribute: str, array_index: int) -> None:
+    def _register_output(self, variable_name: str, description: str, array_attribute: str, array_index: int) -> None:
         def read_value() -> float:
             return float(getattr(self._stepwise, array_attribute)[array_index])
 
-        self._register(variable_name, Fmi3Causality.output, description, read_value)
+        self._register_float_variable(variable_name, Fmi3Causality.output, description, read_value)
 
-    def _register(
+    def _register_float_variable(
         self,
         variable_name: str,
         causality: Any,

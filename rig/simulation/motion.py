@@ -75,8 +75,8 @@ class Motion:
     """True motion over a segment of time, sampled at the plant's own step.
 
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
-    station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
-    contact_force one row per contact. forces are the measured ones. A plant may compute displacement and eta on
+    station of `rig_stations(rig)`, both in space, also where the base moves; eta (relative displacement)
+    and contact_force one row per contact. forces are the measured ones. A plant may compute displacement and eta on
     demand: ask for a slice, `motion.eta_m[:, ::4]`. After `concatenated` they are arrays.
     """
 

@@ -21,7 +21,7 @@ SHAKER_EXCITATIONS = ("gaussian", "burst", "sweep", "multisine", "stepped_sine")
 """Excitations that a shaker gives; a blow's peak is not so limited."""
 
 
-class OwnRigSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class UserRigSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of a recording of a user's rig; None stands for a value that follows from the rig."""
 
     duration_s: float = 60.0
@@ -34,11 +34,11 @@ class OwnRigSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 @dataclass(frozen=True)
-class OwnRig:
+class UserRig:
     """A user's rig with force, duration and step; the interface is that of the reference rigs."""
 
     machine: Rig
-    settings: OwnRigSettings
+    settings: UserRigSettings
 
     @property
     def duration_s(self) -> float:
@@ -84,22 +84,22 @@ class OwnRig:
         )
 
 
-def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
+def user_rig(rig: Rig, settings: dict[str, str]) -> UserRig:
     """User's rig with settings given as text; raises RigError for an unknown setting or an invalid value."""
-    if unknown_settings := sorted(set(settings) - set(OwnRigSettings.__struct_fields__)):
-        setting_names = OwnRigSettings.__struct_fields__
+    if unknown_settings := sorted(set(settings) - set(UserRigSettings.__struct_fields__)):
+        setting_names = UserRigSettings.__struct_fields__
         raise RigError(
             f"no setting {unknown_settings[0]!r}{hint(unknown_settings[0], setting_names)} for a rig of one's own, "
             f"only {', '.join(setting_names)}; change the rest in its file"
         )
     try:
-        return OwnRig(rig, msgspec.convert(settings, OwnRigSettings, strict=False))
+        return UserRig(rig, msgspec.convert(settings, UserRigSettings, strict=False))
     except msgspec.ValidationError as error:
         raise RigError(
-            f"{explained(error, settings, OwnRigSettings)}; see `rig record --help` for the settings"
+            f"{explained(error, settings, UserRigSettings)}; see `rig record --help` for the settings"
         ) from error
 
 
-def plant_for(rig: Rig) -> str:
+def default_plant_name(rig: Rig) -> str:
     """Name of the default plant: `ancf`, or `modal` if a body is a structure, which `ancf` cannot mesh."""
     return "ancf" if all(body.is_mass or body in rig.beams for body in rig.bodies) else "modal"

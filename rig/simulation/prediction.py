@@ -9,8 +9,15 @@ from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig, Station
-from rig.simulation.plants.loading import base_signals_of, connection_forces_n
-from rig.simulation.plants.modal import ModalModel, applied_inputs, body_modes_of, constants_of, model_of, shape_row
+from rig.simulation.plants.loading import base_motion_from_rig_or_force, connection_forces_n
+from rig.simulation.plants.modal import (
+    ModalModel,
+    body_modes_of,
+    inputs_and_bends,
+    model_of,
+    shape_row,
+    stepping_constants,
+)
 from rig.simulation.replay import forces_at_steps, step_s_of
 
 MODE_COUNT, MIN_STEP_RATE_HZ = 24, 2.0**15
@@ -41,9 +48,9 @@ def modal(
     step_count = (sample_count - 1) * steps_per_sample
     rig = replace(rig, base_motion=None)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
-    base_signals = base_signals_of(rig, step_forces, step_s)
+    base_signals = base_motion_from_rig_or_force(rig, step_forces, step_s)
     model = model_of(rig, bool(base_signals), MODE_COUNT)
-    constants, body_modes = constants_of(model, step_s), body_modes_of(rig, MODE_COUNT)
+    constants, body_modes = stepping_constants(model, step_s), body_modes_of(rig, MODE_COUNT)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
     inverse_shapes = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
     predicted = np.empty((first_samples.size, 2, len(stations), sample_count))
@@ -53,7 +60,7 @@ def modal(
         for window_motion, first_sample, state in zip(predicted, first_samples.tolist(), initial_states, strict=True):
             start_step = first_sample * steps_per_sample
             step_span = slice(start_step + 1, start_step + 1 + step_count)
-            inputs = applied_inputs(rig, step_forces, base_signals, step_s, step_span)
+            inputs = inputs_and_bends(rig, step_forces, base_signals, step_s, step_span)
             step_states[0] = (state @ inverse_shapes.T).ravel()
             contact_state = contact_state_at(model, step_states[0], start_step * step_s)
             advance(step_states, contact_state, *forces_and_bends, *inputs, *constants, step_span.start, step_s)

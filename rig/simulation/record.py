@@ -17,7 +17,7 @@ from rig.model.description import Rig
 from rig.recording import RECORDED, channel_groups, truth_groups, truth_path, writing
 from rig.simulation.excitation import QUIET_S, Excitation, force_signal
 from rig.simulation.motion import Forces, Plant, Progress
-from rig.simulation.sensors import Samples, digitise, needed_duration_s
+from rig.simulation.sensors import Samples, digitise, plant_run_duration_s
 
 MAX_DURATION_S = 1e6
 
@@ -65,9 +65,9 @@ def record(
             f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
             "or sample faster"
         )
-    simulated_s = needed_duration_s(actual, sample_count / rig.sample_rate_hz)
+    simulated_s = plant_run_duration_s(actual, sample_count / rig.sample_rate_hz)
     if isinstance(excitation, Excitation):
-        excitation = [_with_own_seed(excitation, force_number) for force_number in range(len(rig.forces))]
+        excitation = [_with_independent_seed(excitation, force_number) for force_number in range(len(rig.forces))]
     forces = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
     provenance = {
         "made_by": "rig record",
@@ -84,7 +84,7 @@ def record(
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
         threadpool_limits(1),  # the matrices are small
-        _interrupted_between_blocks() as check_interrupt,
+        _deferred_interrupt() as check_interrupt,
         writing(path, rig, channel_groups(rig), provenance) as recording_writer,
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth_writer,
     ):
@@ -105,7 +105,7 @@ def _version_entries(*packages: str) -> Iterator[tuple[str, str]]:
             yield f"version of {package_name}", importlib.metadata.version(package_name)
 
 
-def _with_own_seed(excitation: Excitation, force_number: int) -> Excitation:
+def _with_independent_seed(excitation: Excitation, force_number: int) -> Excitation:
     """Excitation of force `force_number` (from 0), with a statistically independent seed for each number and seed."""
     if not force_number:
         return excitation
@@ -120,7 +120,7 @@ def _check_finite(block: Samples) -> None:
 
 
 @contextmanager
-def _interrupted_between_blocks() -> Iterator[Callable[[], None]]:
+def _deferred_interrupt() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C until the yielded function is called, so that it interrupts neither a solver nor a writer."""
     signal_numbers: list[int] = []
 

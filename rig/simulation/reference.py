@@ -11,7 +11,7 @@ from rig.model.beam import Beam
 from rig.model.components import DIRECTIONS
 from rig.model.contact_laws import ContactLaw
 from rig.model.contact_laws.annular import Annular
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.decoding import explained
 from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
@@ -84,13 +84,15 @@ class Sdof(_Settings, frozen=True, kw_only=True):
         body = Oscillator(
             name="mass", mass_kg=self.mass_kg, frequency_hz=self.frequency_hz, damping_ratio=self.damping_ratio
         )
-        law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
+        law = symmetric_dead_zone(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
         return Rig(
             name="sdof",
             bodies=(body,),
             contacts=(Contact(name="stop", at=mass_station, against=None, law=law),),
             force_at=mass_station,
-            sensors=tuple(named_sensor(mass_station, name, self.noise_density) for name in _quantities(self.sensors)),
+            sensors=tuple(
+                named_sensor(mass_station, name, self.noise_density) for name in _quantities_from_text(self.sensors)
+            ),
             sample_rate_hz=self.sample_rate_hz,
         )
 
@@ -123,11 +125,13 @@ class BarrelCradle(_Settings, frozen=True, kw_only=True):
         return Rig(
             name="barrel_cradle",
             bodies=tuple(beam_of(name=name, ends=ends) for name, ends in _END_CONDITIONS),
-            contacts=_barrel_contacts(self, partial(equal_sides, damping_n_s_per_m=self.contact_damping_n_s_per_m)),
+            contacts=_barrel_contacts(
+                self, partial(symmetric_dead_zone, damping_n_s_per_m=self.contact_damping_n_s_per_m)
+            ),
             force_at=Station("barrel", self.length_m),
             sensors=tuple(
                 named_sensor(station, quantity, self.noise_density)
-                for quantity in _quantities(self.sensors)
+                for quantity in _quantities_from_text(self.sensors)
                 for station in self._stations()
             ),
             sample_rate_hz=self.sample_rate_hz,
@@ -204,7 +208,7 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
             force_at=tuple(Station("barrel", self.length_m, direction) for direction in DIRECTIONS),
             sensors=tuple(
                 named_sensor(Station(body_name, position_m, direction), quantity, self.noise_density)
-                for quantity in _quantities(self.sensors)
+                for quantity in _quantities_from_text(self.sensors)
                 for direction in DIRECTIONS
                 for body_name, positions_m in sensor_positions_m.items()
                 for position_m in positions_m
@@ -274,7 +278,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
         raise RigError(f"{scenario}: {explained(error, settings, settings_type)}; see `rig record --help`") from error
 
 
-def _quantities(sensors: str) -> list[QuantityName]:
+def _quantities_from_text(sensors: str) -> list[QuantityName]:
     """Quantities from a text that joins them by +; "both" stands for displacement and acceleration."""
     quantity_names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
     if unknown := sorted(set(quantity_names) - set(QUANTITIES)):

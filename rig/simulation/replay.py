@@ -16,7 +16,7 @@ from rig.model.description import Rig
 from rig.model.sensing import quantities_of
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.motion import Forces, Motion, Plant, Progress
-from rig.simulation.sensors import digitise, needed_duration_s
+from rig.simulation.sensors import digitise, plant_run_duration_s
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def replayed_recording(
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
     rate_hz, sample_count, forces_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
-    step_count = round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
+    step_count = round(plant_run_duration_s(actual_rig, sample_count / rate_hz) / step_s)
     step_forces = forces_at_steps(forces_n, rate_hz, step_s, step_count)
     with threadpool_limits(1):  # the matrices are small
         motion_blocks = _sensors_only(plant(actual_rig, step_forces, step_s, progress))

@@ -85,7 +85,7 @@ class Samples:
         return np.asarray(single_force_n)
 
 
-def needed_duration_s(rig: Rig, duration_s: float) -> float:
+def plant_run_duration_s(rig: Rig, duration_s: float) -> float:
     """Duration that a plant must run for the filter to deliver `duration_s` of samples, s."""
     return duration_s + (FILTER_HALF_WIDTH_SAMPLES + _longest_delay_samples(rig) + 1) / rig.sample_rate_hz
 

@@ -29,9 +29,11 @@ class Axes:
 
     def points(self, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 2"]:
         """Coordinates in the view, whose y points downwards; values beyond an axis are clipped to its ends."""
-        return np.stack([WIDTH * self._share(x, self.x), -HEIGHT * self._share(y, self.y)], axis=1)
+        return np.stack([WIDTH * self._axis_fraction(x, self.x), -HEIGHT * self._axis_fraction(y, self.y)], axis=1)
 
-    def _share(self, values: Float[np.ndarray, " points"], span: tuple[float, float]) -> Float[np.ndarray, " points"]:
+    def _axis_fraction(
+        self, values: Float[np.ndarray, " points"], span: tuple[float, float]
+    ) -> Float[np.ndarray, " points"]:
         clipped_values = np.clip(values, *span)
         axis_scale = np.log10 if self.is_logarithmic else np.asarray
         low_end, high_end = axis_scale(np.array(span))

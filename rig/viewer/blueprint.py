@@ -12,7 +12,7 @@ from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
 from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, KEY, LEGEND_ROW_COUNT, PREDICTION, TIMELINE, entity, legend_of
-from rig.viewer.palette import Meaning
+from rig.viewer.palette import ColourMeaning
 from rig.viewer.spectra import ShownSpectra
 
 HALF_WINDOW_S = 0.5
@@ -44,7 +44,7 @@ class Layout:
     """Half width of the views of each contact, mm."""
     spectra: tuple[ShownSpectra, ...]
     has_diagnosis: bool
-    meanings: tuple[Meaning, ...]
+    meanings: tuple[ColourMeaning, ...]
     """Meanings of the colours that are shown."""
     masses_alone: bool = False
     predicted_station_name: str | None = None
@@ -59,7 +59,7 @@ def plotted_quantities(rig: Rig) -> list[QuantityName]:
 def blueprint(layout: Layout) -> rrb.Blueprint:
     """Blueprint of the viewer, paused and slowed down so that every frame is visible."""
     close_ups = [
-        _close_up_view(contact, layout.reach_by_contact_mm[contact.name], _approximation(layout, of_contact=True))
+        _close_up_view(contact, layout.reach_by_contact_mm[contact.name], _approximation_note(layout, of_contact=True))
         for contact in layout.rig.contacts
     ]
     model_view = _model_view(layout)
@@ -68,7 +68,7 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     motion_view = rrb.Horizontal(
         left_column, rrb.Vertical(*_plot_views(layout), row_shares=row_shares), column_shares=[3, 2]
     )
-    tabs = [rrb.Vertical(_key_view(layout), motion_view, row_shares=[1, 14], name="Motion")]
+    tabs = [rrb.Vertical(_colour_key_view(layout), motion_view, row_shares=[1, 14], name="Motion")]
     if layout.predicted_station_name is not None:
         tabs.append(_prediction_tab(layout, layout.predicted_station_name))
     tabs.append(rrb.Grid(*(axes_view(spectra.origin, spectra.title) for spectra in layout.spectra), name="Spectra"))
@@ -83,7 +83,7 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     )
 
 
-def _key_view(layout: Layout) -> rrb.Spatial2DView:
+def _colour_key_view(layout: Layout) -> rrb.Spatial2DView:
     visual_bounds = rrb.VisualBounds2D(x_range=[0.0, len(layout.meanings)], y_range=[-0.02, 0.12])
     return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=visual_bounds)
 
@@ -100,7 +100,7 @@ def _model_view(
         origin="/model",
         contents=["+ $origin/**", f"- /{hidden_path}/**"],
         name=view_name
-        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_approximation(layout)}",
+        or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_approximation_note(layout)}",
         eye_controls=rrb.EyeControls3D(
             position=(
                 centre_m,
@@ -119,12 +119,14 @@ def _prediction_tab(layout: Layout, station_name: str) -> rrb.Vertical:
     view_name = f"{layout.rig.name}: measured, and predicted by both rigs; magnified {layout.magnification:g} times"
     words_view = rrb.TextDocumentView(origin=f"{PREDICTION}/words", name="How well both rigs predict")
     plot_views = (
-        _plot_view(layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_approximation(layout)}"),
+        _plot_view(
+            layout, f"{PREDICTION}/displacement", f"{station_name}: displacement, mm{_approximation_note(layout)}"
+        ),
         _plot_view(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
     )
     model_view = rrb.Vertical(_model_view(layout, view_name, "model/gap", 1.2), words_view, row_shares=[4, 1])
     motion_view = rrb.Horizontal(model_view, rrb.Vertical(*plot_views), column_shares=[3, 2])
-    return rrb.Vertical(_key_view(layout), motion_view, row_shares=[1, 14], name="Prediction")
+    return rrb.Vertical(_colour_key_view(layout), motion_view, row_shares=[1, 14], name="Prediction")
 
 
 def _close_up_view(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DView:
@@ -168,7 +170,7 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
             layout,
             entity("relative_displacement", contact.name),
             f"{contact.name}: {source_words}{DISTANCE if contact.law.spatial else DISPLACEMENT}, mm"
-            f"{_approximation(layout, of_contact=True)}",
+            f"{_approximation_note(layout, of_contact=True)}",
             thinning_note,
             _displacement_range(contact, layout.reach_by_contact_mm[contact.name]),
         )
@@ -215,15 +217,15 @@ def _plot_view(
 
 
 def _displacement_range(contact: Contact, reach_mm: float) -> tuple[float, float]:
-    return (0.0, reach_mm) if contact.law.spatial else (-axis_reach(reach_mm), axis_reach(reach_mm))
+    return (0.0, reach_mm) if contact.law.spatial else (-labelled_axis_end(reach_mm), labelled_axis_end(reach_mm))
 
 
-def axis_reach(half_range: float) -> float:
+def labelled_axis_end(half_range: float) -> float:
     """End of an axis about zero at which the viewer, which labels powers of ten only, has a label."""
     power_of_ten = 10.0 ** np.ceil(np.log10(half_range))
     return half_range if half_range < 0.4 * power_of_ten else max(half_range, 1.05 * power_of_ten)
 
 
-def _approximation(layout: Layout, of_contact: bool = False) -> str:
+def _approximation_note(layout: Layout, of_contact: bool = False) -> str:
     is_integrated = layout.is_approximate and not (of_contact and layout.contact_force == "separated")
     return " (approximate, above 1 Hz)" if is_integrated else ""

@@ -10,7 +10,7 @@ import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import maximum_filter1d
 
-from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.contact_laws import ContactLaw, stop_positions_m_and_sides
 from rig.model.description import Contact
 from rig.viewer.blueprint import TRAIL_S
 from rig.viewer.drawing import (
@@ -70,7 +70,7 @@ class ContactMotion:
     is_identified: bool = False
     orbit: Orbit | None = None
 
-    def closing_place(self, sample: int) -> str:
+    def closing_stop_text(self, sample: int) -> str:
         """Stop at which the contact closes at a sample, in words."""
         if self.orbit is not None:
             return f"at {self.orbit.angle_deg(sample):.0f}\u00b0 from y towards z"
@@ -84,7 +84,7 @@ class ContactMotion:
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
         law, max_eta_m = self.contact.law, float(np.abs(self.eta_m).max())
-        distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+        distances_m = sorted(abs(wall_m) for wall_m, _ in stop_positions_m_and_sides(law))
         reachable_m = (wall_m for wall_m in distances_m if wall_m <= MAX_REACH_RATIO * max(distances_m[0], max_eta_m))
         return 1.2e3 * max([max_eta_m, *reachable_m]) or 1.0
 
@@ -144,7 +144,7 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     else:
         send_rings(stream, root_path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
         trail_points_mm = motion.orbit.points_mm[trail_samples]
-    colours, reading_texts = motion.frame_colours, _reading_texts(motion)
+    colours, reading_texts = motion.frame_colours, _frame_value_texts(motion)
     send_static(stream, f"{root_path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)]))
     send(stream, f"{root_path}/trail", time_s, rr.LineStrips2D, strips=trail_points_mm)
     send_static(stream, f"{root_path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
@@ -182,7 +182,7 @@ def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMot
 
 def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
     """Levels of the walls, upper first, in the view, mm (y points downwards), with the outward direction."""
-    return [(-1e3 * wall_m, -side) for wall_m, side in walls_m(law)]
+    return [(-1e3 * wall_m, -side) for wall_m, side in stop_positions_m_and_sides(law)]
 
 
 def _send_wall_labels(
@@ -194,7 +194,7 @@ def _send_wall_labels(
         send_labels(stream, f"{path}/{SIDE_NAMES[outward_sign]}", [position], [f"{law_source} {-y_mm:+.4g} mm"], colour)
 
 
-def _reading_texts(motion: ContactMotion) -> list[str]:
+def _frame_value_texts(motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
     reading_texts, sign_format = [], "+" if motion.orbit is None else ""
     for sample in motion.frame_samples:
@@ -212,7 +212,7 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     legend_entries = [(motion.contact.name, motion.colour)]
     law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
     for layer_index, (source, law) in enumerate(law_by_source.items()):  # the viewer draws in the order of the paths
-        walls_at_m = [wall_m for wall_m, _ in walls_m(law)]
+        walls_at_m = [wall_m for wall_m, _ in stop_positions_m_and_sides(law)]
         labels, colour = [motion.text_in_mm(wall_m, ".4g") for wall_m in walls_at_m], SOURCES[source]
         levels_mm, names = np.tile(1e3 * np.array(walls_at_m)[:, None], 2), [f"{source} {text} mm" for text in labels]
         width_px = LAYER_WIDTHS_PX[min(layer_index, 1)]
@@ -223,7 +223,9 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         legend_entries += [(f"{source} {text}", colour) for text in labels]
     time_s, eta_mm = motion.time_s[motion.plotted_samples], 1e3 * motion.eta_m[None, motion.plotted_samples]
     send_lines(stream, f"{entity_path}/value", time_s, eta_mm, [motion.contact.name], (motion.colour,))
-    for (change, marker_shape, legend_mark), change_samples in zip(CHANGE_MARKS, _change_samples(motion), strict=True):
+    for (change, marker_shape, legend_mark), change_samples in zip(
+        CHANGE_MARKS, _closing_and_opening_samples(motion), strict=True
+    ):
         marker_style = rr.SeriesPoints(colors=[CLOSED], names=[change], markers=[marker_shape], marker_sizes=[4.0])
         send_static(stream, f"{entity_path}/{change}", marker_style)
         eta_mm = 1e3 * motion.eta_m[change_samples]
@@ -237,10 +239,10 @@ def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
 
     Beyond MAX_LISTED_CLOSINGS the number of further closings is stated.
     """
-    change_samples = _change_samples(motion)
+    change_samples = _closing_and_opening_samples(motion)
     closing_samples, opening_samples = (event_samples[:MAX_LISTED_CLOSINGS] for event_samples in change_samples)
     event_texts = [
-        f"{motion.contact.name} closes {motion.closing_place(sample)}" for sample in closing_samples.tolist()
+        f"{motion.contact.name} closes {motion.closing_stop_text(sample)}" for sample in closing_samples.tolist()
     ]
     closing_indices = np.searchsorted(closing_samples, opening_samples)  # an opening ends the closing before it
     closing_starts = np.concatenate([[0], closing_samples])[closing_indices]
@@ -267,7 +269,9 @@ def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     )
 
 
-def _change_samples(motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
+def _closing_and_opening_samples(
+    motion: ContactMotion,
+) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
     """First samples at which the contact is closed, and at which it is free again."""
     closure_changes = np.diff(motion.is_closed.astype(int))
     return np.flatnonzero(closure_changes == 1) + 1, np.flatnonzero(closure_changes == -1) + 1

@@ -24,7 +24,7 @@ class Deflection:
     displacement_m: Float[np.ndarray, "stations samples"]
     is_approximate: bool
 
-    def of_body(
+    def body_displacement_m(
         self,
         body: Body,
         positions_m: Float[np.ndarray, " positions"],
@@ -49,7 +49,7 @@ class Deflection:
         if station in self.stations:
             return self.displacement_m[self.stations.index(station)]
         position_m = np.array([station.position_m])
-        return self.of_body(self.rig.body(station.body), position_m, direction=station.direction)[0]
+        return self.body_displacement_m(self.rig.body(station.body), position_m, direction=station.direction)[0]
 
     def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m (`contact_rows`)."""

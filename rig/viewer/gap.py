@@ -94,7 +94,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
         for body_name, share_by_position in attribution.positions_m.items()
         for position_m, mismatch_share in share_by_position.items()
     }
-    marks = (*_effect_marks(report, rig), *_force_marks(report, rig))
+    marks = (*_effect_marks(report, rig), *_unmeasured_force_marks(report, rig))
     _check_places(gap_path, rig, (*share_by_station, *(mark.station for mark in marks)))
     if any(end_s > duration_s for _, end_s, _ in share_spans):
         raise RigError(f"{gap_path}: is of a record longer than {duration_s:g} s; show the one that validates")
@@ -106,7 +106,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     )
 
 
-def read_corrected(path: Path, rig: Rig) -> Rig | None:
+def read_corrected_rig(path: Path, rig: Rig) -> Rig | None:
     """Corrected rig.json beside a gap.json, given by its path or folder; None if there is none.
 
     Raises RigError if it is unreadable or invalid, or of a rig with other bodies, contacts or forces.
@@ -159,7 +159,7 @@ def _effect_marks(report: _GapReport, rig: Rig) -> Iterator[Mark]:
                 yield Mark(station, words)
 
 
-def _force_marks(report: _GapReport, rig: Rig) -> Iterator[Mark]:
+def _unmeasured_force_marks(report: _GapReport, rig: Rig) -> Iterator[Mark]:
     force = report.unknown
     if force is None or report.verdict in UNLOCATED_VERDICTS:
         return

@@ -9,14 +9,14 @@ from rig.model.description import Body
 from rig.recording import Recording
 from rig.viewer.contact_view import ContactMotion
 from rig.viewer.drawing import KEY, entity, pixels, send, send_labels, send_static
-from rig.viewer.palette import FAINT, FORCE, MACHINE, SOURCES, STEEL, Colour, Meaning, shades
+from rig.viewer.palette import FAINT, FORCE, MACHINE, SOURCES, STEEL, Colour, ColourMeaning, shades
 from rig.viewer.stage import Stage
 
 UPWARDS, OUTWARDS = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
 """Directions of y and of z of the rig on the stage."""
 
 
-def send_key(stream: rr.RecordingStream, meanings: Sequence[Meaning]) -> None:
+def send_colour_key(stream: rr.RecordingStream, meanings: Sequence[ColourMeaning]) -> None:
     """Send the meanings of the colours that are shown, side by side."""
     for index, meaning in enumerate(meanings):
         send_labels(stream, f"{KEY}/{index}", [[index + 0.5, 0.0]], [meaning.words], meaning.on_dark)
@@ -69,7 +69,7 @@ def _send_contact(stream: rr.RecordingStream, scene: Stage, contact_motion: Cont
     send_static(stream, entity_path, fork_style)
     stop_lines = scene.ring(contact) if contact_motion.orbit is not None else scene.fork(contact, contact.law)
     send(stream, entity_path, scene.time_s, rr.LineStrips3D, strips=stop_lines)
-    if scene.stands_beside(contact):
+    if scene.is_side_by_side(contact):
         tongue_strips = np.stack([scene.point(contact.at), tip_points], axis=1)
         send_static(stream, f"{entity_path}/tongue", rr.LineStrips3D.from_fields(colors=[MACHINE], radii=[pixels(3.0)]))
         send(stream, f"{entity_path}/tongue", scene.time_s, rr.LineStrips3D, strips=tongue_strips)

@@ -13,7 +13,7 @@ Colour = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Meaning:
+class ColourMeaning:
     """Meaning of a colour, and the colour on a dark screen and, where it is drawn there, on white paper."""
 
     words: str
@@ -22,13 +22,13 @@ class Meaning:
 
 
 MEANINGS = {
-    "machine": Meaning("measured, or true in a simulation", (240, 240, 240), (34, 34, 34)),
-    "believed": Meaning("believed: rig.json", (230, 159, 0), (190, 120, 0)),
-    "found": Meaning("found: identified or corrected", (86, 180, 233)),
-    "closed": Meaning("contact closed", (213, 94, 0)),
-    "force": Meaning("force", (204, 121, 167), (170, 68, 125)),
-    "gap": Meaning("where and when the gap acts", (240, 228, 66)),
-    "sensor": Meaning("sensor channels", (0, 158, 115), (0, 120, 88)),
+    "machine": ColourMeaning("measured, or true in a simulation", (240, 240, 240), (34, 34, 34)),
+    "believed": ColourMeaning("believed: rig.json", (230, 159, 0), (190, 120, 0)),
+    "found": ColourMeaning("found: identified or corrected", (86, 180, 233)),
+    "closed": ColourMeaning("contact closed", (213, 94, 0)),
+    "force": ColourMeaning("force", (204, 121, 167), (170, 68, 125)),
+    "gap": ColourMeaning("where and when the gap acts", (240, 228, 66)),
+    "sensor": ColourMeaning("sensor channels", (0, 158, 115), (0, 120, 88)),
 }
 """Colours by name of their meaning, in the order of the key."""
 MACHINE, BELIEVED, FOUND, CLOSED, FORCE, GAP, SENSOR = (meaning.on_dark for meaning in MEANINGS.values())

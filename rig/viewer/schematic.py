@@ -7,10 +7,10 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from rig.model.contact_laws import walls_m
+from rig.model.contact_laws import stop_positions_m_and_sides
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
-from rig.model.layout import left_ends
+from rig.model.layout import left_end_m_by_body
 from rig.model.nodes import place_name
 from rig.model.space import plane_rigs
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
@@ -95,7 +95,7 @@ class _SchematicLayout:
 
 
 def _schematic_layout(rig: Rig, title_px: float) -> _SchematicLayout:
-    left_ends_m = left_ends(rig)
+    left_ends_m = left_end_m_by_body(rig)
     extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
     px_per_m = DRAWING_PX / extent_m if extent_m > 0 else 1.0
     top_px = TITLE_PX - title_px - LEVEL_STEP_PX * (len(rig.bodies) - 1)
@@ -170,7 +170,7 @@ def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) ->
     x_px, body_name = layout.x_px(contact.at, contact), contact.at.body
     upper_stop_px, lower_stop_px = layout.top_px(body_name) - GAP_PX, layout.bottom_px(body_name) + GAP_PX
     if not contact.law.has_stops:
-        _draw_strut(drawing, layout, contact)
+        _draw_connecting_spring(drawing, layout, contact)
         return
     drawn_sides = contact.law.sides or (-1, 1)
     for stop_y_px, side in ((upper_stop_px, 1), (lower_stop_px, -1)):
@@ -196,7 +196,7 @@ def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) ->
         )
 
 
-def _draw_strut(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
+def _draw_connecting_spring(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     """Draw a spring from a body to the one above or below it, or to the ground below."""
     x_px, body_name, against = layout.x_px(contact.at, contact), contact.at.body, contact.against
     if against is None:
@@ -213,7 +213,7 @@ def _draw_strut(drawing: Drawing, layout: _SchematicLayout, contact: Contact) ->
 def _draw_clearances(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     x_px, body_name, law = layout.x_px(contact.at, contact), contact.at.body, contact.law
     upper_stop_px, lower_stop_px = layout.top_px(body_name) - GAP_PX, layout.bottom_px(body_name) + GAP_PX
-    for wall_m, side in walls_m(law) if law.has_stops else ():
+    for wall_m, side in stop_positions_m_and_sides(law) if law.has_stops else ():
         sign, text_y_px = ("+", upper_stop_px) if side > 0 else ("\u2212", lower_stop_px)
         drawing.text(x_px + 20, text_y_px + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
     body_names = [station.body for station in contact_stations(contact)]

@@ -8,10 +8,10 @@ from jaxtyping import Float, Int
 from msgspec.structs import replace
 
 from rig.model.components import DIRECTIONS
-from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.contact_laws import ContactLaw, stop_positions_m_and_sides
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station
-from rig.model.layout import left_ends
+from rig.model.layout import left_end_m_by_body
 from rig.viewer.deflection import Deflection
 
 USUAL_FRAME_COUNT = 6000
@@ -60,7 +60,7 @@ class Stage:
 
     @property
     def masses_alone(self) -> bool:
-        return _masses_alone(self.rig)
+        return _has_only_masses(self.rig)
 
     @property
     def frame_rate_hz(self) -> float:
@@ -92,7 +92,9 @@ class Stage:
         frame_samples = self.frame_samples
         if body.length_m:
             x_m, z_m = np.linspace(0, body.length_m, BODY_NODE_COUNT), np.zeros(BODY_NODE_COUNT)
-            up_m, towards_eye_m = (self.deflection.of_body(body, x_m, frame_samples, axis).T for axis in DIRECTIONS)
+            up_m, towards_eye_m = (
+                self.deflection.body_displacement_m(body, x_m, frame_samples, axis).T for axis in DIRECTIONS
+            )
         else:
             x_m, z_m = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
             displacements_m = (self.deflection.displacement_at(Station(body.name, 0.0, axis)) for axis in DIRECTIONS)
@@ -134,7 +136,7 @@ class Stage:
         x_m = np.full(5, self.left_ends_m[body.name])
         return np.stack([x_m, self.depth_m(body.name) + depth_m, height_m], axis=1)
 
-    def stands_beside(self, contact: Contact) -> bool:
+    def is_side_by_side(self, contact: Contact) -> bool:
         """True for a contact of two masses side by side: a tongue of one between two stops of the other."""
         return self.masses_alone and contact.against is not None
 
@@ -176,7 +178,7 @@ class Stage:
             else:
                 jaw_points[:, 1:3, 1] = self.depth_m(contact.against.body)
         jaw_points[..., 2] = carrier_z_m[:, None]
-        for wall_m, side in walls_m(law):
+        for wall_m, side in stop_positions_m_and_sides(law):
             jaw_points[:, JAW_CORNERS_BY_SIDE[side], 2] += self.magnification * wall_m + side * half_size_m
         for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
             tip_corner, carrier_corner = JAW_CORNERS_BY_SIDE[side]
@@ -228,15 +230,17 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     There are 6000 frames, but at least 60 and at most 600 in a second, and never more than 60 000.
     """
     rig = deflection.rig
-    if _masses_alone(rig):
+    if _has_only_masses(rig):
         left_ends_m = {body.name: MASS_PITCH_M * body_index for body_index, body in enumerate(rig.bodies)}
         extent_m = max(1.0, MASS_PITCH_M * len(rig.bodies))
     else:
-        left_ends_m = left_ends(rig)
+        left_ends_m = left_end_m_by_body(rig)
         extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
     max_motion_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
-        magnification = _round_down(LARGEST_DEFLECTION_SHARE * extent_m / max_motion_m) if max_motion_m > 0 else 1.0
+        magnification = (
+            _round_down_to_1_2_5(LARGEST_DEFLECTION_SHARE * extent_m / max_motion_m) if max_motion_m > 0 else 1.0
+        )
     sample_count = deflection.displacement_m.shape[1]
     usual_frame_hz, most_hz = (count * sample_rate_hz / sample_count for count in (USUAL_FRAME_COUNT, MAX_FRAME_COUNT))
     frame_rate_hz = min(np.clip(usual_frame_hz, *FRAME_RATE_RANGE_HZ), most_hz)
@@ -244,11 +248,11 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     return Stage(deflection, left_ends_m, extent_m, magnification, sample_rate_hz, frame_samples)
 
 
-def _masses_alone(rig: Rig) -> bool:
+def _has_only_masses(rig: Rig) -> bool:
     return not any(body.length_m for body in rig.bodies)
 
 
-def _round_down(value: float) -> float:
+def _round_down_to_1_2_5(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
     decade = 10.0 ** np.floor(np.log10(value))
     return float(decade * max(multiple for multiple in (1, 2, 5) if multiple * decade <= value * (1 + 1e-9)))

@@ -26,9 +26,9 @@ from rig.viewer.drawing import entity, send_legend, send_lines
 from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
-from rig.viewer.model_view import send_key, send_model
+from rig.viewer.model_view import send_colour_key, send_model
 from rig.viewer.orbit import Orbit
-from rig.viewer.palette import FORCE, MEANINGS, SENSOR, Colour, Meaning, shades
+from rig.viewer.palette import FORCE, MEANINGS, SENSOR, Colour, ColourMeaning, shades
 from rig.viewer.phase_view import send_histogram, send_phase
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
@@ -64,7 +64,7 @@ def write_rrd(
     """
     if magnification is not None and not 0 < magnification < np.inf:
         raise RigError(f"magnification is {magnification}; give a finite value above zero")
-    if truth is not None and not _belongs_to(truth, recording):
+    if truth is not None and not _is_truth_of(truth, recording):
         raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
     shown_motion = deflection(recording, truth)
     scene = stage(shown_motion, recording.rig.sample_rate_hz, magnification)
@@ -86,14 +86,14 @@ def write_rrd(
         has_diagnosis=gap is not None,
         meanings=_shown_meanings(contact_motions, gap is not None, prediction is not None),
         masses_alone=scene.masses_alone,
-        predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_station_row])
+        predicted_station_name=station_title(recording.rig, prediction.stations[prediction.shown_station_row])
         if prediction
         else None,
     )
     with rr.RecordingStream("rig") as stream, _drained_stream(stream) as encoded_stream:
         stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-        send_key(stream, layout.meanings)
+        send_colour_key(stream, layout.meanings)
         send_model(stream, scene, recording, contact_motions)
         progress(0.3)
         for contact_number, contact_motion in enumerate(contact_motions, start=1):
@@ -115,7 +115,7 @@ def write_rrd(
 
 def _shown_meanings(
     contact_motions: Sequence[ContactMotion], has_gap: bool, has_prediction: bool
-) -> tuple[Meaning, ...]:
+) -> tuple[ColourMeaning, ...]:
     """Meanings of the colours that occur, in the order of the key."""
     sources = {source for motion in contact_motions for source in (motion.wall_source, *motion.overlaid_laws)}
     is_shown = {
@@ -168,7 +168,7 @@ def _contact_motions(
         law_by_source["believed"] = nominal_contact.law
         wall_source = next(iter(law_by_source))
         eta_m, force_rows_n = relative_eta_m[row_span], None if force_n is None else force_n[row_span]
-        orbit = Orbit(eta_m - _centre_of(law_by_source[wall_source], nominal_contact.law)) if is_annular else None
+        orbit = Orbit(eta_m - _ring_centre_m(law_by_source[wall_source], nominal_contact.law)) if is_annular else None
         if is_annular:
             law_by_source = {source: _radial_law(law) for source, law in law_by_source.items()}
         wall_law = law_by_source.pop(wall_source)
@@ -192,7 +192,7 @@ def _contact_motions(
     return contact_motions
 
 
-def _centre_of(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
+def _ring_centre_m(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
     """Centre of the ring of the first annular law, m."""
     law = next(law for law in laws if isinstance(law, Annular))
     return np.array([[law.center_y_m], [law.center_z_m]])
@@ -215,12 +215,12 @@ def open_viewer(path: Path) -> None:
     subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
 
 
-def station_words(rig: Rig, station: Station) -> str:
+def station_title(rig: Rig, station: Station) -> str:
     """Name of a station for a title: of a mass its body, else with the position."""
     return station.body if rig.body(station.body).is_mass else f"{station.body} at {station.position_m:g} m"
 
 
-def _belongs_to(truth: Recording, recording: Recording) -> bool:
+def _is_truth_of(truth: Recording, recording: Recording) -> bool:
     true_contact_names, names = ([contact.name for contact in record.rig.contacts] for record in (truth, recording))
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
     return has_truth and truth.samples == recording.samples and true_contact_names == names

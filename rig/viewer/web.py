@@ -43,20 +43,20 @@ def serve(recording_path: Path, show_address: Callable[[str], None]) -> None:
 
     Raises RigError if rerun does not deliver its page.
     """
-    file_by_path = fetch_page()
+    file_by_path = fetch_rerun_page()
     with ThreadingHTTPServer((LOOPBACK, 0), _handler_type(recording_path, file_by_path)) as server:
         server_address = f"http://{LOOPBACK}:{server.server_port}"
         show_address(f"{server_address}/?url={quote(server_address + RECORDING_PATH, safe='')}")
         server.serve_forever()
 
 
-def fetch_page() -> dict[str, PageFile]:
+def fetch_rerun_page() -> dict[str, PageFile]:
     """Fetch rerun's page, by path, from its own server, which is then stopped; raise RigError if that fails."""
     deadline_s = time.monotonic() + MAX_FETCH_S
     with _rerun_server() as (port, process):
         while True:
             try:
-                return {page_path: _fetch(f"http://{LOOPBACK}:{port}{page_path}") for page_path in PAGE_PATHS}
+                return {page_path: _fetch_page_file(f"http://{LOOPBACK}:{port}{page_path}") for page_path in PAGE_PATHS}
             except (URLError, OSError) as error:
                 if process.poll() is None and time.monotonic() < deadline_s:
                     time.sleep(0.1)
@@ -66,7 +66,7 @@ def fetch_page() -> dict[str, PageFile]:
                 ) from error
 
 
-def _fetch(address: str) -> PageFile:
+def _fetch_page_file(address: str) -> PageFile:
     with urlopen(address, timeout=MAX_FETCH_S) as response:
         return PageFile(response.headers["Content-Type"] or "application/octet-stream", response.read())
 

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from rig.commands.command_line import run
 from rig.commands.tasks import Dask, run_tasks
 from rig.model.tolerances import LABORATORY
@@ -66,7 +66,7 @@ def one_recording(task: Task) -> EstimateErrors:
         )
         for contact in task.true.contacts
     ]
-    return estimate_errors(find_contacts(read(Path(task.recording)), "acceleration", LABORATORY), laws)
+    return estimate_errors(estimated_contacts(read(Path(task.recording)), "acceleration", LABORATORY), laws)
 
 
 if __name__ == "__main__":  # under its own name, by which other processes find its tasks

@@ -15,7 +15,7 @@ import msgspec
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import diagnose
-from identify.gaps.decision.null_reference import null_key, null_reference_of
+from identify.gaps.decision.null_reference import null_reference_key, null_reference_of
 from identify.gaps.decision.null_simulations import null_simulator
 from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.decision.recordings import without_faulty_channels
@@ -203,7 +203,7 @@ def without_curves(gap: Gap) -> Gap:
 
 def _null_key(recording: Recording, tolerances: Tolerances) -> str:
     counted = TOOL.record_of(recording, tolerances=tolerances).counted_part
-    return null_key(recording, counted, tolerances, SIMULATOR.name)
+    return null_reference_key(recording, counted, tolerances, SIMULATOR.name)
 
 
 def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToDiagnose | Refused:

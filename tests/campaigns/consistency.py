@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict, all_hold
+from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict, are_all_below_threshold
 from identify.gaps.results import Gap
 from rig.commands.command_line import run
 from tests.campaigns.blind_comparison import decoded
@@ -67,7 +67,7 @@ def _leaves_nothing_that_matters(gap: Gap) -> Iterator[str]:
     if (
         gap.verdict == Verdict.EXPLAINED
         and evidence.p_value_after < USUAL_P_VALUE
-        and not all_hold(evidence.quantities_after)
+        and not are_all_below_threshold(evidence.quantities_after)
     ):
         names = [one.name for one in evidence.quantities_after if not one.holds]
         yield f"p = {evidence.p_value_after:.2g}, {', '.join(names) or 'nothing looked at'}"

@@ -22,7 +22,7 @@ from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
 from identify.contacts import identify_contact
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.paper.nifo import nifo
 from identify.paper.surface import fit_surface
 from identify.signals.kinematics import kinematics
@@ -120,7 +120,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path, plan: Plan) -> dict[st
     return {
         **spent,
         "kinematics": cpu_s(lambda: kinematics(recording)),
-        "contacts, separated and fitted": cpu_s(lambda: find_contacts(recording, "auto", LABORATORY)),
+        "contacts, separated and fitted": cpu_s(lambda: estimated_contacts(recording, "auto", LABORATORY)),
         "surface of an equation": cpu_s(lambda: fit_surface(equation, force, eta_m, 4, found.stops)),
         "NIFO of an equation": cpu_s(lambda: nifo(equation, force, eta_m, cut)),
         f"for comparison: one FFT of {times} x the samples": cpu_s(lambda: rfft(fine)),

@@ -19,7 +19,7 @@ import rig
 from identify.contacts.results import ContactReport, Estimate
 from identify.gaps.results import Gap
 from rig import BarrelCradle, Recording, Sdof
-from rig.commands.command_line import run, working
+from rig.commands.command_line import progress_spinner, run
 from rig.effects.added_mass import AddedMass
 from rig.effects.base import Effect
 from rig.files import write_json
@@ -65,7 +65,7 @@ def frozen(
     now: Frozen = {}
     for name, step in STEPS.items() if only is None else [(only, STEPS[only])]:
         (out / name).mkdir(parents=True, exist_ok=True)
-        with working(name), threadpool_limits(1):  # the number of threads changes the order of sums
+        with progress_spinner(name), threadpool_limits(1):  # the number of threads changes the order of sums
             now[name] = step.tell(*(shaken(one, shake) for one in step.make(out / name)))
     write_json(now, out / "frozen.json")
     print(f"numbers of {len(now)} steps in {out / 'frozen.json'}")

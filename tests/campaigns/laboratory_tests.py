@@ -30,7 +30,7 @@ from rig.simulation.plants import modal
 from rig.simulation.plants.loading import base_motion
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
-from rig.simulation.sensors import needed_duration_s
+from rig.simulation.sensors import plant_run_duration_s
 from scenarios.jitter import jittered
 
 NOISE = 1e-3
@@ -221,7 +221,7 @@ def recorded(
     if test.unforced:
         rows["force"] = np.zeros_like(rows["force"])
     if test.base and isinstance(test.settings, Sdof):
-        samples = round(needed_duration_s(actual, duration_s) / step_s)
+        samples = round(plant_run_duration_s(actual, duration_s) / step_s)
         every = slice(None, None, round(1 / (step_s * rig.sample_rate_hz)))
         base = [row[every][: whole.samples] for row in base_motion(actual, samples, step_s)]
         rows = {name: row - base[QUANTITIES[name].order] for name, row in rows.items() if name != "force"}

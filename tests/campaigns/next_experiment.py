@@ -24,8 +24,8 @@ from rich.table import Table
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.experiment import (
     Experiment,
+    common_fit_start,
     experiments,
-    initial_search,
     next_experiments,
     refit_hypothesis,
 )
@@ -34,10 +34,10 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import SAME_EXPERIMENT, NextExperiment
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Hypothesis, Search
-from identify.gaps.search.screening import grid_screening, score_screening
-from identify.signals.spectra import force_band
+from identify.gaps.search.screening import grid_screening, rao_score_screening
+from identify.signals.spectra import force_band_hz
 from rig.commands.command_line import run
 from rig.commands.tasks import Dask, run_tasks
 from rig.errors import RigError
@@ -192,7 +192,7 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
         return _record(rig, made.force_n, made.delivered)
     known, (force_n,) = experiment.rig_change(rig), experiment.forces_n
     excitation = Gaussian(
-        rms_n=float(np.std(force_n[round(QUIET_S * rate) :])), begins_s=QUIET_S, band_hz=force_band(force_n, rate)
+        rms_n=float(np.std(force_n[round(QUIET_S * rate) :])), begins_s=QUIET_S, band_hz=force_band_hz(force_n, rate)
     )
     made = measured(_changed(machine, known), excitation, force_n.size, rate, 200 + asked.seed)
     return _record(known, made.force_n, made.delivered)
@@ -239,7 +239,7 @@ def _changed(machine: Machine, known: Rig) -> Machine:
 def _fitted(record: Record, name: str) -> Hypothesis:
     """A cause fitted from all that the diagnosis's screening offers."""
     begun = _begun(record)
-    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    known = candidates(effect_range_scale(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     parts = [c for c in known if c.name == name]
     nothing = begun[0].nominal_fit().hypothesis
     if not name:
@@ -248,7 +248,7 @@ def _fitted(record: Record, name: str) -> Hypothesis:
         raise RigError(f"no candidate is named {name!r}; there are {', '.join(c.name for c in known)}")
     linearization, at = begun[0].linearization, begun[0].nominal_residual
     offered = [
-        s.start_values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))
+        s.start_values for s in (*rao_score_screening(linearization, at, parts), *grid_screening(linearization, parts))
     ]
     tried = (_best(begun, fields(nothing, candidates=tuple(parts), values=values)) for values in offered)
     return min(tried, key=lambda one: one.misfit.minus_two_log)
@@ -256,7 +256,7 @@ def _fitted(record: Record, name: str) -> Hypothesis:
 
 def _begun(record: Record) -> tuple[Search, ...]:
     """Two places to begin a fit: at the believed rig fitted to the record, and with nothing fitted."""
-    fitted = initial_search(record, record.rig)
+    fitted = common_fit_start(record, record.rig)
     linearization = linearized(record, record.rig)
     return fitted, fields(fitted, linearization=linearization, nominal_residual=residual_of(linearization, record.rig))
 

@@ -18,7 +18,7 @@ from rich.progress import track
 from rich.table import Table
 
 from identify.checks import Finding, check_recording
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT
 from rig import RigError
@@ -135,7 +135,7 @@ def of_one(rig: str, alteration: Alteration, recording: Recording, truth: Truth)
     refused = False
     if not findings:
         try:
-            found = find_contacts(changed, "auto", LABORATORY)
+            found = estimated_contacts(changed, "auto", LABORATORY)
         except RigError:
             refused = True
         else:

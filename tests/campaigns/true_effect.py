@@ -12,14 +12,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from identify.gaps.decision.comparison import mismatch_size, nominal_misfit_beside
+from identify.gaps.decision.comparison import mismatch_size, nominal_misfit_with_same_nuisance
 from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.nominal import fit_nuisance
 from rig.commands.tasks import run_tasks
 from rig.effects import effect_named
@@ -105,7 +105,7 @@ def _achieved(task: ToLay) -> Best:
     if not task.effects:
         return Best(before)
     left, without = _laid(record, reference, task.effects, alone)
-    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    known = candidates(effect_range_scale(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     placed = Counter(c.kind.name for c in known)
     found = []
     for k, effect in enumerate(task.effects):
@@ -142,4 +142,6 @@ def _laid(record: Record, reference: NominalVariances, effects: Sequence[str], a
     for text in effects:
         rig = effect_named(text).applied_to(rig)
     linearization, at = fit_nuisance(record, rig)
-    return misfit(record, reference, at), nominal_misfit_beside(record, reference, linearization, at) or alone
+    return misfit(record, reference, at), nominal_misfit_with_same_nuisance(
+        record, reference, linearization, at
+    ) or alone

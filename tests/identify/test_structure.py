@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identify.contacts import identify_contact
-from identify.contacts.acceptance import checked_contacts
+from identify.contacts.acceptance import contacts_after_recording_check
 from identify.contacts.report import write_results
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import nuisance_columns_of
@@ -70,7 +70,7 @@ def test_modes_left_out_are_in_the_intervals(recordings):
     seven_modes = Recording(as_data(beams.rig, 7), beams.signals, beams.provenance)
     pulls = []
     for tolerances in (LABORATORY, msgspec.structs.replace(LABORATORY, truncation=0.0)):
-        estimates = checked_contacts(seven_modes, "acceleration", tolerances).outcomes.estimates
+        estimates = contacts_after_recording_check(seven_modes, "acceleration", tolerances).outcomes.estimates
         assert len(estimates) == 2
         pulls.append([(e.stiffness_n_per_m - 1e5) / e.errors[2] for e in estimates.values()])
     assert np.abs(pulls[0]).max() < 1.96

@@ -9,7 +9,7 @@ from threading import Event
 import pytest
 
 from rig.errors import RigError
-from rig.files import atomic_write, check_target, locked_part, sync_and_rename, write_bytes, write_json
+from rig.files import atomic_write, check_target, locked_part_path, sync_and_rename, write_bytes, write_json
 from rig.recording import channel_groups, writing
 from rig.simulation.reference import Sdof
 
@@ -72,7 +72,11 @@ def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, interruptio
 
 def test_a_place_that_another_writer_keeps_is_refused(tmp_path):
     path = tmp_path / "value"
-    with locked_part(path), pytest.raises(RigError, match="is being written by another program"), locked_part(path):
+    with (
+        locked_part_path(path),
+        pytest.raises(RigError, match="is being written by another program"),
+        locked_part_path(path),
+    ):
         pass
 
 

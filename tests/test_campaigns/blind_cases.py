@@ -3,7 +3,7 @@
 import numpy as np
 
 from identify.gaps.decision_table import Evidence, Strength
-from identify.gaps.results import Attribution, Cause, Criteria, Gap, Matters, UnexplainedShares, labels_of
+from identify.gaps.results import Attribution, Cause, Criteria, Gap, Matters, UnexplainedShares, unique_effect_labels
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 from tests.campaigns.blind_diagnosis import Found, Refused
 from tests.campaigns.scoreboard import ScoredCase
@@ -59,7 +59,7 @@ def cause(
     parameters = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, Value)}
     places = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, str)}
     strengths = []
-    for label, kind in zip(labels_of(effects), effects, strict=True):
+    for label, kind in zip(unique_effect_labels(effects), effects, strict=True):
         value = next((v for k, v in parameters.items() if k.startswith(f"{label}.")), Value(1.0, 0.01, "1"))
         half = 1.96 * value.standard_error
         name = ":".join([kind, *(place for k, place in places.items() if k.startswith(f"{label}."))])

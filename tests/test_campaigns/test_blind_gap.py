@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.gaps.residual.record import CountedPart
+from identify.gaps.residual.record import CountedBandAndEnd
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import read as read_recording
@@ -70,7 +70,7 @@ def run_here(function, parameters, _result_type, folder, _dask=None):
 
 def forced_record(*_, **__):
     """What the tool asks of a record; the recordings here are too short for a true one."""
-    return SimpleNamespace(counted_part=CountedPart(1, 1.5), has_force=True, base=None)
+    return SimpleNamespace(counted_part=CountedBandAndEnd(1, 1.5), has_force=True, base=None)
 
 
 @pytest.fixture

@@ -7,7 +7,13 @@ import numpy as np
 from msgspec.structs import asdict
 
 from identify.gaps.decision.attribution import attribution
-from identify.gaps.decision.causes import bands_of, cause_of, confirming_tests, effect_phrases, unexplained_shares
+from identify.gaps.decision.causes import (
+    cause_of,
+    confirming_tests,
+    effect_phrases,
+    unexplained_bands,
+    unexplained_shares,
+)
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, judge
@@ -29,7 +35,7 @@ from identify.gaps.results import (
 )
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described_force
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 from rig.model.unmeasured_force import UnmeasuredForce
@@ -91,7 +97,7 @@ def describe(
     evidence, rig = decision.evidence, record.rig
     nominal_misfit, named_misfit = decision.nominal_hypothesis.misfit, decision.named_misfit
     differences_attempt = _record_differences(prepared, search_result, decision, lambda share: progress(0.5 * share))
-    force_attempt = _unmeasured_force(rig, unmeasured, decision.misfit_to_describe, matters)
+    force_attempt = _largest_unmeasured_cause(rig, unmeasured, decision.misfit_to_describe, matters)
     rival_pair = _rival_hypotheses(decision) if ask_next and record.has_force else None
     experiments = _next_experiments(prepared, rival_pair)
     attributed = attempted(
@@ -121,7 +127,7 @@ def describe(
         nothing_minus_two_log=nominal_misfit.minus_two_log,
         unknown_gain=unmeasured.cost_decrease,
         unknown=force_attempt.result,
-        bands=bands_of(nominal_misfit, named_misfit, null_reference),
+        bands=unexplained_bands(nominal_misfit, named_misfit, null_reference),
         separate_by=confirming_tests(causes, [weighted.validated for weighted in with_effects]),
         next_experiments=experiments.result or (),
         next_between=tuple(" + ".join(rival.effects) or "nothing" for rival in rival_pair or ()),
@@ -157,7 +163,7 @@ def _record_differences(
     )
 
 
-def _unmeasured_force(
+def _largest_unmeasured_cause(
     rig: Rig, unmeasured: UnmeasuredCauses, misfit: Misfit, matters: Matters
 ) -> Attempt[UnmeasuredForce]:
     """Description of the unmeasured force or of the modulated clearance, whichever explains more of the mismatch.
@@ -169,7 +175,7 @@ def _unmeasured_force(
     force_attempt = attempted("force_description", lambda: described_force(force_fit)) if force_fit else Attempt()
     if clearance_swing is None:
         return force_attempt
-    contacts = {contact.name: contact for contact in group_rig_of(rig).contacts}
+    contacts = {contact.name: contact for contact in rig_with_joined_contacts(rig).contacts}
     contact_share = dict(zip(contacts, misfit.unexplained_contact_shares, strict=True))[clearance_swing.contact_name]
     force_size = (
         force_attempt.result.explained * misfit.unexplained_share / matters.motion if force_attempt.result else 0.0

@@ -56,7 +56,7 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
             Share(float(times_s[0]), float(times_s[-1]), _share_of_sum(squares, total_squares))
             for times_s, squares in intervals
         ),
-        surface=contact_maps or _mass_force_maps(record, residual),
+        surface=contact_maps or _missing_force_map_by_mass(record, residual),
     )
 
 
@@ -65,7 +65,7 @@ def _share_of_sum(squares: Float[np.ndarray, "*some"], total_squares: Float[np.n
     return float(squares.sum() / max(total_squares.sum(), 1e-300))
 
 
-def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMap]:
+def _missing_force_map_by_mass(record: Record, residual: Residual) -> dict[str, ResidualMap]:
     """Squared force (N^2) that the linear model lacks, over displacement and velocity of each single mass."""
     residual_maps, motions = {}, record.displacement_signals
     for response in residual.model.responses:
@@ -93,7 +93,7 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     variance_ratios = {}
     for response in residual.model.responses:
         body = response.body
-        sensor_indices = record.motion_sensors_on(body.name)
+        sensor_indices = record.motion_sensor_indices_on(body.name)
         mode_count = min(len(sensor_indices), response.mode_count)
         if not mode_count:
             continue

@@ -23,7 +23,7 @@ from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, law_outcomes, pooled_estimate
-from identify.pages.wording import COVERED, length_words
+from identify.pages.wording import COVERED, record_length_words
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -40,7 +40,7 @@ LAW_FAR_OFF_AND_REMEDY = (
     "run identify contact, and give the rig.json that it writes with --rig",
 )
 """Reason why a share above the whole bounds nothing, and the remedy."""
-TOO_SHORT_AND_REMEDY = "the record held back leaves less than two seconds", f"record {length_words(2.0)}"
+TOO_SHORT_AND_REMEDY = "the record held back leaves less than two seconds", f"record {record_length_words(2.0)}"
 """Reason why a share of a single second, without a scatter over seconds, has no bound, and the remedy."""
 
 
@@ -60,7 +60,7 @@ class NominalDifference:
 
 
 @dataclass(frozen=True)
-class ContactDistances:
+class ContactParameterDistances:
     """Distance of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
 
     parameter_bounds: tuple[Bounded, ...]
@@ -70,7 +70,7 @@ class ContactDistances:
 
 def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
-    squared_shares = misfit.squared_share_by_second
+    squared_shares = misfit.squared_unexplained_share_by_second
     # noise that is estimated too high puts them below zero, which bounds nothing
     squared_shares = squared_shares + max(misfit.unexplained_share**2 - squared_shares.mean(), 0.0)
     bounds = [_bounded_share("motion", misfit.unexplained_share, squared_shares, matters.motion)]
@@ -79,11 +79,13 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
         noise_square_n2 = float(np.sum(force_weights[force_weights > 0] ** -2.0)) / force_weights.size
         force_square_n2 = max(float(np.mean(misfit.contact_force_n2[:, contact_index])), 1e-300)
         squared_shares = misfit.contact_beyond_noise_n2[:, contact_index] / force_square_n2
-        bounds.append(contact_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact))
+        bounds.append(
+            contact_force_share_bound(contact_name, squared_shares, noise_square_n2 / force_square_n2, matters.contact)
+        )
     return tuple(bounds)
 
 
-def contact_bound(
+def contact_force_share_bound(
     quantity_name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
 ) -> Bounded:
     """Bounded unexplained share of a contact force, from its squares second by second and the noise's share of the
@@ -113,12 +115,12 @@ def _upper_share(squared_shares: Float[np.ndarray, " seconds"]) -> float | None:
     return float(np.sqrt(max(upper_square, 0.0)))
 
 
-def contact_distances(
+def contact_parameter_distances(
     recordings: Sequence[Recording],
     rig: Rig,
     tolerances: Tolerances,
     outcomes_of: Callable[[Recording, Rig, Tolerances], LawOutcomes] = law_outcomes,
-) -> ContactDistances:
+) -> ContactParameterDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
     outcomes = [outcomes_of(recording, rig, tolerances) for recording in recordings if rig.contacts]
     bounds, p_values, pooled_estimates = list[Bounded](), list[float](), list[LawEstimate]()
@@ -136,7 +138,7 @@ def contact_distances(
         bounds += _parameter_bounds(contact, estimate, distance, tolerances)
         p_values.append(float(chi2.sf(distance.chi_squared, distance.parameter_distances.size)))
         pooled_estimates.append(estimate)
-    return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled_estimates))
+    return ContactParameterDistances(tuple(bounds), tuple(p_values), tuple(pooled_estimates))
 
 
 def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
@@ -167,7 +169,9 @@ def law_distance(
     parameter_distances = np.asarray(
         law_estimate.quantity_values - law_estimate.quantity_weights @ parameters_of_law(contact.law)
     )
-    prior_deviations = np.array(stated_deviations(nominal_contact, tolerances))[_parameter_indices(nominal_contact)]
+    prior_deviations = np.array(law_tolerance_deviations(nominal_contact, tolerances))[
+        _parameter_indices(nominal_contact)
+    ]
     stated_variances = np.diag(np.square(prior_deviations[: parameter_distances.size]))
     return LawDistance(parameter_distances, law_estimate.covariance + stated_variances)
 
@@ -176,7 +180,7 @@ def _parameter_bounds(
     contact: Contact, estimate: LawEstimate, distance: LawDistance, tolerances: Tolerances
 ) -> list[Bounded]:
     names_and_units = ("clearance", "m"), ("stiffness", "N/m"), ("damping", "N s/m"), ("offset", "m")
-    prior_deviations = stated_deviations(contact, tolerances)
+    prior_deviations = law_tolerance_deviations(contact, tolerances)
     distance_sizes, half_widths = np.abs(distance.parameter_distances), COVERED * np.sqrt(np.diag(estimate.covariance))
     bounds = []
     for index, size, half_width in zip(_parameter_indices(contact), distance_sizes, half_widths, strict=False):
@@ -190,7 +194,7 @@ def _parameter_indices(contact: Contact) -> list[int]:
     return [0, 1, 2, 3] if contact.law.has_stops else [1, 2]
 
 
-def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:
+def law_tolerance_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:
     """Stated standard deviations of clearance (m), stiffness (N/m), damping (N s/m) and offset (m) of a contact.
 
     Those of a laboratory where none are stated, as no record bounds a distance by zero.

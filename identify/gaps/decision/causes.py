@@ -13,10 +13,10 @@ from identify.gaps.decision.verdict import RIVAL_PROBABILITY, WeightedHypothesis
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import BAND_WIDTH_HZ
-from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, labels_of
+from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, unique_effect_labels
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from identify.pages.wording import estimate_words
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
@@ -110,7 +110,7 @@ def is_at_limit(parameter: Parameter, parameter_value: float) -> bool:
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
-    contact_names = [contact.name for contact in group_rig_of(rig).contacts]
+    contact_names = [contact.name for contact in rig_with_joined_contacts(rig).contacts]
     return UnexplainedShares(
         share=misfit.unexplained_share,
         contact_shares=dict(zip(contact_names, misfit.unexplained_contact_shares.tolist(), strict=True)),
@@ -136,7 +136,7 @@ def cause_of(
     places: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     words, stop = [], 0
-    for label, candidate in zip(labels_of(hypothesis.effects), hypothesis.candidates, strict=True):
+    for label, candidate in zip(unique_effect_labels(hypothesis.effects), hypothesis.candidates, strict=True):
         column_slice = slice(stop, stop := stop + len(candidate.parameters))
         values, covariance = hypothesis.values[column_slice], hypothesis.covariance[column_slice, column_slice]
         change_words = identifiable_change_words(record.rig, candidate, values, covariance, record.highest_hz)
@@ -168,10 +168,15 @@ def cause_of(
     )
 
 
-def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
+def unexplained_bands(
+    nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference
+) -> tuple[Band, ...]:
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
     shares_by_band = zip(
-        nominal_misfit.share_by_band, corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False
+        nominal_misfit.share_by_band,
+        corrected_misfit.share_by_band,
+        null_reference.null_share_upper_limits(),
+        strict=False,
     )
     return tuple(
         Band(

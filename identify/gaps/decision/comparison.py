@@ -80,12 +80,12 @@ class ValidatedHypothesis:
         return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE) - self.contact_minus_two_log / 2
 
     @property
-    def log_posterior_of_both(self) -> float:
+    def log_posterior_of_both_records(self) -> float:
         """Log posterior, up to a constant, given the fitted record too."""
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 
-def nominal_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
+def nominal_hypothesis_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
     """Hypothesis of the nominal rig."""
     return next(validated for validated in ranked if not validated.hypothesis.candidates)
 
@@ -124,12 +124,12 @@ def _rigs_and_misfits(
     """Rig with the effects, corrected rig, its misfit and that of the nominal rig, of a `ValidatedHypothesis`."""
     rig = record_specific_rig(record, hypothesis)
     linearization, residual = fit_nuisance(record, rig)
-    nominal_misfit = nominal_misfit_beside(record, nominal_variances, linearization, residual)
+    nominal_misfit = nominal_misfit_with_same_nuisance(record, nominal_variances, linearization, residual)
     effects_misfit = misfit(record, nominal_variances, residual)
     return rig, residual.corrected_rig, effects_misfit, nominal_misfit or unchanged_misfit
 
 
-def nominal_misfit_beside(
+def nominal_misfit_with_same_nuisance(
     record: Record, nominal_variances: NominalVariances, linearization: Linearization, residual: Residual
 ) -> Misfit | None:
     """Misfit of the nominal rig with the nuisance parameters of a rig with effects.
@@ -191,7 +191,7 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
 
 
-def with_rival_spread(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHypothesis]:
+def with_model_averaged_covariance(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHypothesis]:
     """Hypotheses whose covariances of the effects hold the values of their rivals, too.
 
     With the values v and the covariance C of an effect in a hypothesis, and v_i in those that hold it too, of the
@@ -200,10 +200,13 @@ def with_rival_spread(ranked: Sequence[ValidatedHypothesis]) -> list[ValidatedHy
     they are nearest in standard errors.
     """
     weights = probabilities(np.array([validated.log_posterior for validated in ranked]))
-    return [replace(validated, hypothesis=_with_spread(validated.hypothesis, ranked, weights)) for validated in ranked]
+    return [
+        replace(validated, hypothesis=_with_between_model_covariance(validated.hypothesis, ranked, weights))
+        for validated in ranked
+    ]
 
 
-def _with_spread(
+def _with_between_model_covariance(
     hypothesis: Hypothesis, rivals: Sequence[ValidatedHypothesis], rival_probabilities: Float[np.ndarray, " hypotheses"]
 ) -> Hypothesis:
     spread = np.zeros_like(hypothesis.covariance)
@@ -241,7 +244,7 @@ def _columns_of(effect_name: str, candidates: Sequence[Candidate]) -> list[slice
     ]
 
 
-def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
+def split_likelihood_ratio_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     """p-value of the nominal rig against hypotheses that were fitted on another record.
 
     With S = -2 ln p on the record that was not fitted, the split likelihood ratio of their mixture gives (Wasserman,
@@ -259,7 +262,7 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     fitted_costs = np.array([validated.hypothesis.cost for validated in hypotheses_with_effects])
     validation_costs = np.array([validated.misfit.minus_two_log for validated in hypotheses_with_effects])
     mixture_weights = probabilities(priors - fitted_costs / (2 * TEMPERATURE))
-    cost_gains = nominal_of(ranked).misfit.minus_two_log - validation_costs
+    cost_gains = nominal_hypothesis_of(ranked).misfit.minus_two_log - validation_costs
     return float(min(1.0, np.exp(-logsumexp(cost_gains / (2 * TEMPERATURE), b=mixture_weights))))
 
 

@@ -17,7 +17,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import NominalDifference, law_distance
-from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, validate_hypotheses
+from identify.gaps.decision.comparison import (
+    ValidatedHypothesis,
+    log_priors,
+    nominal_hypothesis_of,
+    validate_hypotheses,
+)
 from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.record import Record
@@ -52,7 +57,9 @@ def with_contact_evidence(
     validation_residual is that of the nominal rig on the validation record.
     """
     estimates, validation = difference.contact_estimates, prepared.validation_recording
-    contact_hypothesis = _hypothesis_of_contact_fit(prepared, candidates, estimates, nominal_of(ranked).hypothesis)
+    contact_hypothesis = _hypothesis_of_contact_fit(
+        prepared, candidates, estimates, nominal_hypothesis_of(ranked).hypothesis
+    )
     hypotheses = list(ranked)
     if contact_hypothesis and all(
         contact_hypothesis.effect_names != validated.hypothesis.effect_names for validated in ranked
@@ -96,7 +103,7 @@ def _hypothesis_of_contact_fit(
     nominal_hypothesis: Hypothesis,
 ) -> Hypothesis | None:
     """Nominal rig with the effects of the contact fit, on the searched record; None without any."""
-    fitted = fitted_contact_effects(prepared, candidates, estimates, nominal_hypothesis)
+    fitted = hypothesis_with_contact_effects(prepared, candidates, estimates, nominal_hypothesis)
     if fitted is None:
         return None
     searched_recording = prepared.searched_recording
@@ -104,7 +111,7 @@ def _hypothesis_of_contact_fit(
     return replace(fitted, misfit=misfit(searched_recording.record, searched_recording.nominal_variances, residual))
 
 
-def fitted_contact_effects(
+def hypothesis_with_contact_effects(
     prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
     estimates: Sequence[LawEstimate],

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, record_specific_rig
-from identify.gaps.decision.modal_changes import differ_in_level, driven_band_hz, level_dependence
+from identify.gaps.decision.modal_changes import driven_band_hz, has_several_force_levels, level_dependence
 from identify.gaps.decision.record_values import EffectValues, RecordSet, VaryingParameters
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.likelihood import NominalVariances
@@ -81,7 +81,9 @@ class _ComparedRecords(RecordSet):
                     best_tests[candidate.name] = _homogeneity_test(candidate, varying.at_estimate(estimate), estimate)
         return sorted(best_tests.values(), key=lambda test: test.cost)
 
-    def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
+    def likeliest_differing_effect(
+        self, effects: EffectValues, excluded: Sequence[str]
+    ) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
         screened_tests = self.screened_tests(effects, excluded)
         log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
@@ -112,7 +114,7 @@ def differences(
     candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
     records.
     """
-    levels_differ = differ_in_level(force_levels_n)
+    levels_differ = has_several_force_levels(force_levels_n)
     record_set = _ComparedRecords(records, variances_by_record, comparable_candidates(candidates, levels_differ))
     initial_effects = _initial_effects(records, cause)
     records_by_level = np.argsort(force_levels_n) if levels_differ else None
@@ -161,16 +163,16 @@ def _differing_effects(
 
     Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first_test, tested_count = record_set.most_different(initial_effects, ())
+    first_test, tested_count = record_set.likeliest_differing_effect(initial_effects, ())
     progress(0.3)
     if first_test is None:
         return (), tested_count
-    second_test, _ = record_set.most_different(first_test.varying.effects, [first_test.candidate.name])
+    second_test, _ = record_set.likeliest_differing_effect(first_test.varying.effects, [first_test.candidate.name])
     progress(0.6)
     if second_test is None:
         return (first_test,), tested_count
     effects_with_second = initial_effects.with_effect(second_test.candidate, second_test.effect_values)
-    other_first_test, _ = record_set.most_different(effects_with_second, [second_test.candidate.name])
+    other_first_test, _ = record_set.likeliest_differing_effect(effects_with_second, [second_test.candidate.name])
     if other_first_test and other_first_test.cost < second_test.cost:
         return (second_test, other_first_test), tested_count
     return (first_test, second_test), tested_count

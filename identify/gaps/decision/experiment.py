@@ -81,7 +81,9 @@ def next_experiments(
         rig = experiment.rig_change(record.rig)
         try:
             cost_differences = [
-                _cost_difference(rig, true_cause, rival_cause, experiment.forces_n, simulate, record.tolerances)
+                _rival_excess_minus_two_log(
+                    rig, true_cause, rival_cause, experiment.forces_n, simulate, record.tolerances
+                )
                 for true_cause, rival_cause in (rival_pair, rival_pair[::-1])
             ]
         except RigError:
@@ -119,7 +121,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
     instruction = f"record {sample_count / rate_hz:.3g} s"
     yield Experiment(instruction, _unchanged_rig, longer_forces_n)
     yield Experiment(f"{instruction} with {factor:g} times the force", _unchanged_rig, factor * longer_forces_n)
-    for station in _force_stations(rig) if len(rig.forces) == 1 and not rig.base_sensors else ():
+    for station in _alternative_force_stations(rig) if len(rig.forces) == 1 and not rig.base_sensors else ():
         instruction = f"move the force to {_station_words(rig, station)}"
         yield Experiment(instruction, partial(with_fields, force_at=station), repeated_n)
     for body in rig.bodies:
@@ -131,7 +133,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
         yield Experiment("measure displacements in place of accelerations", _rig_with_displacements, repeated_n)
 
 
-def initial_search(record: Record, rig: Rig) -> Search:
+def common_fit_start(record: Record, rig: Rig) -> Search:
     """Common start of the fits to a record: scales and slow motion of a rig fitted to it.
 
     All hypotheses that are compared start here, so that none stays in a worse minimum than another.
@@ -206,7 +208,7 @@ def _rig_with_displacements(rig: Rig) -> Rig:
     return with_fields(rig, sensors=sensors)
 
 
-def _force_stations(rig: Rig) -> Iterator[Station]:
+def _alternative_force_stations(rig: Rig) -> Iterator[Station]:
     """Stations of `FORCE_POSITIONS` at which the force does not act yet."""
     for body in rig.bodies:
         for station in {Station(body.name, length_share * body.length_m): None for length_share in FORCE_POSITIONS}:
@@ -218,7 +220,7 @@ def _station_words(rig: Rig, station: Station) -> str:
     return f"the {station.body} at {station.position_m:.3g} m" if rig.body(station.body).length_m else station.body
 
 
-def _cost_difference(
+def _rival_excess_minus_two_log(
     nominal_rig: Rig,
     true_cause: Hypothesis,
     rival_cause: Hypothesis,
@@ -230,7 +232,7 @@ def _cost_difference(
     enlarged_cause = enlarge_strengths(true_cause)
     actual_rig = enlarged_cause.applied_to(nominal_rig)
     record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
-    search_start = initial_search(record, actual_rig)
+    search_start = common_fit_start(record, actual_rig)
     true_refit, rival_refit = (refit_hypothesis(search_start, cause) for cause in (enlarged_cause, rival_cause))
     excess_cost = disagreement_cost(rival_cause, rival_refit) - disagreement_cost(true_cause, true_refit)
     return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + excess_cost

@@ -8,29 +8,39 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import NominalDifference, contact_distances, share_bounds
+from identify.gaps.decision.bounds import NominalDifference, contact_parameter_distances, share_bounds
 from identify.gaps.decision.comparison import (
     ValidatedHypothesis,
     explained_share,
     log_priors,
-    nominal_of,
-    split_p_value,
+    nominal_hypothesis_of,
+    split_likelihood_ratio_p_value,
     validate_hypotheses,
-    with_rival_spread,
+    with_model_averaged_covariance,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
-from identify.gaps.decision.null_reference import NullReference, combined_p_value, p_value, p_values, with_bound
-from identify.gaps.decision.predicted import PredictedDecision, predicted_decision, predicted_rollout
+from identify.gaps.decision.null_reference import (
+    NullReference,
+    combined_p_value,
+    p_value,
+    p_value_combined_with_bound,
+    p_values,
+)
+from identify.gaps.decision.predicted import (
+    PredictionCheckedDecision,
+    prediction_checked_decision,
+    rollout_with_named_effects,
+)
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
-from identify.gaps.decision.verdict import Decision, ForceRivals, acts_at_effects, decide, strengths_exclude_neutral
+from identify.gaps.decision.verdict import Decision, ForceRivals, decide, is_force_at_effects, strengths_exclude_neutral
 from identify.gaps.decision_table import (
     DIFFERENCE_P_VALUE,
     PARTLY_EXPLAINED_SHARE,
     USUAL_P_VALUE,
     Evidence,
     Verdict,
-    all_hold,
+    are_all_below_threshold,
 )
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
@@ -41,7 +51,7 @@ from identify.gaps.search.hypothesis import MIN_GAIN, Hypothesis
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from rig.model.description import Rig
 
 CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
@@ -72,7 +82,7 @@ class Judgement:
     """
 
     decision: Decision
-    prediction: PredictedDecision
+    prediction: PredictionCheckedDecision
     unmeasured: UnmeasuredCauses
     linearization: Linearization
     nominal_residual: Residual
@@ -86,7 +96,8 @@ def judge(
 ) -> Judgement:
     """Judge the difference, every hypothesis and the prediction with the named effects on the validation record.
 
-    Where an unmeasured force may be behind it (`may_hide_force`), it and a modulated clearance are looked for.
+    Where an unmeasured force may be behind it (`is_unmeasured_force_possible`), it and a modulated clearance are looked
+    for.
     """
     validation = prepared.validation_recording
     record, candidates = validation.record, search_result.candidates
@@ -94,19 +105,23 @@ def judge(
     linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
     ranked = validated_hypotheses(prepared, search_result.hypotheses, candidates, nominal_residual, progress)
     ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual, prepared.fitted_recordings)
-    difference = difference_of(prepared, search_result.nominal_misfit, nominal_residual, matters, split_p_value(ranked))
+    difference = nominal_difference_of(
+        prepared, search_result.nominal_misfit, nominal_residual, matters, split_likelihood_ratio_p_value(ranked)
+    )
     ranked = with_contact_evidence(prepared, candidates, ranked, difference, nominal_residual)
     if not strengths_exclude_neutral(ranked[0].hypothesis):  # the fitted records leave it uncertain
         ranked = _refit_likeliest_contact_laws(prepared, ranked, nominal_residual, prepared.observations)
-    ranked = with_rival_spread(ranked)
+    ranked = with_model_averaged_covariance(ranked)
     basis = _DecisionBasis(prepared, difference, nominal_residual, matters)
-    prediction = predicted_decision(
+    prediction = prediction_checked_decision(
         ranked,
         basis.decide,
-        lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, nominal_residual, named_set)),
+        lambda named_set: attempted(
+            "rollout", lambda: rollout_with_named_effects(prepared, nominal_residual, named_set)
+        ),
     )
     decision, unmeasured_causes = prediction.decision, UnmeasuredCauses()
-    if may_hide_force(decision.evidence):
+    if is_unmeasured_force_possible(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, prediction.ranked_hypotheses, decision)
     return Judgement(decision, prediction, unmeasured_causes, linearization, nominal_residual)
 
@@ -124,10 +139,10 @@ def validated_hypotheses(
     ranked = validate_hypotheses(
         validation.record, validation.nominal_variances, nominal_residual, hypotheses, log_prior_by_effects, progress
     )
-    return [with_lasting_error(validated, prepared.null_reference) for validated in ranked]
+    return [with_birge_ratio_errors(validated, prepared.null_reference) for validated in ranked]
 
 
-def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
+def with_birge_ratio_errors(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
     """Hypothesis whose standard errors grow by what it leaves of the validation record beyond tolerances and noise.
 
     Weights that follow the misfit count what is left as scatter, but it lasts, and biases the values. With the
@@ -138,7 +153,7 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     corrected_misfit = validated.misfit
     if p_value(null_reference, corrected_misfit) >= USUAL_P_VALUE:
         return validated
-    shares = zip(corrected_misfit.share_by_band, null_reference.usual_shares(), strict=False)
+    shares = zip(corrected_misfit.share_by_band, null_reference.null_share_upper_limits(), strict=False)
     growth_by_band = np.array([share / usual_share if usual_share else 1.0 for share, usual_share in shares])
     band_order = np.argsort(growth_by_band)
     power_below = np.cumsum(corrected_misfit.power_by_band[band_order])
@@ -147,7 +162,7 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     return replace(validated, hypothesis=hypothesis)
 
 
-def may_hide_force(evidence: Evidence) -> bool:
+def is_unmeasured_force_possible(evidence: Evidence) -> bool:
     """True if an unmeasured force may be the rival of named effects, or of none: where something is left to be
     described, and where a small effect is named that leaves more than tolerances and noise do."""
     names_small_effect = evidence.verdict == Verdict.SMALL and bool(evidence.named)
@@ -170,7 +185,7 @@ class _DecisionBasis:
         return decide(ranked, self.difference, null_reference, self.matters, force_rivals, is_vetoed)
 
 
-def difference_of(
+def nominal_difference_of(
     prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, split_bound: float
 ) -> NominalDifference:
     """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
@@ -182,24 +197,26 @@ def difference_of(
     rig, tolerances = validation.record.rig, validation.record.tolerances
     misfits = nominal_misfits_of(prepared, searched_misfit, residual)
     record_p_values = p_values(prepared.null_references, misfits)
-    p_value = with_bound(combined_p_value(record_p_values), split_bound)
-    force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
+    p_value = p_value_combined_with_bound(combined_p_value(record_p_values), split_bound)
+    force_names = [f"force of {contact.name}" for contact in rig_with_joined_contacts(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(misfits[prepared.validation_index], force_names, matters)
     difference = NominalDifference(p_value, motion_bound, tuple(contact_bounds))
-    if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
+    if p_value < CERTAIN_P_VALUE and not are_all_below_threshold((motion_bound, *contact_bounds)):
         return difference
     recordings = [observation.recording for observation in prepared.observations]
-    distances = contact_distances(recordings, rig, tolerances)
+    distances = contact_parameter_distances(recordings, rig, tolerances)
     return replace(
         difference,
-        p_value=with_bound(combined_p_value(np.append(record_p_values, distances.p_values)), split_bound),
+        p_value=p_value_combined_with_bound(
+            combined_p_value(np.append(record_p_values, distances.p_values)), split_bound
+        ),
         parameter_bounds=distances.parameter_bounds,
         contact_estimates=distances.law_estimates,
     )
 
 
 def nominal_misfits_of(prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual) -> list[Misfit]:
-    """Misfit of the nominal rig to every record, from the two that `difference_of` is given."""
+    """Misfit of the nominal rig to every record, from the two that `nominal_difference_of` is given."""
     validation = prepared.validation_recording
 
     def nominal_misfit(observation: PreparedRecording) -> Misfit:
@@ -250,7 +267,7 @@ def _decide_with_force(
     def force_in(rig: Rig) -> Attempt[UnmeasuredForceFit]:
         return attempted("unmeasured_force", lambda: likeliest_force(searched, rig, record))
 
-    force, nominal_misfit = force_in(record.rig), nominal_of(ranked).misfit
+    force, nominal_misfit = force_in(record.rig), nominal_hypothesis_of(ranked).misfit
     force_cost = cost_decrease = None
     if force.result:
         force_cost = minus_two_log_with_force(validation, record.rig, force.result, nominal_misfit)
@@ -260,7 +277,7 @@ def _decide_with_force(
     if named_set and explained_share(named_set.nominal_misfit, named_set.misfit, matters) >= PARTLY_EXPLAINED_SHARE:
         companion_attempt, companion_cost = force_in(named_set.rig), None
         companion_force = companion_attempt.result
-        if companion_force and not acts_at_effects(
+        if companion_force and not is_force_at_effects(
             companion_force.on_fit_record.force_place, record.rig, named_set.rig
         ):
             companion_cost = minus_two_log_with_force(validation, named_set.rig, companion_force, named_set.misfit)

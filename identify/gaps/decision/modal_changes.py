@@ -18,7 +18,7 @@ from identify.gaps.search.candidates import Candidate, attachments_of
 from identify.pages.wording import interval, number
 from rig.errors import RigError
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
-from rig.model.modes import Modes, basis_places_beside, mode_count, modes_of
+from rig.model.modes import Modes, mode_count, modes_of, neighbouring_basis_places_m
 
 DOMINANT_SHARE = 0.5
 """Share of the squared changes of all modes in the band, in half bandwidths, above which one mode dominates. Derived:
@@ -52,7 +52,7 @@ def identifiable_change_words(
         return ""
     station = attached_elements[0].station
     body = rig.body(station.body)
-    neighbours_m = basis_places_beside(body, station.position_m)
+    neighbours_m = neighbouring_basis_places_m(body, station.position_m)
     mode_index = _dominant_mode_index(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
     if mode_index is None:
         return ""
@@ -139,7 +139,7 @@ def _standard_error_of(
     return float(np.sqrt(max(quantity_slopes @ covariance @ quantity_slopes, 0.0)))
 
 
-def differ_in_level(force_levels_n: Sequence[float]) -> bool:
+def has_several_force_levels(force_levels_n: Sequence[float]) -> bool:
     """True if the forces are of several levels, not all within `LEVEL_FACTOR` of each other."""
     return min(force_levels_n) > 0 and max(force_levels_n) > LEVEL_FACTOR * min(force_levels_n)
 

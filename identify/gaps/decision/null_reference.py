@@ -10,7 +10,7 @@ Notes for maintainers
    are added machine by machine (`p_values`).
 3. A further part enters the combination: chi-squared of the contact parameters' distance from rig.json (not where the
    rest is certain of a difference that is not bounded). The split likelihood ratio has its own share of the level
-   (`with_bound`): it bounds a p-value, is 1 for most machines, and would pull Cauchy's mean towards 1.
+   (`p_value_combined_with_bound`): it bounds a p-value, is 1 for most machines, and would pull Cauchy's mean towards 1.
 4. The key of a file holds rig, tolerances, simulator, level of force, length, and the versions of program and
    statistic.
 """
@@ -31,7 +31,7 @@ from scipy.stats import t as student
 from identify.gaps.decision.channel_errors import ChannelErrors, channel_errors_of, with_channel_errors
 from identify.gaps.decision.null_simulations import draw_rig, is_impulsive, phase_randomized, standard_normals
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
-from identify.gaps.residual.record import CountedPart
+from identify.gaps.residual.record import CountedBandAndEnd
 from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
@@ -98,7 +98,7 @@ class NullReference(msgspec.Struct, frozen=True):
         """Prediction errors of the null simulations."""
         return tuple(simulation.prediction for simulation in self.simulations if simulation.prediction is not None)
 
-    def usual_shares(self) -> Float[np.ndarray, " bands"]:
+    def null_share_upper_limits(self) -> Float[np.ndarray, " bands"]:
         """Upper 95 % prediction limit of the unexplained share of each band under the null."""
         # the bands of a record end where its force does
         band_count = min(len(simulation.shares) for simulation in self.simulations)
@@ -153,7 +153,7 @@ def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     return 0.5 - float(np.arctan(mean_tangent)) / np.pi if mean_tangent < 1e12 else 1 / (np.pi * mean_tangent)
 
 
-def with_bound(p_value: float, p_bound: float) -> float:
+def p_value_combined_with_bound(p_value: float, p_bound: float) -> float:
     """Combination of a p-value with the upper bound of another, 1 where it says nothing: Bonferroni's, weighted.
 
     p = min(1, p_value / (1 - w), p_bound / w)        w = `BOUND_WEIGHT`
@@ -183,7 +183,7 @@ def null_reference_of(
     """
     measured_record = record_of(measured_recording, tolerances=tolerances)
     counted_part = measured_record.counted_part
-    key = null_key(measured_recording, counted_part, tolerances, simulator_name, simulation_count)
+    key = null_reference_key(measured_recording, counted_part, tolerances, simulator_name, simulation_count)
     if path and path.is_dir():
         path = path / f"{key[:16]}.json"
     stored_references = _stored_references(path) if path else ()
@@ -213,14 +213,14 @@ class _NullRun:
     measured_recording: Recording
     tolerances: Tolerances
     channel_errors: ChannelErrors
-    counted_part: CountedPart
+    counted_part: CountedBandAndEnd
     simulate: Simulate
     predict: Predict | None
 
     def __call__(self, seed_and_normals: tuple[int, Float[np.ndarray, " normals"]]) -> NullSimulation:
         """Record a machine that is drawn within the tolerances, and fit the nominal rig to it."""
         seed, normals = seed_and_normals
-        recording = self._recording_of(seed, draw_rig(self.measured_recording.rig, self.tolerances, normals))
+        recording = self._simulated_recording(seed, draw_rig(self.measured_recording.rig, self.tolerances, normals))
         record = record_of(recording, tolerances=self.tolerances, counted_part=self.counted_part)
         nominal_variances = nominal_variances_of(linearized(record, record.rig))
         residual = fit_nuisance(record, record.rig)[1]
@@ -235,7 +235,7 @@ class _NullRun:
             _prediction_errors(recording, residual, self.predict),
         )
 
-    def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
+    def _simulated_recording(self, seed: int, drawn_rig: Rig) -> Recording:
         """Recording of a machine under a force of the measured one's spectrum, with the errors of its channels."""
         rng, silent_sample_count = np.random.default_rng([seed, 77]), self.channel_errors.silent_sample_count
         measured_rig, rate_hz = self.measured_recording.rig, self.measured_recording.rig.sample_rate_hz
@@ -257,9 +257,9 @@ def _prediction_errors(recording: Recording, residual: Residual, predict: Predic
         return None
 
 
-def null_key(
+def null_reference_key(
     measured_recording: Recording,
-    counted_part: CountedPart,
+    counted_part: CountedBandAndEnd,
     tolerances: Tolerances,
     simulator_name: str,
     simulation_count: int = NULL_SIMULATION_COUNT,

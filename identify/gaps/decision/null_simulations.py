@@ -90,7 +90,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
         contacts=contacts,
         force_sensor=replace(rig.force_sensor, gain=force_gain),
         masses=tuple(mass for mass in rig.masses if mass.station.body not in modal_bodies),
-        springs=tuple(_remaining_springs(rig, modal_bodies)),
+        springs=tuple(_springs_beyond_modes(rig, modal_bodies)),
         supports=(),
         clamps=(),
     )
@@ -106,7 +106,7 @@ def simulated_machines(
         yield with_channel_errors(simulate(measured_rig, drawn_rig, forces_n, seed), channel_errors, seed)
 
 
-def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
+def _springs_beyond_modes(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
     """Springs, without those parts that the modes of a body already contain."""
     for spring in rig.springs:
         if spring.station.body not in modal_bodies:
@@ -243,7 +243,7 @@ class FreeDecaySimulator:
         blow_sample_counts = [max(2, round(periods * period_samples)) for periods in BLOW_DURATIONS_IN_PERIODS]
         unit_pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in blow_sample_counts]
         unit_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_IN_PERIODS * period_samples)) ** 2)
-        return min(map(self._distance_and_excitation, unit_pulses), key=lambda scaled: scaled[0])[1]
+        return min(map(self._spectrum_distance_and_excitation, unit_pulses), key=lambda scaled: scaled[0])[1]
 
     @property
     def _longest_period_samples(self) -> int:
@@ -262,7 +262,9 @@ class FreeDecaySimulator:
         recording = self.simulate(rig, actual_rig, forces_n, seed)
         return _with_zero_force(cut_recording(recording, slice(decay_start, decay_start + decay_sample_count)))
 
-    def _distance_and_excitation(self, pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def _spectrum_distance_and_excitation(
+        self, pulse: Float[np.ndarray, " begin"]
+    ) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
         rig, rate_hz, start_s = self.measured.rig, self.record.sample_rate_hz, float(self.record.residual_times_s[0])
         sample_count = min(round((start_s + REPRODUCED_MOTION_S) * rate_hz), self.measured.samples)

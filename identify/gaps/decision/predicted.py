@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from identify.gaps.decision.channel_errors import channel_errors_of
-from identify.gaps.decision.comparison import ValidatedHypothesis, nominal_of
+from identify.gaps.decision.comparison import ValidatedHypothesis, nominal_hypothesis_of
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_simulations import simulated_machines
 from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, strengths_exclude_neutral
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction, log_ratio_of
+from identify.gaps.rollout.judge import judge_correction, mean_error_log_ratio, with_simulation_veto
 from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.nominal import fit_nuisance
 
@@ -23,7 +23,7 @@ expected. Effort."""
 
 
 @dataclass(frozen=True)
-class PredictedDecision:
+class PredictionCheckedDecision:
     """Decision among hypotheses, and the prediction with its named effects.
 
     ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion as expected.
@@ -44,7 +44,7 @@ class PredictedDecision:
         return self.is_vetoed or (self.rollout_attempt.result is not None and self.rollout_attempt.result.falls_short)
 
 
-def predicted_rollout(
+def rollout_with_named_effects(
     prepared: PreparedRecordings, nominal_residual: Residual, named_set: ValidatedHypothesis
 ) -> Rollout:
     """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
@@ -64,15 +64,15 @@ def predicted_rollout(
     ):
         record = record_of(simulation, tolerances=validation.record.tolerances)
         nominal_refit, corrected_refit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_rig))
-        log_ratios.append(log_ratio_of(simulation, nominal_refit, corrected_refit, horizon_samples, predict))
-    return confirm_by_simulations(rollout, log_ratios)
+        log_ratios.append(mean_error_log_ratio(simulation, nominal_refit, corrected_refit, horizon_samples, predict))
+    return with_simulation_veto(rollout, log_ratios)
 
 
-def predicted_decision(
+def prediction_checked_decision(
     ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
-) -> PredictedDecision:
+) -> PredictionCheckedDecision:
     """Decide among hypotheses; veto the named effects if they predict the motion worse.
 
     Where the prediction is vetoed or falls short of what is expected, the decision is repeated without that
@@ -94,7 +94,7 @@ def predicted_decision(
         rivals = [rival for rival in rivals if rival is not doubtful_hypothesis]
         if not rivals:
             break
-        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rivals], decide, predict)
+        latest_decision = _decision_with_rollout([nominal_hypothesis_of(ranked_hypotheses), *rivals], decide, predict)
         if latest_decision.decision.corrects_rig and not (latest_decision.is_prediction_poor and accepted):
             accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
     return accepted or first_decision
@@ -104,11 +104,11 @@ def _decision_with_rollout(
     ranked_hypotheses: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
-) -> PredictedDecision:
+) -> PredictionCheckedDecision:
     decision = decide(ranked_hypotheses, False)
     if not decision.corrects_rig or decision.named_hypothesis is None:
-        return PredictedDecision(ranked_hypotheses, decision)
-    predicted = PredictedDecision(ranked_hypotheses, decision, predict(decision.named_hypothesis))
+        return PredictionCheckedDecision(ranked_hypotheses, decision)
+    predicted = PredictionCheckedDecision(ranked_hypotheses, decision, predict(decision.named_hypothesis))
     if predicted.is_vetoed:
-        return PredictedDecision(ranked_hypotheses, decide(ranked_hypotheses, True), predicted.rollout_attempt)
+        return PredictionCheckedDecision(ranked_hypotheses, decide(ranked_hypotheses, True), predicted.rollout_attempt)
     return predicted

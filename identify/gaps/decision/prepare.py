@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from identify.gaps.decision.null_reference import NullReference, null_key, null_reference_of
+from identify.gaps.decision.null_reference import NullReference, null_reference_key, null_reference_of
 from identify.gaps.decision.null_simulations import null_simulator
 from identify.gaps.decision.recordings import ordered_recordings, without_faulty_channels
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import Candidate, candidates, scale_of
+from identify.gaps.search.candidates import Candidate, candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.pooled import fitted_together
+from identify.gaps.search.pooled import fitted_to_all_records
 from identify.gaps.search.sparse import ranked_hypotheses
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -133,7 +133,7 @@ def prepare_recordings(
     observations = tuple(prepare_recording(recording, tolerances) for recording in ordered)
     simulators = [null_simulator(prepared.recording, prepared.record, simulator.simulate) for prepared in observations]
     null_keys = [
-        null_key(prepared.recording, prepared.record.counted_part, tolerances, simulator.name)
+        null_reference_key(prepared.recording, prepared.record.counted_part, tolerances, simulator.name)
         for prepared in observations
     ]
     reference_by_key: dict[str, NullReference] = {}
@@ -195,7 +195,7 @@ def search(
         return result
     records = [observation.record for observation in prepared.fitted_recordings]
     variances_by_record = [observation.nominal_variances for observation in prepared.fitted_recordings]
-    hypotheses = (fitted_together(records, variances_by_record, hypothesis) for hypothesis in result.hypotheses)
+    hypotheses = (fitted_to_all_records(records, variances_by_record, hypothesis) for hypothesis in result.hypotheses)
     return replace(result, hypotheses=tuple(hypotheses))
 
 
@@ -207,7 +207,9 @@ def search_record(
 ) -> SearchResult:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
-    library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
+    library = candidates(
+        effect_range_scale(record, record.rig), record.channel_names, record.zero_known, record.has_force
+    )
     library = select_candidates(library, record.rig) if select_candidates else library
     hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
     return SearchResult(tuple(hypotheses), tuple(library), misfit(record, nominal_variances, residual))

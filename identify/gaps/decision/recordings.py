@@ -18,7 +18,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.signal import butter, sosfiltfilt
 
-from identify.gaps.residual.extent import read_sensors, sensor_noise_densities
+from identify.gaps.residual.extent import diagnosis_sensors, sensor_noise_densities
 from identify.gaps.residual.ringing import highest_ringing_hz
 from identify.gaps.residual.shaken_base import base_sensor, check_base, with_inertial_force
 from rig.errors import RigError
@@ -60,7 +60,7 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
     sound_recordings = [with_inertial_force(sound_recording(recording, tuple(faults))[0]) for recording in recordings]
     for recording in sound_recordings:
         if not np.any(recording.forces_n):
-            check_decay(recording)
+            check_free_decay(recording)
     return sound_recordings, faults
 
 
@@ -133,7 +133,7 @@ def sound_recording(recording: Recording, excluded_channels: tuple[str, ...] = (
     faults: dict[str, str] = {}
     for quantity, signals in recording.signals.items():
         for channel, values in zip(signals.channels.names, signals.values, strict=True):
-            fault = fault_of(values)
+            fault = channel_fault(values)
             if not fault or (quantity == "force" and not np.any(values)):
                 continue
             if quantity == "force":
@@ -159,13 +159,13 @@ def sound_recording(recording: Recording, excluded_channels: tuple[str, ...] = (
     return Recording(rig, sound_signals, recording.provenance), faults
 
 
-def check_decay(recording: Recording) -> None:
+def check_free_decay(recording: Recording) -> None:
     """Raise RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
 
     Displacements are judged by their velocity within the band in which the rig rings, as slow swings between stops may
     grow while the energy falls, and noise does not decay.
     """
-    rate_hz, sensors = recording.rig.sample_rate_hz, read_sensors(recording)
+    rate_hz, sensors = recording.rig.sample_rate_hz, diagnosis_sensors(recording)
     derivative_order = sensors[0].measures.order
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
     noise_densities = sensor_noise_densities(recording, sensors, 0)
@@ -194,7 +194,7 @@ def _filtered_velocities(
     return sosfiltfilt(butter(LOWPASS_ORDER, highest_hz, fs=rate_hz, output="sos"), sensor_signals)
 
 
-def fault_of(channel_values: Float[np.ndarray, " samples"]) -> str | None:
+def channel_fault(channel_values: Float[np.ndarray, " samples"]) -> str | None:
     """ "dead" if a channel never moves, "clipped" if it stands at its extremes, None if it is sound."""
     lowest, highest = float(channel_values.min()), float(channel_values.max())
     if lowest == highest:

@@ -15,9 +15,9 @@ from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.law_form import DAMPING_GRADIENT, LAW, STIFFNESS_GRADIENT
 from identify.contacts.refusals import ContactRefusedError
 from identify.contacts.space_contacts import space_contacts
-from identify.gaps.decision.bounds import ContactDistances, contact_distances
-from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, probabilities
-from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, fitted_contact_effects, with_contact_cost
+from identify.gaps.decision.bounds import ContactParameterDistances, contact_parameter_distances
+from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_hypothesis_of, probabilities
+from identify.gaps.decision.contact_evidence import CONTACT_EFFECTS, hypothesis_with_contact_effects, with_contact_cost
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY
 from identify.gaps.residual.unfolding import IN_Z, Unfolding, with_rig
@@ -80,11 +80,11 @@ def _law_estimate(contact_name: str, estimate: AnnularEstimate) -> LawEstimate:
     )
 
 
-def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+def candidates_in_linear_residual(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates that the linear residual of an unfolded rig shows, those on what both directions share with their
     twin."""
     linear = []
-    for candidate in _with_twins(library_candidates, rig):
+    for candidate in _with_places_in_both_directions(library_candidates, rig):
         changed_rig = candidate.applied(rig, candidate.typical_values)
         same_laws = all(c.law == n.law for c, n in zip(changed_rig.contacts, rig.contacts, strict=True))
         if same_laws and changed_rig.loads == rig.loads and changed_rig.base_motion == rig.base_motion:
@@ -92,12 +92,16 @@ def linear_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Can
     return linear
 
 
-def ring_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+def ring_contact_candidates(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates that the contact fit of single rings shows."""
-    return [candidate for candidate in _with_twins(library_candidates, rig) if candidate.kind.name in CONTACT_EFFECTS]
+    return [
+        candidate
+        for candidate in _with_places_in_both_directions(library_candidates, rig)
+        if candidate.kind.name in CONTACT_EFFECTS
+    ]
 
 
-def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
+def _with_places_in_both_directions(library_candidates: list[Candidate], rig: Rig) -> list[Candidate]:
     """Candidates on one direction or the whole rig, and on bodies and contacts of both with their twin's place."""
     with_twins = []
     for candidate in library_candidates:
@@ -113,7 +117,9 @@ def _with_twins(library_candidates: list[Candidate], rig: Rig) -> list[Candidate
     return with_twins
 
 
-def ring_distances(observations: Sequence[PreparedRecording], rig: Rig, ring_fit: RingFit) -> ContactDistances:
+def ring_parameter_distances(
+    observations: Sequence[PreparedRecording], rig: Rig, ring_fit: RingFit
+) -> ContactParameterDistances:
     """Distances of the rings' parameters from those of an unfolded rig, by the contact fit pooled over the records."""
     rings = tuple(contact for contact in rig.contacts if not contact.name.endswith(IN_Z))
     recordings, tolerances = [observation.recording for observation in observations], ring_fit.tolerances
@@ -121,7 +127,7 @@ def ring_distances(observations: Sequence[PreparedRecording], rig: Rig, ring_fit
     def outcomes_of(recording: Recording, _: Rig, __: Tolerances) -> LawOutcomes:
         return ring_fit(recording, rig, tolerances)
 
-    return contact_distances(recordings, with_numbers(rig, contacts=rings), tolerances, outcomes_of)
+    return contact_parameter_distances(recordings, with_numbers(rig, contacts=rings), tolerances, outcomes_of)
 
 
 def with_ring_fits(
@@ -135,14 +141,16 @@ def with_ring_fits(
 
     Hypotheses less likely than `RIVAL_PROBABILITY` by the linear residual are left out, but for the nominal rig.
     """
-    record, nominal = prepared.validation_recording.record, nominal_of(ranked_hypotheses)
+    record, nominal = prepared.validation_recording.record, nominal_hypothesis_of(ranked_hypotheses)
     linear_probabilities = probabilities(np.array([validated.log_posterior for validated in ranked_hypotheses]))
     hypotheses_with_rings = []
     for validated, probability in zip(ranked_hypotheses, linear_probabilities, strict=True):
         if probability > RIVAL_PROBABILITY or validated is nominal:
-            estimates = ring_distances(prepared.observations, validated.rig, ring_fit).law_estimates
+            estimates = ring_parameter_distances(prepared.observations, validated.rig, ring_fit).law_estimates
             hypotheses_with_rings.append(with_contact_cost(validated, estimates, record))
-            fitted = fitted_contact_effects(prepared, all_candidates, estimates, validated.hypothesis, ring_fit)
+            fitted = hypothesis_with_contact_effects(
+                prepared, all_candidates, estimates, validated.hypothesis, ring_fit
+            )
             if fitted:
                 prior, rig = log_priors([fitted], all_candidates)[fitted.effect_names], fitted.applied_to(record.rig)
                 variant = replace(validated, hypothesis=fitted, rig=rig, log_prior=prior)

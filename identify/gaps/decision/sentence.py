@@ -9,7 +9,7 @@ from identify.gaps.wording import (
     between_records_sentence,
     bound_words,
     capitalised,
-    look_alikes_of,
+    named_effects_with_look_alikes,
     probability,
     stays_unexplained_words,
     unexplained_words,
@@ -46,7 +46,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         *_VERDICTS[diagnosis.verdict](diagnosis),
         *_look_alike_words(diagnosis),
         *_parameters_at_limit(diagnosis),
-        *([] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)),
+        *([] if diagnosis.verdict == Verdict.CANNOT_TELL else _undetermined_quantity_sentences(diagnosis)),
         *_ruled_out_sentence(diagnosis),
         *([UNSCALED] if diagnosis.free_decay else []),
         *([RING_FRICTION] if is_ring_friction_left_out else []),
@@ -76,8 +76,8 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
         clause += f", and the best value is beyond what matters for {joined(exceeding)}"
     verdict_sentences = [f"{clause}."]
     if cause := _named_cause(gap):
-        verdict_sentences.append(f"{_subject(cause)} would explain what is left{_taken_up_words(gap)}.")
-    return verdict_sentences + _not_seen_sentences(gap)
+        verdict_sentences.append(f"{_subject(cause)} would explain what is left{_tolerance_absorption_words(gap)}.")
+    return verdict_sentences + _undetermined_quantity_sentences(gap)
 
 
 def _small_sentences(gap: Diagnosis) -> list[str]:
@@ -86,7 +86,7 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
         return [f"{_subject(cause)} {_inflected(cause, 'is', 'are')} there, too small to matter: {bounds}."]
     clause = f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter"
     return [
-        f"{clause}: {bounds}. {_unnamed_sentence(gap)}",
+        f"{clause}: {bounds}. {_no_named_effect_sentence(gap)}",
         *([_force_description(gap, "The difference")] if gap.unknown else []),
     ]
 
@@ -99,28 +99,30 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
         return [
             f"{explained} ({p_words}), by all records together: the one that was not fitted shows too little of it."
         ]
-    if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
+    if _is_mismatch_below_noise(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
         pull_words = number(gap.before.largest_pull, 2)
         return [
             f"{explained}, which a tolerance would have to take up without {them}: it would be off by {pull_words} "
             "standard deviations."
         ]
-    if (beyond := _parameters_beyond(gap)) and not gap.before.contact_shares:  # rings, by their contact fit alone
+    if (
+        beyond := _deviating_parameters_sentence(gap)
+    ) and not gap.before.contact_shares:  # rings, by their contact fit alone
         return [f"{explained} ({p_words}).", *beyond]
     chance_words = ""
     if gap.after.p_value >= USUAL_P_VALUE:
         chance_words = f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
     shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
-    strain_words = _strain_words(gap) if shares_hold else ""
+    strain_words = _strained_tolerance_words(gap) if shares_hold else ""
     return [
         f"{explained}: with {them} the model leaves {unexplained_words(gap.after)} unexplained{chance_words}; without "
-        f"{them} {unexplained_words(gap.before)}{strain_words}{_taken_up_words(gap)}."
+        f"{them} {unexplained_words(gap.before)}{strain_words}{_tolerance_absorption_words(gap)}."
     ]
 
 
-def _taken_up_words(gap: Diagnosis) -> str:
+def _tolerance_absorption_words(gap: Diagnosis) -> str:
     """Clause on what the named effects change, where tolerances take that up without them."""
-    if not gap.evidence.taken_up:
+    if not gap.evidence.is_absorbed_by_tolerances:
         return ""
     changed = [
         f"the {percent(bound.value)} of the {bound.name}"
@@ -131,7 +133,7 @@ def _taken_up_words(gap: Diagnosis) -> str:
     return f"; tolerances take up the rest of {joined(changed)} that {change}"
 
 
-def _strain_words(gap: Diagnosis) -> str:
+def _strained_tolerance_words(gap: Diagnosis) -> str:
     if gap.before.largest_pull < STRAINED_DEVIATIONS:
         return ""
     return f", with a tolerance off by {number(gap.before.largest_pull, 2)} standard deviations"
@@ -151,8 +153,8 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
 def _unexplained_sentences(gap: Diagnosis) -> list[str]:
     clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
     verdict_sentences = [
-        f"{clause}, but noise hides by how much: no motion is left beyond it{_strain_words(gap)}."
-        if _is_hidden(gap)
+        f"{clause}, but noise hides by how much: no motion is left beyond it{_strained_tolerance_words(gap)}."
+        if _is_mismatch_below_noise(gap)
         else f"{clause}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
     if cause := _named_cause(gap):
@@ -160,11 +162,11 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
         verdict_sentences += [f"{_subject(cause)} {are} likely, and {removal}.", *_veto_sentence(gap)]
         verdict_sentences += _fuller_cause_sentence(gap)
     else:
-        verdict_sentences.append(_unnamed_sentence(gap))
-    return [*verdict_sentences, *_parameters_beyond(gap), _force_description(gap, "The difference")]
+        verdict_sentences.append(_no_named_effect_sentence(gap))
+    return [*verdict_sentences, *_deviating_parameters_sentence(gap), _force_description(gap, "The difference")]
 
 
-def _parameters_beyond(gap: Diagnosis) -> list[str]:
+def _deviating_parameters_sentence(gap: Diagnosis) -> list[str]:
     """Sentence on contact parameters that are off in rig.json by more than matters."""
     beyond = [bound for bound in gap.evidence.quantities if bound.unit != "1" and not (bound.holds or bound.not_seen)]
     return [f"Off by more than matters: {joined([bound_words(bound) for bound in beyond])}."] if beyond else []
@@ -185,7 +187,7 @@ def _named_cause(gap: Diagnosis) -> Cause | None:
     return gap.causes[0] if gap.causes and gap.causes[0].named else None
 
 
-def _unnamed_sentence(gap: Diagnosis) -> str:
+def _no_named_effect_sentence(gap: Diagnosis) -> str:
     """Sentence that nothing is named, with the likeliest cause where it is likelier than all else together."""
     if gap.causes and gap.causes[0].probability > 0.5:
         is_size_uncertain = any(
@@ -232,14 +234,14 @@ def _removal_words(gap: Diagnosis, of_what: str) -> str:
     """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
     removes = _inflected(cause, "removes", "remove")
-    if _is_hidden(gap):
+    if _is_mismatch_below_noise(gap):
         removed_share = max(gap.evidence.removed, 0.0)
         strain = f"{percent(removed_share)} of what strains its tolerances"
         return f"{removes} {strain if removed_share else 'nothing that is seen'}"
     return f"{removes} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
 
 
-def _is_hidden(gap: Diagnosis) -> bool:
+def _is_mismatch_below_noise(gap: Diagnosis) -> bool:
     """True if no motion and no contact force is unexplained beyond noise, whatever the p-value says."""
     return gap.before.share == 0 and not any(gap.before.contact_shares.values())
 
@@ -273,7 +275,7 @@ def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
     return words.replace("at most < ", "less than ")
 
 
-def _not_seen_sentences(gap: Diagnosis) -> list[str]:
+def _undetermined_quantity_sentences(gap: Diagnosis) -> list[str]:
     """Sentences on quantities that the records neither bound nor show, and on what would show them."""
     return [
         f"Not settled: {bound_words(bound)}{f'; {bound.remedy}' if bound.remedy else ''}." for bound in gap.not_seen
@@ -296,7 +298,7 @@ def _look_alike_words(gap: Diagnosis) -> list[str]:
     """Sentences on candidates that may replace a named effect."""
     return [
         f"Instead of {effect_words} it may be {joined(look_alikes, 'or')}: these records hardly tell them apart."
-        for effect_words, look_alikes in look_alikes_of(gap)
+        for effect_words, look_alikes in named_effects_with_look_alikes(gap)
     ]
 
 

@@ -22,20 +22,32 @@ from msgspec.structs import replace as with_numbers
 
 from identify.gaps.decision.answer import DEFAULT_MATTERS, describe
 from identify.gaps.decision.bounds import NominalDifference, share_bounds
-from identify.gaps.decision.comparison import split_p_value, with_rival_spread
+from identify.gaps.decision.comparison import split_likelihood_ratio_p_value, with_model_averaged_covariance
 from identify.gaps.decision.judge import Judgement, UnmeasuredCauses, nominal_misfits_of, validated_hypotheses
 from identify.gaps.decision.notes import Attempt
-from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
-from identify.gaps.decision.predicted import PredictedDecision
+from identify.gaps.decision.null_reference import combined_p_value, p_value_combined_with_bound, p_values
+from identify.gaps.decision.predicted import PredictionCheckedDecision
 from identify.gaps.decision.prepare import PreparedRecordings, SearchResult, Simulator, prepare_recordings, search
-from identify.gaps.decision.rings import RingFit, linear_candidates, ring_candidates, ring_distances, with_ring_fits
+from identify.gaps.decision.rings import (
+    RingFit,
+    candidates_in_linear_residual,
+    ring_contact_candidates,
+    ring_parameter_distances,
+    with_ring_fits,
+)
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import Decision, decide
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.residual import SearchCache
-from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances, transverse_index
+from identify.gaps.residual.unfolding import (
+    IN_Z,
+    Unfolding,
+    check_unfolds,
+    free_contact_tolerances,
+    transverse_station_indices,
+)
 from identify.gaps.results import FailedAnalysis, Gap, Matters, UnexplainedShares
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
@@ -57,15 +69,17 @@ class SpaceSimulator:
 
     def __call__(self, _: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
         simulated = self.simulate(self.unfolding.space_rig, self.unfolding.folded(actual_rig), forces_n, seed)
-        return self._with_motion_across(self.unfolding.unfolded_recording(simulated), np.random.default_rng([seed, 80]))
+        return self._with_cross_axis_sensitivity(
+            self.unfolding.unfolded_recording(simulated), np.random.default_rng([seed, 80])
+        )
 
-    def _with_motion_across(self, recording: Recording, rng: np.random.Generator) -> Recording:
+    def _with_cross_axis_sensitivity(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """Recording whose sensors show random shares, within `cross_axis`, of what those across show."""
         signals = dict(recording.signals)
         for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors):
             sensors = [sensor for sensor in recording.rig.sensors if sensor.quantity == quantity]
             mixing = np.eye(len(sensors))
-            for row, across in transverse_index([sensor.station for sensor in sensors]).items():
+            for row, across in transverse_station_indices([sensor.station for sensor in sensors]).items():
                 mixing[row, across] = self.tolerances.of_sensor(sensors[row].name).cross_axis * rng.standard_normal()
             signals[quantity] = replace(signals[quantity], values=mixing @ signals[quantity].values)
         return replace(recording, signals=signals)
@@ -108,7 +122,9 @@ def diagnose_in_space(
         free_contact_tolerances(space_tolerances),
         lambda done_share: progress("null_reference", done_share),
     )
-    search_result = search(prepared, lambda done_share: progress("causes", 0.7 * done_share), linear_candidates)
+    search_result = search(
+        prepared, lambda done_share: progress("causes", 0.7 * done_share), candidates_in_linear_residual
+    )
     judgement = _judge(prepared, search_result, RingFit(unfolding, space_tolerances), matters)
     progress("causes", 0.9)
     decision = judgement.decision
@@ -143,34 +159,43 @@ def _judge(prepared: PreparedRecordings, search_result: SearchResult, ring_fit: 
     record = prepared.validation_recording.record
     linearization, residual = fit_nuisance(record, record.rig)
     linearization = replace(linearization, cache=SearchCache(record))
-    library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
-    ring_effects = ring_candidates(library, record.rig)
+    library = candidates(
+        effect_range_scale(record, record.rig), record.channel_names, record.zero_known, record.has_force
+    )
+    ring_effects = ring_contact_candidates(library, record.rig)
     all_candidates = [*search_result.candidates, *ring_effects]
     ranked = validated_hypotheses(prepared, search_result.hypotheses, all_candidates, residual)
     nominal_misfits = nominal_misfits_of(prepared, search_result.nominal_misfit, residual)
     record_p_values = p_values(prepared.null_references, nominal_misfits)
-    distances_of_rings = ring_distances(prepared.observations, record.rig, ring_fit)
+    distances_of_rings = ring_parameter_distances(prepared.observations, record.rig, ring_fit)
     difference = NominalDifference(
-        with_bound(combined_p_value(np.append(record_p_values, distances_of_rings.p_values)), split_p_value(ranked)),
+        p_value_combined_with_bound(
+            combined_p_value(np.append(record_p_values, distances_of_rings.p_values)),
+            split_likelihood_ratio_p_value(ranked),
+        ),
         share_bounds(nominal_misfits[prepared.validation_index], (), matters)[0],
         contact_bounds=(),
         parameter_bounds=distances_of_rings.parameter_bounds,
     )
-    ranked = with_rival_spread(with_ring_fits(prepared, all_candidates, ranked, ring_fit))
-    decision = _with_rings_after(decide(ranked, difference, prepared.null_reference, matters), prepared, ring_fit)
-    prediction = PredictedDecision(ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE_REASON),)))
+    ranked = with_model_averaged_covariance(with_ring_fits(prepared, all_candidates, ranked, ring_fit))
+    decision = _with_remaining_ring_distances(
+        decide(ranked, difference, prepared.null_reference, matters), prepared, ring_fit
+    )
+    prediction = PredictionCheckedDecision(
+        ranked, decision, Attempt(None, (FailedAnalysis("rollout", PLANE_ALONE_REASON),))
+    )
     notes = [FailedAnalysis("unmeasured_force", PLANE_ALONE_REASON)]
     notes += [FailedAnalysis("ring_friction", NO_FRICTION_REASON)] * bool(ring_effects)
     unmeasured = UnmeasuredCauses(notes=tuple(notes))
     return Judgement(decision, prediction, unmeasured, linearization, residual)
 
 
-def _with_rings_after(decision: Decision, prepared: PreparedRecordings, ring_fit: RingFit) -> Decision:
+def _with_remaining_ring_distances(decision: Decision, prepared: PreparedRecordings, ring_fit: RingFit) -> Decision:
     """Decision whose evidence after correction holds the distances of the rings from the named set, too."""
     chosen, validation = decision.named_hypothesis or decision.nominal_hypothesis, prepared.validation_recording
-    distances = ring_distances(prepared.observations, chosen.rig, ring_fit)
+    distances = ring_parameter_distances(prepared.observations, chosen.rig, ring_fit)
     remaining_p_values = p_values([prepared.null_reference], [chosen.misfit])
-    held_back_p_values = ring_distances([validation], validation.record.rig, ring_fit).p_values
+    held_back_p_values = ring_parameter_distances([validation], validation.record.rig, ring_fit).p_values
     rings_show = bool(held_back_p_values) and combined_p_value(np.array(held_back_p_values)) < USUAL_P_VALUE
     evidence = with_numbers(
         decision.evidence,

@@ -11,7 +11,7 @@ from identify.gaps.decision.comparison import (
     PRIOR_UNKNOWN,
     TEMPERATURE,
     ValidatedHypothesis,
-    nominal_of,
+    nominal_hypothesis_of,
     probabilities,
     removed_share,
 )
@@ -72,7 +72,7 @@ class Decision:
     @property
     def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([weighted.validated for weighted in self.weighted_hypotheses])
+        return nominal_hypothesis_of([weighted.validated for weighted in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
@@ -85,13 +85,13 @@ class Decision:
         return self.verdict in CORRECTING_VERDICTS and bool(self.evidence.named) and not self.evidence.vetoed
 
     @property
-    def likeliest_rig(self) -> Rig | None:
+    def rig_with_named_effects(self) -> Rig | None:
         """Rig with the named effects and the fitted nuisance parameters, whatever the verdict."""
         return self.named_hypothesis.corrected_rig if self.named_hypothesis else None
 
     @property
     def corrected_rig(self) -> Rig | None:
-        return self.likeliest_rig if self.corrects_rig else None
+        return self.rig_with_named_effects if self.corrects_rig else None
 
     @property
     def named_misfit(self) -> Misfit:
@@ -117,13 +117,13 @@ def decide(
     An unmeasured force is a rival of the effects; a force beside them adds its likelihood to theirs. Where the records
     differ from the nominal rig but the validation record alone does not show it, the fitted record counts too.
     """
-    force_rivals, nominal = force_rivals or ForceRivals(), nominal_of(ranked_hypotheses)
+    force_rivals, nominal = force_rivals or ForceRivals(), nominal_hypothesis_of(ranked_hypotheses)
     held_back_shows = (
         difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal.misfit) < USUAL_P_VALUE
     )
 
     def log_posterior_of(validated: ValidatedHypothesis) -> float:
-        log_posterior = validated.log_posterior if held_back_shows else validated.log_posterior_of_both
+        log_posterior = validated.log_posterior if held_back_shows else validated.log_posterior_of_both_records
         if validated is not force_rivals.accompanied_hypothesis:
             return log_posterior
         log_posterior_with_force = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
@@ -226,7 +226,7 @@ def _named_hypothesis(
     return likeliest
 
 
-def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Rig) -> bool:
+def is_force_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Rig) -> bool:
     """True if an unmeasured force acts at an attachment, or at a contact or in a sensor that effects changed.
 
     One force of another law is then a rival of the effects, no companion.

@@ -10,12 +10,12 @@ from identify.gaps.wording import (
     MIN_HINT_SHARE,
     capitalised,
     is_effective,
-    look_alikes_of,
+    named_effects_with_look_alikes,
     spoken_effect,
     stays_unexplained_words,
     unexplained_words,
 )
-from identify.pages.wording import joined, length_words, number, percent
+from identify.pages.wording import joined, number, percent, record_length_words
 from rig.model.unmeasured_force import UnmeasuredForce
 
 MAX_RANGES = 3
@@ -45,7 +45,7 @@ def next_steps(gap: Gap) -> list[str]:
         Verdict.SMALL: _small_steps,
         Verdict.EXPLAINED: _explained_steps,
         Verdict.PARTLY_EXPLAINED: _partly_explained_steps,
-        Verdict.UNEXPLAINED: _steps_if_unexplained,
+        Verdict.UNEXPLAINED: _unexplained_verdict_steps,
     }
     return [*_record_difference_steps(gap), *steps_by_verdict[gap.verdict](gap)]
 
@@ -109,12 +109,15 @@ def _cannot_tell_steps(gap: Gap) -> list[str]:
     steps = [f"{remedy}, and diagnose again." for remedy in remedies]
     return [
         "Do not rely on rig.json yet.",
-        *(steps or [f"Record {length_words(_length_ratio(gap))} or excite more strongly, and diagnose again."]),
+        *(
+            steps
+            or [f"Record {record_length_words(_needed_length_ratio(gap))} or excite more strongly, and diagnose again."]
+        ),
         *_experiment_steps(gap),
     ]
 
 
-def _length_ratio(gap: Gap) -> float | None:
+def _needed_length_ratio(gap: Gap) -> float | None:
     """Length over that of these records at which every bound would hold if nothing else changed; None if unknown.
 
     The bound u of a share v holds below its threshold t, and u^2 - v^2, some standard errors of a mean over the
@@ -158,22 +161,24 @@ def _partly_explained_steps(gap: Gap) -> list[str]:
     return [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: "
         f"{stays_unexplained_words(gap)}.",
-        *_unexplained_steps(gap),
+        *_unexplained_range_steps(gap),
         *(_inspection_steps(gap.unknown) if gap.unknown else []),
         *_discriminating_steps(gap),
     ]
 
 
-def _steps_if_unexplained(gap: Gap) -> list[str]:
+def _unexplained_verdict_steps(gap: Gap) -> list[str]:
     steps = ["Do not rely on rig.json: no effect of the library would make it right."]
-    steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap) or [UNKNOWN_ADVICE]
+    steps += (
+        (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_range_steps(gap) or [UNKNOWN_ADVICE]
+    )
     is_described = gap.unknown is not None and gap.unknown.explained >= MIN_DESCRIPTION_SHARE
     if gap.causes and is_effective(gap.causes[0]) and not is_described:
         return steps + _discriminating_steps(gap)
     return steps + _experiment_steps(gap)
 
 
-def _unexplained_steps(gap: Gap) -> list[str]:
+def _unexplained_range_steps(gap: Gap) -> list[str]:
     ranges_hz = unexplained_ranges_hz(gap)[:MAX_RANGES]
     if not ranges_hz:
         name, share = max(gap.after.contact_shares.items(), key=lambda contact: contact[1], default=("", 0.0))
@@ -256,7 +261,7 @@ def _discriminating_steps(gap: Gap) -> list[str]:
     return [
         *(
             f"Before anything is changed, find out whether it is {joined([effect, *look_alikes], 'or')}."
-            for effect, look_alikes in look_alikes_of(gap)
+            for effect, look_alikes in named_effects_with_look_alikes(gap)
         ),
         *_experiment_steps(gap),
         *(f"To test for {spoken_effect(name)}: {test}." for name, _, test in test_parts),
@@ -270,13 +275,13 @@ def _experiment_steps(gap: Gap) -> list[str]:
     best, *alternatives = gap.next_experiments
     step = (
         f"To tell {joined(gap.next_between, 'from')}, {best.words}: that is expected to raise the odds of the true one "
-        f"by a factor of {_odds_factor(best.log_odds)}."
+        f"by a factor of {_odds_factor_words(best.log_odds)}."
     )
     for experiment in alternatives[:2]:
-        step += f" {capitalised(experiment.words)}: {_odds_factor(experiment.log_odds)}."
+        step += f" {capitalised(experiment.words)}: {_odds_factor_words(experiment.log_odds)}."
     return [step]
 
 
-def _odds_factor(log_odds: float) -> str:
+def _odds_factor_words(log_odds: float) -> str:
     """Factor of the odds in words, "a million or more" at most."""
     return "a million or more" if log_odds > LOG_MILLION else number(math.exp(max(log_odds, 0.0)), 2)

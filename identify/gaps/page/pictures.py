@@ -10,7 +10,7 @@ from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Gap, ResidualMap, Share
 from identify.gaps.rollout.results import PredictionExample
 from identify.gaps.wording import (
-    bound_numbers,
+    bound_number_texts,
     cause_name,
     is_effective,
     probability,
@@ -62,7 +62,11 @@ def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], DrawFunction
         for name, height_in, draw in drawings(gap.unknown):
             yield f"unknown_{name}", (_NARROW_WIDTH_IN, height_in), draw
     if gap.rollout and gap.rollout.example:
-        yield "prediction_motion", (_WIDE_WIDTH_IN, _HEIGHT_IN), partial(_draw_motion, example=gap.rollout.example)
+        yield (
+            "prediction_motion",
+            (_WIDE_WIDTH_IN, _HEIGHT_IN),
+            partial(_draw_predicted_motion, example=gap.rollout.example),
+        )
     for name, height_in, draw in _attribution_drawings(gap.attribution):
         yield f"where_{name}", (_NARROW_WIDTH_IN, height_in), draw
 
@@ -113,7 +117,7 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="limit")
     axes.set_xscale("log")
     axes.set_xlim(0.7 * LEAST_RATIO, largest_ratio)
-    limits = [f", limit {bound_numbers(quantity)[-1]}" if quantity.threshold else "" for quantity in quantities]
+    limits = [f", limit {bound_number_texts(quantity)[-1]}" if quantity.threshold else "" for quantity in quantities]
     names = [f"{_shortened_name(quantity.name)}{limit}" for quantity, limit in zip(quantities, limits, strict=True)]
     axes.set_yticks(np.arange(len(quantities)), names)
     axes.set_ylim(len(quantities) - 0.5, -0.5)
@@ -162,7 +166,7 @@ def _draw_experiments(figure: Any, gap: Gap) -> None:
     figure.suptitle(f"Which further recording tells {' from '.join(gap.next_between)}", fontsize=10)
 
 
-def _draw_motion(figure: Any, example: PredictionExample) -> None:
+def _draw_predicted_motion(figure: Any, example: PredictionExample) -> None:
     """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
     quantity, unit, scale = ("displacement", "mm", 1e3) if example.unit == "m" else ("velocity", example.unit, 1.0)
@@ -186,7 +190,7 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
     if any(any(station_shares.values()) for station_shares in positions.values()):
         yield "positions", 0.6 + 1.5 * len(positions), partial(_draw_positions, shares_by_body=positions)
     if any(band.share for band in bands):
-        draw_bands = partial(_draw_share_row, shares=bands, title="By frequency", x_label="band, Hz")
+        draw_bands = partial(_draw_shares_by_range, shares=bands, title="By frequency", x_label="band, Hz")
         yield "band", _HEIGHT_IN, draw_bands
     for name, shares, title in (
         ("channels", attribution.channels, "By channel"),
@@ -198,9 +202,9 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
             height_in = _FRAME_IN + _ROW_IN * len(shares)
             yield name, height_in, partial(_draw_share_bars, share_by_part=shares, title=title)
     if any(time.share for time in times):
-        yield "time", _HEIGHT_IN, partial(_draw_share_row, shares=times, title="Over time", x_label="time, s")
+        yield "time", _HEIGHT_IN, partial(_draw_shares_by_range, shares=times, title="Over time", x_label="time, s")
     for number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
-        draw_surface = partial(_draw_surface, residual_map=residual_map, contact_name=contact_name)
+        draw_surface = partial(_draw_residual_map, residual_map=residual_map, contact_name=contact_name)
         yield f"surface_{number}", _HEIGHT_IN, draw_surface
 
 
@@ -213,7 +217,7 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
     figure.suptitle(title, fontsize=10)
 
 
-def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
+def _draw_shares_by_range(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
     axes = figure.subplots()
     bars = np.arange(len(shares))
     axes.bar(bars, [100 * share.share for share in shares], width=0.85, color=BLUE)
@@ -243,7 +247,7 @@ def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, flo
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
-def _draw_surface(figure: Any, residual_map: ResidualMap, contact_name: str) -> None:
+def _draw_residual_map(figure: Any, residual_map: ResidualMap, contact_name: str) -> None:
     axes = figure.subplots()
     percents = 100 * np.array(residual_map.share)
     drawn_percents = np.where(percents > 0, percents, np.nan).T

@@ -22,7 +22,7 @@ from identify.gaps.page.sections import (
     unknown_force_html,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import capitalised, findings_heading, parameter_words, verdict_words
+from identify.gaps.wording import capitalised, check_findings_introduction, parameter_words, verdict_words
 from identify.pages import page
 from identify.pages.drawing import drawing_html
 from identify.pages.style import Picture
@@ -77,7 +77,7 @@ def captioned_drawing(gap: Gap, corrected_rig: Rig) -> str:
     """Drawing of the rig with what differs marked, and its caption, as HTML."""
     drawn_marks = marks(gap, corrected_rig)
     caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
-    caption_html = page.unbroken_html(escape(caption + _instead_sentence(gap)))
+    caption_html = page.unbroken_html(escape(caption + _undetermined_strength_sentence(gap)))
     return f"{drawing_html(corrected_rig, {}, drawn_marks)}<figcaption>{caption_html}</figcaption>"
 
 
@@ -157,7 +157,7 @@ def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     return DECISIVE_FIGURES[gap.verdict]
 
 
-def _instead_sentence(gap: Gap) -> str:
+def _undetermined_strength_sentence(gap: Gap) -> str:
     """Sentence on what the records determine in place of a strength of the likeliest cause, if that is named."""
     if not (gap.causes and gap.causes[0].named):
         return ""
@@ -169,7 +169,7 @@ def _instead_sentence(gap: Gap) -> str:
 def _findings_html(gap: Gap, findings: Sequence[str]) -> str:
     """Findings of the check, the first `MAX_FINDINGS` of them, so that the drawing stays in sight."""
     more = [f"{len(findings) - MAX_FINDINGS} more: identify check lists them."] * (len(findings) > MAX_FINDINGS)
-    return f"<p>{escape(findings_heading(gap))}</p>{page.list_html([*findings[:MAX_FINDINGS], *more])}"
+    return f"<p>{escape(check_findings_introduction(gap))}</p>{page.list_html([*findings[:MAX_FINDINGS], *more])}"
 
 
 def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> str:

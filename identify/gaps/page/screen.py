@@ -47,7 +47,7 @@ def screen_view(gap: Gap) -> RenderableType:
         _cause_table(gap),
     ]
     if gap.unknown:
-        summary = f"; {_unknown_summary(gap.unknown)}"
+        summary = f"; {_unmeasured_force_summary(gap.unknown)}"
         renderables.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, summary))
     renderables += [Text(note) for note in failed_analysis_sentences(gap)]
     renderables.append(Text("what to do next:", style="bold"))
@@ -57,7 +57,7 @@ def screen_view(gap: Gap) -> RenderableType:
     return Group(*renderables, steps)
 
 
-def _unknown_summary(unknown: UnmeasuredForce) -> str:
+def _unmeasured_force_summary(unknown: UnmeasuredForce) -> str:
     """Size, band, times and explained share of an unmeasured force."""
     low_hz, high_hz = unknown.band_hz
     force_unit = "m/s²" if unknown.kind == "sensor" else "N"

@@ -88,7 +88,7 @@ def cause_tables_html(gap: Gap) -> str:
         "smaller while what the tolerances leave open stays as it is (95 % interval in brackets).</p>"
     )
     html += page.table(header, [*map(_cause_row, top_causes), *remaining_rows])
-    if alternatives := wording.look_alikes_of(gap):
+    if alternatives := wording.named_effects_with_look_alikes(gap):
         html += "<h3>What these records can hardly tell apart</h3>"
         html += page.list_html(" / ".join([effect, *look_alikes]) for effect, look_alikes in alternatives)
     if effective := [cause for cause in top_causes if is_effective(cause)]:
@@ -131,7 +131,7 @@ def decision_html(gap: Gap) -> str:
     html = f"<p>Four questions decide. Their answers give the verdict: {verdict}.</p>"
     html += page.table(("", "", ""), questions)
     quantities = [_quantity_row(quantity) for quantity in evidence.quantities]
-    for quantity in evidence.quantities_beside * evidence.taken_up:
+    for quantity in evidence.quantities_beside * evidence.is_absorbed_by_tolerances:
         quantities.append(_quantity_row(replace(quantity, name=f"{quantity.name}, by the named effects")))
     html += "<h3>What matters</h3>" + page.table(("quantity", "found", "at most (97.5 %)", "limit", ""), quantities)
     for cause in gap.causes[:1]:
@@ -151,7 +151,7 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     if quantity.why or quantity.value is None:
         return quantity.name, "", "", "", f"not settled: {quantity.why}"
     mark_words = "" if quantity.holds else "not settled" if quantity.not_seen else "beyond"
-    return quantity.name, *wording.bound_numbers(quantity), mark_words
+    return quantity.name, *wording.bound_number_texts(quantity), mark_words
 
 
 def prediction_html(rollout: Rollout) -> str:
@@ -162,7 +162,7 @@ def prediction_html(rollout: Rollout) -> str:
         return html
     floor_words = (
         "rig.json errs no more than null simulations do"
-        if errors.at_floor
+        if errors.is_within_null_errors
         else f"the corrected rig closes {percent(errors.shrunk or 0.0)} of what exceeds null simulations"
     )
     rows = [

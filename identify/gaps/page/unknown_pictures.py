@@ -28,7 +28,7 @@ def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Calla
     if unknown_force.over_motion and unknown_force.against in _MOTION_AXIS:
         axis = _MOTION_AXIS[unknown_force.against]
         yield "law", _HEIGHT_IN, partial(_draw_law, unknown_force, unknown_force.over_motion, axis)
-        yield "motion", _HEIGHT_IN, partial(_draw_motion_map, mean_force=unknown_force.over_motion)
+        yield "motion", _HEIGHT_IN, partial(_draw_mean_force_map, mean_force=unknown_force.over_motion)
     if unknown_force.by_time:
         yield "time", _HEIGHT_IN, partial(_draw_time_course, unknown_force=unknown_force)
 
@@ -58,9 +58,13 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis: int, 
     cell_motion = np.stack([displacements_m[rows], velocities_m_per_s[columns]])
     drawn_motion = (1e3 * cell_motion[0], cell_motion[1])
     axis_names = ("displacement there, mm", "velocity there, m/s")
-    if law_values := _law_values(unknown_force, cell_motion, axis) if cell_forces_n.size >= MIN_CELLS else None:
+    if (
+        law_values := _law_curve_and_cell_forces(unknown_force, cell_motion, axis)
+        if cell_forces_n.size >= MIN_CELLS
+        else None
+    ):
         line_motion, line_forces_n, cell_law_n = law_values
-        cell_forces_n = cell_forces_n - _linear_difference_n(cell_motion, cell_forces_n, cell_law_n)
+        cell_forces_n = cell_forces_n - _linear_force_difference_n(cell_motion, cell_forces_n, cell_law_n)
     axes = figure.subplots()
     points = axes.scatter(drawn_motion[axis], cell_forces_n, c=drawn_motion[1 - axis], s=10, cmap="coolwarm")
     figure.colorbar(points, label=axis_names[1 - axis])
@@ -71,7 +75,7 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis: int, 
     figure.suptitle("How it follows the motion", fontsize=10)
 
 
-def _law_values(
+def _law_curve_and_cell_forces(
     unknown_force: UnmeasuredForce, cell_motion: Float[np.ndarray, "2 cells"], axis: int
 ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"], Float[np.ndarray, " cells"]] | None:
     """Motion along the axis and the law there, N, with the other motion zero, and the law in each cell, N; nothing
@@ -93,7 +97,7 @@ def _law_values(
     return line_motion[axis], law_n(line_motion), law_n(cell_motion)
 
 
-def _linear_difference_n(
+def _linear_force_difference_n(
     cell_motion: Float[np.ndarray, "2 cells"],
     cell_forces_n: Float[np.ndarray, " cells"],
     cell_law_n: Float[np.ndarray, " cells"],
@@ -113,7 +117,7 @@ def _linear_difference_n(
     return linear_part_n(cell_forces_n - cell_law_n)
 
 
-def _draw_motion_map(figure: Any, mean_force: MeanForce) -> None:
+def _draw_mean_force_map(figure: Any, mean_force: MeanForce) -> None:
     axes = figure.subplots()
     forces_n = np.array(mean_force.force_n)
     largest_n = float(np.abs(forces_n).max()) or 1.0

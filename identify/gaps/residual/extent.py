@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import periodogram
 
-from identify.contacts.separation import highest_driven_hz
-from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating_hz
-from identify.gaps.residual.shaken_base import body_sensors, read_quantity
+from identify.contacts.separation import highest_excitation_hz
+from identify.gaps.residual.ringing import highest_hz_of_any_segment, highest_ringing_hz
+from identify.gaps.residual.shaken_base import body_sensors, common_sensor_quantity
 from identify.signals.beginning import QUIET_S, excitation_start
 from identify.signals.kinematics import CORNER_HZ, kinematics
 from identify.signals.noise import noise_density_and_certainty, rounding_noise_density
-from identify.signals.spectra import force_band
+from identify.signals.spectra import force_band_hz
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
 from rig.model.modes import modes_of
@@ -53,7 +53,7 @@ do not show contacts of a rig at rest. Set by hand: later the slow motion of a f
 clearance."""
 
 
-def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
+def diagnosis_sensors(recording: Recording) -> tuple[Sensor, ...]:
     """Sensors of the quantity that the diagnosis reads: accelerations, else velocities, else displacements; in reverse
     order for a record without a force; those on bodies of the quantity that a shaken base has, too.
 
@@ -63,7 +63,9 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
     if not sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     highest_or_lowest = max if np.any(recording.forces_n) else min
-    quantity = read_quantity(recording.rig) or highest_or_lowest(sensors, key=lambda s: s.measures.order).quantity
+    quantity = (
+        common_sensor_quantity(recording.rig) or highest_or_lowest(sensors, key=lambda s: s.measures.order).quantity
+    )
     return tuple(sensor for sensor in sensors if sensor.quantity == quantity)
 
 
@@ -141,7 +143,7 @@ def check_length(recording: Recording, beginning: RecordBeginning) -> None:
         )
 
 
-def highest_hz_of(
+def highest_diagnosed_hz(
     recording: Recording,
     sensors: tuple[Sensor, ...],
     noise_densities: Float[np.ndarray, " sensors"],
@@ -152,11 +154,11 @@ def highest_hz_of(
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate_hz)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
-        excited_hz = FORCE_BAND_RATIO * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
+        excited_hz = FORCE_BAND_RATIO * highest_excitation_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
         signals = np.stack([recording.values_of(sensor) for sensor in sensors])
         if recording.rig.contacts:
-            highest_shown_hz = highest_vibrating_hz(signals, rate_hz, noise_densities)
+            highest_shown_hz = highest_hz_of_any_segment(signals, rate_hz, noise_densities)
         else:
             highest_shown_hz = highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
         excited_hz = FORCE_BAND_RATIO * highest_shown_hz
@@ -172,13 +174,16 @@ def highest_hz_of(
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(FORCE_BAND_RATIO * force_band(n, rate_hz)[1], POWER_BAND_RATIO * force_band(n, rate_hz, 1 - POWER_SHARE)[1])
+        min(
+            FORCE_BAND_RATIO * force_band_hz(n, rate_hz)[1],
+            POWER_BAND_RATIO * force_band_hz(n, rate_hz, 1 - POWER_SHARE)[1],
+        )
         for n in forces_n
         if np.any(n)
     )
 
 
-def noise_corner_hz(
+def integration_corner_hz(
     rig: Rig,
     omega: Float[np.ndarray, " lines"],
     sensor_power: Float[np.ndarray, "sensors lines"],

@@ -73,7 +73,7 @@ class NormalEquations:
         """Decrease of the cost by a step d if the residual were linear, 2 g'd - d'Hd and that by the unknowns."""
         return float(self.cost_decrease_by_contacts + 2 * self.gradient @ step - step @ self.matrix @ step)
 
-    def unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
+    def contact_unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """Steps of each contact's unknowns that belong to a step of the other parameters."""
         return [step_alone - step_by_parameter @ step for step_alone, step_by_parameter in self.unknown_solutions]
 
@@ -85,7 +85,7 @@ class EliminatedContact:
     With J the contact residual's columns by its unknowns and r the residual: nuisance_columns are its columns N by the
     nuisance parameters, unknowns_by_nuisance = J'N, solved_by_nuisance = (J'J)^-1 J'N, unknowns_gradient = J'r,
     unknowns_step = (J'J)^-1 J'r. straight_cost_fall is the fall of the cost to that of r, in which the excess of pulls
-    is straight (`residual_on_sides`).
+    is straight (`residual_on_limit_sides`).
     """
 
     unknowns_solver: SuperLU
@@ -107,7 +107,7 @@ class ReducedEquations:
     gradient: Float[np.ndarray, " nuisances"]
     eliminated_contacts: tuple[EliminatedContact, ...]
 
-    def with_lines(self) -> "ReducedEquations":
+    def with_outstanding_lines(self) -> "ReducedEquations":
         """Equations whose gradient includes the outstanding lines, for effects that may explain them."""
         residual = replace(self.residual, linear_without_lines=self.residual.linear_residual)
         lines_over_time = residual.linear_without_lines - self.residual.linear_without_lines
@@ -155,8 +155,8 @@ def reduced_equations(
     gradient = gradient - oversampling * residual.nuisance_pulls
     eliminated = []
     for j, contact in enumerate(residual.contacts):
-        sides = contact.pull_sides_after() if pull_sides is None else pull_sides[j]
-        columns, straight_residual = contact.columns_on_sides(sides), contact.residual_on_sides(sides)
+        sides = contact.pull_limit_sides_after() if pull_sides is None else pull_sides[j]
+        columns, straight_residual = contact.columns_on_limit_sides(sides), contact.residual_on_limit_sides(sides)
         solver, by_nuisance = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
         contact_gradient, products = columns.T @ straight_residual, columns.T @ by_nuisance
         solved = solver.solve(products)
@@ -247,17 +247,23 @@ def _step(
     """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
     values, residual, nuisance_count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
-    columns = [_step_column(linearization, build_rig, values, s, residual) for s in np.eye(values.size) * inward_steps]
+    columns = [
+        _residual_decrease_by_step(linearization, build_rig, values, s, residual)
+        for s in np.eye(values.size) * inward_steps
+    ]
     scaled_bounds = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
     least_step = np.concatenate([-PULL_LIMIT - residual.nuisance_pulls, scaled_bounds[0]])
     greatest_step = np.concatenate([PULL_LIMIT - residual.nuisance_pulls, scaled_bounds[1]])
-    pull_sides = [contact.pull_sides_after() for contact in residual.contacts]
+    pull_sides = [contact.pull_limit_sides_after() for contact in residual.contacts]
     for _ in range(MAX_SIDE_ROUNDS):
         equations = reduced_equations(linearization, residual, pull_sides).with_columns(columns)
         ridge = np.r_[np.zeros(nuisance_count), 1e-9 * np.diag(equations.matrix)[nuisance_count:] + 1e-300]
         full_step = bounded_minimum(equations.matrix + np.diag(ridge), equations.gradient, least_step, greatest_step)
-        steps_of_contacts = zip(residual.contacts, equations.unknown_steps(full_step), strict=True)
-        sides_before, pull_sides = pull_sides, [contact.pull_sides_after(step) for contact, step in steps_of_contacts]
+        steps_of_contacts = zip(residual.contacts, equations.contact_unknown_steps(full_step), strict=True)
+        sides_before, pull_sides = (
+            pull_sides,
+            [contact.pull_limit_sides_after(step) for contact, step in steps_of_contacts],
+        )
         if all(np.array_equal(*pair) for pair in zip(sides_before, pull_sides, strict=True)):
             break
 
@@ -267,7 +273,9 @@ def _step(
         step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
             contact.unknowns + step_share * contact_step
-            for contact, contact_step in zip(residual.contacts, equations.unknown_steps(step / step_share), strict=True)
+            for contact, contact_step in zip(
+                residual.contacts, equations.contact_unknown_steps(step / step_share), strict=True
+            )
         ]
         try:
             rig, pulls = build_rig(stepped_values), residual.nuisance_pulls + step[:nuisance_count]
@@ -280,7 +288,7 @@ def _step(
     return _Step(point_after, equations.predicted_cost_decrease(full_step), covariance)
 
 
-def _step_column(
+def _residual_decrease_by_step(
     linearization: Linearization, build_rig: BuildRig, values: Values, step: Values, residual: Residual
 ) -> ResidualColumn:
     """Decrease of the residuals by a step; where sharp modes ring, by extrapolation, 2 d(step) - d(2 step) / 2.

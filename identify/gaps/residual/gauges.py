@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.contacts.gauges import zero_changes
-from identify.gaps.residual.extent import RecordBeginning, read_sensors
+from identify.contacts.gauges import gauge_zero_changes
+from identify.gaps.residual.extent import RecordBeginning, diagnosis_sensors
 from identify.gaps.residual.linear import LinearModel
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.unfolding import IN_Z
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from identify.linear.model import Response, ResponseCache, responses_of
 from identify.linear.nuisance import Change
 from identify.linear.truncation import truncations_of
@@ -51,7 +51,10 @@ def reason_against_gauges(recording: Recording) -> str:
 
 def _bodies_without_slow_bending(recording: Recording) -> str:
     """Bodies with gauges whose bending the linear model lets float, as the sensors of motion lose where it rests."""
-    rig, zero_known = group_rig_of(recording.rig), all(s.measures.order == 0 for s in read_sensors(recording))
+    rig, zero_known = (
+        rig_with_joined_contacts(recording.rig),
+        all(s.measures.order == 0 for s in diagnosis_sensors(recording)),
+    )
     gauged = {gauge.station.body for gauge in _gauges_of(rig)}
     responses = [r for r in responses_of(rig, ResponseCache(np.ones(1), 0), zero_known) if r.body.name in gauged]
     bends = [r for r in responses if any(mode >= r.body.rigid_modes for mode in r.dynamics.high_passed_modes)]
@@ -62,7 +65,7 @@ def _gauges_of(rig: Rig) -> list[Sensor]:
     return [sensor for sensor in rig.sensors if not sensor.measures.translates]
 
 
-def zeros_of(
+def gauge_zeros_and_deviations(
     recording: Recording, gauges: tuple[Sensor, ...], beginning: RecordBeginning
 ) -> tuple[Float[np.ndarray, " gauges"], Float[np.ndarray, " gauges"]]:
     """Zero of each gauge and its standard deviation: the mean before the force, or without a quiet start that of the
@@ -85,7 +88,7 @@ def without_slow_bending(
     return np.where(np.outer(natural_hz > 0, is_slow), 0.0, correction)
 
 
-def gauge_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:
+def gauge_nuisance_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:
     """Changes of the gauges' signals by one standard deviation of their zeros, and of the modes left out."""
     rig, motion_count = model.rig, len(record.motion_sensors)
     gauges = record.sensors[motion_count:]
@@ -93,7 +96,7 @@ def gauge_changes(record: Record, model: LinearModel) -> tuple[Change, ...]:
         return ()
     measured_forces_n = [force_n for _, force_n in model.known_forces[: len(rig.forces)]]
     unit_zero = -(record.omega**2) * record.spectrum(np.ones(record.sample_count))
-    zeros = zero_changes(gauges, motion_count, np.outer(record.zero_errors[motion_count:], unit_zero))
+    zeros = gauge_zero_changes(gauges, motion_count, np.outer(record.zero_errors[motion_count:], unit_zero))
     gauge_by_row = dict(enumerate(gauges, motion_count))
     truncations = truncations_of(
         rig, model.responses, rig.forces, gauge_by_row, model.sensor_response, record.tolerances.truncation

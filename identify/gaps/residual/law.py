@@ -18,7 +18,7 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, diags, hstack, vsta
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
-from identify.contacts.initial_guess import open_contact_knots, regressed_guess
+from identify.contacts.initial_guess import drift_knots_by_open_contact, regressed_guess
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, ForceAndEta, LawValues, Signal
 from identify.linear.joined import GroupLaw
@@ -58,7 +58,7 @@ def initial_unknowns(
     slow_n_per_m = contact_signals.slow_stiffness_n_per_m
     if drift_spline.knot_count and slow_n_per_m:
         ground_matrix, is_open = slow_n_per_m * drift_spline.value + drift_spline.force_n, observation.closed_mask == 0
-        knots = open_contact_knots(elastic_force_n, is_open, ground_matrix, drift_spline)
+        knots = drift_knots_by_open_contact(elastic_force_n, is_open, ground_matrix, drift_spline)
         unknowns[: drift_spline.knot_count] = knots
         return unknowns
     off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
@@ -136,9 +136,13 @@ class ContactResidual:
             for law, sign in zip(laws, signs, strict=True):
                 undamped_law, signed_rate_m_per_s = changed(law, damping_n_s_per_m=0.0), sign * eta_rate
                 by_eta.append(law.by_eta_n_per_m(sign * eta, *time_s))
-                stiffness_slope = force_increase_n(undamped_law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
+                stiffness_slope = force_increase_by_fields_n(
+                    undamped_law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0
+                )
                 by_stiffness.append(sign * stiffness_slope)
-                damping_slope = force_increase_n(law, sign * eta, signed_rate_m_per_s, *time_s, damping_n_s_per_m=1.0)
+                damping_slope = force_increase_by_fields_n(
+                    law, sign * eta, signed_rate_m_per_s, *time_s, damping_n_s_per_m=1.0
+                )
                 by_damping.append(sign * damping_slope)
             return np.stack([by_eta, np.stack(by_eta) * np.sign(eta), by_stiffness, by_damping])
 
@@ -183,27 +187,29 @@ class ContactResidual:
         """Slow part of the relative displacement that integration loses, m."""
         return self.observation.drift_m(self.unknowns)
 
-    def pull_sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
+    def pull_limit_sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> PullSides:
         """Sides of the pulls, after a step of the unknowns."""
-        return np.sign(_limit_excess((self.unknowns + step)[self.observation.tolerance_slice]))
+        return np.sign(_pull_limit_excess((self.unknowns + step)[self.observation.tolerance_slice]))
 
     @cached_property
     def columns_by_unknown(self) -> csr_matrix:
         """Decrease of the residual per unit of each unknown, rows x unknowns."""
-        return self.columns_on_sides(self.pull_sides_after())
+        return self.columns_on_limit_sides(self.pull_limit_sides_after())
 
-    def columns_on_sides(self, sides: PullSides) -> csr_matrix:
+    def columns_on_limit_sides(self, sides: PullSides) -> csr_matrix:
         """Columns where the pulls' excess is straight, as on given sides."""
-        prior_diagonal = np.diag(self.observation.prior_weight * np.ones(sides.size))
+        prior_diagonal = np.diag(self.observation.pull_prior_weight * np.ones(sides.size))
         prior_rows = np.concatenate([prior_diagonal, PULL_EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
         prior_matrix = block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")
         return vstack([self._force_columns, prior_matrix], "csr")
 
-    def residual_on_sides(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
+    def residual_on_limit_sides(self, sides: PullSides) -> Float[np.ndarray, " rows"]:
         """Residual where the pulls' excess is straight, as on given sides."""
         residual = self.residual.copy()
         straight_excess = np.where(sides != 0, self.pulls - sides * PULL_LIMIT, 0.0)
-        residual[residual.size - sides.size :] = -self.observation.prior_weight * PULL_EXCESS_WEIGHT * straight_excess
+        residual[residual.size - sides.size :] = (
+            -self.observation.pull_prior_weight * PULL_EXCESS_WEIGHT * straight_excess
+        )
         return residual
 
     @cached_property
@@ -218,7 +224,9 @@ class ContactResidual:
                 stiffness_deviation * law.stiffness_n_per_m * per_stiffness,
                 damping_deviation_s * law.stiffness_n_per_m * per_damping,
             ]
-        drift_columns = self.tangent.spline_columns(drift_values) + self.signals.slow_stiffness_n_per_m * drift_values
+        drift_columns = (
+            self.tangent.force_change_by_coefficient(drift_values) + self.signals.slow_stiffness_n_per_m * drift_values
+        )
         drift_columns += self.observation.drift_spline.force_n
         return diags(self.observation.force_weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
@@ -233,7 +241,7 @@ class ContactResidual:
         return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
 
 
-def force_and_motion(
+def force_and_drifted_eta(
     signals: ContactSignals,
     observation: ContactObservation,
     unknowns: Float[np.ndarray, " unknowns"],
@@ -278,7 +286,7 @@ def contact_residual(
     def force_n(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Signal:
         laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases_n_s_per_m, strict=True)
         forces_n = (
-            sign * force_with_damping_n(adjusted, increase, sign * eta, sign * eta_rate, *time_s)
+            sign * force_with_added_damping_n(adjusted, increase, sign * eta, sign * eta_rate, *time_s)
             for sign, adjusted, increase in laws
         )
         return np.asarray(sum(forces_n))
@@ -287,12 +295,14 @@ def contact_residual(
     slow_force_n = signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m) + drift_spline.force_n @ knots_m
     residual_n = motion.force_n - law_force_n - slow_force_n
     drift_rows = drift_spline.curvature_target - drift_spline.curvature @ knots_m
-    prior_rows = -observation.prior_weight * np.concatenate([pulls, PULL_EXCESS_WEIGHT * _limit_excess(pulls)])
+    prior_rows = -observation.pull_prior_weight * np.concatenate(
+        [pulls, PULL_EXCESS_WEIGHT * _pull_limit_excess(pulls)]
+    )
     residual = np.concatenate([observation.force_weights * residual_n, drift_rows, prior_rows])
     return ContactResidual(observation, signals, law, adjusted_law, unknowns, motion, residual)
 
 
-def force_with_damping_n(
+def force_with_added_damping_n(
     law: ContactLaw, damping_increase_n_s_per_m: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal
 ) -> Signal:
     """Force of a law with increased damping; linear in the damping, which the increase may make negative."""
@@ -303,7 +313,7 @@ def force_with_damping_n(
     return 2 * changed(law, damping_n_s_per_m=0.0).force_n(eta_m, rate_m_per_s, *time_s) - force_n
 
 
-def force_increase_n(
+def force_increase_by_fields_n(
     law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **increases: float
 ) -> Signal:
     """Increase of the force as fields that it is proportional to grow by these amounts."""
@@ -316,7 +326,7 @@ def _depends_on_time(law: GroupLaw) -> bool:
     return any(single_law.wear_m_per_s for single_law in law.laws)
 
 
-def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
+def _pull_limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
     """Excess of pulls beyond `PULL_LIMIT`, zero within it."""
     return np.asarray(pulls - np.clip(pulls, -PULL_LIMIT, PULL_LIMIT))
 

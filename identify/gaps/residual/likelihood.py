@@ -20,11 +20,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from identify.gaps.residual.law import ContactResidual
-from identify.gaps.residual.lines import cost_of_lines
+from identify.gaps.residual.lines import outstanding_line_cost
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.scales import band_index, band_means, band_variances, levels_by_second, posterior_variance
+from identify.gaps.residual.scales import (
+    band_index,
+    band_means,
+    posterior_variance,
+    power_weighted_band_variances,
+    residual_mean_squares_by_second,
+)
 
 NOISE_SHARE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
@@ -58,7 +64,7 @@ def nominal_variances_of(linearization: Linearization) -> NominalVariances:
     """Variances from a linearisation at the scales of the tolerances."""
     record, error_variance = linearization.record, linearization.model.error_deviation**2
     sample_count = record.counted_slice.stop - record.counted_slice.start
-    band_count = levels_by_second(record, np.zeros((len(record.sensors), sample_count))).shape[1]
+    band_count = residual_mean_squares_by_second(record, np.zeros((len(record.sensors), sample_count))).shape[1]
     return NominalVariances(
         band_means(record, error_variance, band_count),
         band_means(record, record.noise_variance, band_count),
@@ -73,10 +79,10 @@ class Misfit:
     """Misfit of a rig to a record, second by second.
 
     variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
-    variance_correction accounts for variances that change within a band (`scales.band_variances`).
+    variance_correction accounts for variances that change within a band (`scales.power_weighted_band_variances`).
     contact_mean_square_by_second is the mean square of each contact's residual relative to the nominal variance,
     contact_beyond_noise_n2 that beyond noise and contact_force_n2 that of the contact force (N^2). line_cost is
-    `lines.cost_of_lines`, independent_samples the number of independent samples.
+    `lines.outstanding_line_cost`, independent_samples the number of independent samples.
     """
 
     nominal_variances: NominalVariances
@@ -138,21 +144,21 @@ class Misfit:
         return float(band_excess + contact_excess) + self.line_cost
 
     @cached_property
-    def measured_variance(self) -> Float[np.ndarray, "bands sensors"]:
+    def residual_variance(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line, in the sensors' unit."""
         return np.asarray(self.variance_by_second.mean(axis=0) * self.variance_correction)
 
     @cached_property
-    def variance_beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
+    def residual_variance_beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
         nominal_variances = self.nominal_variances
-        return np.asarray((self.measured_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
+        return np.asarray((self.residual_variance - nominal_variances.noise_variance) * nominal_variances.has_signal)
 
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
         power_by_band = np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
-        return np.asarray(np.sqrt(np.maximum(self.variance_beyond_noise, 0.0).sum(axis=1) / power_by_band))
+        return np.asarray(np.sqrt(np.maximum(self.residual_variance_beyond_noise, 0.0).sum(axis=1) / power_by_band))
 
     @property
     def unexplained_share(self) -> float:
@@ -162,8 +168,8 @@ class Misfit:
         positive parts add up to per cents where many bands are noisy. Those that exceed it by more count alone, so that
         noise that is estimated too high hides no misfit.
         """
-        line_counts, excess = self.nominal_variances.line_counts[:, None], self.variance_beyond_noise
-        is_significant = excess > SIGNIFICANT_STANDARD_ERRORS * self.measured_variance / np.sqrt(line_counts)
+        line_counts, excess = self.nominal_variances.line_counts[:, None], self.residual_variance_beyond_noise
+        is_significant = excess > SIGNIFICANT_STANDARD_ERRORS * self.residual_variance / np.sqrt(line_counts)
         significant_power = float(np.sum(line_counts * excess * is_significant))
         insignificant_power = float(np.sum(line_counts * excess * ~is_significant))
         motion_power = max(self.power_by_band.sum(), 1e-300)
@@ -175,7 +181,7 @@ class Misfit:
         return np.asarray(self.nominal_variances.line_counts * self.nominal_variances.acceleration_power.sum(axis=1))
 
     @property
-    def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
+    def squared_unexplained_share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Square of `unexplained_share` for each second; negative where a second is quieter than the noise."""
         nominal = self.nominal_variances
         excess_power = self.variance_by_second * self.variance_correction - nominal.noise_variance
@@ -202,7 +208,7 @@ class Misfit:
 def misfit(record: Record, nominal_variances: NominalVariances, residual: Residual) -> Misfit:
     """Misfit of a fitted residual, in the nominal variances whatever the scales of the fit."""
     linear_residual, error_deviation = residual.linear_residual, residual.model.error_deviation
-    mean_squares, oversampling = levels_by_second(record, linear_residual), record.oversampling
+    mean_squares, oversampling = residual_mean_squares_by_second(record, linear_residual), record.oversampling
     second_count, band_count = mean_squares.shape[:2]
     expected_variance = band_means(record, error_deviation**2, band_count)
     contact_misfits = [
@@ -220,11 +226,12 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.has_force:
         free_direction_count = len(record.sensors) - len(residual.contacts)
-        line_cost = cost_of_lines(sensor_residual, free_direction_count, record.repeats_per_sample)
+        line_cost = outstanding_line_cost(sensor_residual, free_direction_count, record.repeats_per_sample)
     return Misfit(
         nominal_variances=nominal_variances,
         variance_by_second=mean_squares * expected_variance,
-        variance_correction=band_variances(record, linear_residual, error_deviation, band_count) / expected_variance,
+        variance_correction=power_weighted_band_variances(record, linear_residual, error_deviation, band_count)
+        / expected_variance,
         contact_mean_square_by_second=contact_mean_squares[:, 0].T,
         contact_beyond_noise_n2=contact_mean_squares[:, 1].T,
         contact_force_n2=contact_mean_squares[:, 2].T,

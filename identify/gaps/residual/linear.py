@@ -35,11 +35,11 @@ from identify.gaps.residual.windowed import (
     linear_dampers,
     modal_response,
     response_to_force,
-    static_response,
-    with_motion_following_dampers,
+    static_modal_accelerations,
+    with_measured_motion_dampers_only,
 )
 from identify.linear.free_motion import FreeMode
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from identify.linear.model import (
     Response,
     ResponseCache,
@@ -50,7 +50,7 @@ from identify.linear.model import (
     responses_of,
 )
 from identify.linear.observed_motion import ObservedBase
-from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
+from identify.linear.projection import Projection, estimated_inputs_and_log_det, input_residual, projection
 from identify.linear.slow_stiffness import slow_stiffness, static_contact_forces
 from rig.model.description import Rig, Station
 
@@ -97,7 +97,7 @@ class LinearModel:
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
             modal_response(self.record, self.rig, r, real_product(input_shapes(self.rig, r, stations).T, forces_n))
-            + static_response(self.record, self.rig, r)
+            + static_modal_accelerations(self.record, self.rig, r)
             for r in self.responses
         )
         for free_mode in self.free_modes:
@@ -107,12 +107,12 @@ class LinearModel:
     @cached_property
     def missed_accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations of a free motion that the sensors miss."""
-        return sum((mode.missed_acceleration for mode in self.free_modes), np.zeros_like(self.sensor_response))
+        return sum((mode.unsensed_acceleration for mode in self.free_modes), np.zeros_like(self.sensor_response))
 
     @cached_property
     def base(self) -> BaseSpectra | None:
         """Motion of a shaken base that is measured."""
-        return self.record.base and self.record.base.in_rig(self.rig, self.record.omega)
+        return self.record.base and self.record.base.deconvolved(self.rig, self.record.omega)
 
     @property
     def base_at_sensors(self) -> Complex[np.ndarray, "sensors lines"] | float:
@@ -162,7 +162,7 @@ class LinearModel:
         """Relative displacements at the contacts, without the slow part that integration loses."""
         sensor_places = sensor_places_of(self.record, self.rig)
         displacements = self.displacements - self.unmeasured_base_m
-        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_force_n)
+        eta_m = self.eta_by_unobserved_modes_m(self.known_forces, self.contact_force_n)
         for response in self.responses:
             eta_m += real_product(eta_weights(self.rig, response, sensor_places), displacements)
         for mode in self.free_modes:
@@ -170,7 +170,7 @@ class LinearModel:
             eta_m += np.outer(shape, mode.acceleration * self.record.displacement_per_acceleration)
         return eta_m
 
-    def unobserved_eta_m(
+    def eta_by_unobserved_modes_m(
         self,
         known_forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
         contact_force_n: Complex[np.ndarray, "contacts lines"],
@@ -205,7 +205,7 @@ class LinearModel:
     @cached_property
     def ground_force_changes(self) -> GroundForceChanges:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
-        rig = with_motion_following_dampers(self.record, self.rig)
+        rig = with_measured_motion_dampers_only(self.record, self.rig)
         return ground_force_derivative(self.record, rig, self.responses, self.record.sensor_places, self.motion)
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
@@ -228,27 +228,31 @@ def linear_model(
     shared by rigs that are compared with one record; `mode_factors` are those on frequencies and damping of modes.
     Forces that follow a free motion follow its fitted initial state, too, of which no sensor shows all.
     """
-    rig = group_rig_of(rig)
+    rig = rig_with_joined_contacts(rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
         responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
     responses = tuple(response.damped_by(linear_dampers(record, rig)) for response in responses)
     displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
-    model = _linear_model(record, rig, responses, unmodelled_share, motion)
-    if model.free_modes and has_ground_forces(with_motion_following_dampers(record, rig)):
+    model = _linear_model_for_motion(record, rig, responses, unmodelled_share, motion)
+    if model.free_modes and has_ground_forces(with_measured_motion_dampers_only(record, rig)):
         for _ in range(INITIAL_STATE_ROUNDS):
-            model = _linear_model(record, rig, responses, unmodelled_share, model.motion)
+            model = _linear_model_for_motion(record, rig, responses, unmodelled_share, model.motion)
     return model
 
 
 def _measured_displacements(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Measured displacements at the sensors, against a measured base."""
     displacements = record.displacement_signals / sensor_response_of(record, rig)
-    return displacements if record.base is None else displacements - record.base.in_rig(rig, record.omega).displacement
+    return (
+        displacements
+        if record.base is None
+        else displacements - record.base.deconvolved(rig, record.omega).displacement
+    )
 
 
-def _linear_model(
+def _linear_model_for_motion(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
@@ -264,12 +268,12 @@ def _linear_model(
         response_to_force(record, rig, per_newton, force_n)
         for per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
     ]
-    if base := record.base and record.base.in_rig(rig, record.omega):
+    if base := record.base and record.base.deconvolved(rig, record.omega):
         by_known_force[0] = by_known_force[0] + base.acceleration_at_sensors
     known_accelerations = sum(by_known_force[1:], by_known_force[0])
     if rig.loads:
         known_accelerations = known_accelerations + sum(
-            real_product(r.shapes(sensor_places), static_response(record, rig, r)) for r in responses
+            real_product(r.shapes(sensor_places), static_modal_accelerations(record, rig, r)) for r in responses
         )
     error_deviation = np.sqrt(record.noise_variance + unmodelled_share**2 * record.smoothed_power)
     error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
@@ -288,7 +292,7 @@ def _linear_model(
     free_modes = free_motion_of(record, rig, responses, signal_per_input, error_deviation, scaled_response, signals)
     free_accelerations = sum((mode.sensed_acceleration for mode in free_modes), np.zeros_like(signals))
     signals = signals - scaled_response * free_accelerations
-    unknown_inputs, prior_input_log_determinant = estimated_inputs(signal_per_input, signals, contact_count)
+    unknown_inputs, prior_input_log_determinant = estimated_inputs_and_log_det(signal_per_input, signals, contact_count)
     sensor_residual = input_residual(signal_per_input, unknown_inputs, signals)
     return LinearModel(
         record=record,

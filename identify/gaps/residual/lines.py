@@ -19,22 +19,22 @@ Derived: a Hann window's reach."""
 ResidualRows = Float[np.ndarray, "rows times"]
 
 
-def cost_of_lines(residual: ResidualRows, direction_count: int, repeats_per_sample: float = 0.0) -> float:
+def outstanding_line_cost(residual: ResidualRows, direction_count: int, repeats_per_sample: float = 0.0) -> float:
     """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING_RATIO median power of the neighbours)).
 
     A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
     forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
     not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
-    outstanding_ratios = np.maximum(_outstanding_ratio(residual, repeats_per_sample), 1.0)
+    outstanding_ratios = np.maximum(_peak_to_neighbour_power_ratio(residual, repeats_per_sample), 1.0)
     return float(2 * direction_count / len(residual) * np.sum(np.log(outstanding_ratios)))
 
 
-def outstanding_frequencies(residual: ResidualRows, repeats_per_sample: float = 0.0) -> tuple[float, ...]:
+def outstanding_line_frequencies(residual: ResidualRows, repeats_per_sample: float = 0.0) -> tuple[float, ...]:
     """Frequencies, per sample, of lines that stand out in any row, without those of a repeating force."""
     sample_count = residual.shape[1]
     frequencies: list[float] = []
-    for line in np.flatnonzero(np.any(_outstanding_ratio(residual, repeats_per_sample) > 1, axis=0)):
+    for line in np.flatnonzero(np.any(_peak_to_neighbour_power_ratio(residual, repeats_per_sample) > 1, axis=0)):
         refined_frequency = _refined_frequency(residual, line / sample_count, 1 / sample_count)
         if all(abs(refined_frequency - frequency) > 1 / sample_count for frequency in frequencies):
             frequencies.append(refined_frequency)
@@ -51,7 +51,7 @@ def without_lines(residual: ResidualRows, frequencies: tuple[float, ...]) -> Res
     return residual
 
 
-def sharpest_frequencies(
+def sharpest_line_frequencies(
     residual: ResidualRows, line_count: int, bandwidth_per_sample: float, repeats_per_sample: float = 0.0
 ) -> Float[np.ndarray, " lines"]:
     """Frequencies, per sample, of the lines with most power relative to the median within `bandwidth`, in that order.
@@ -79,7 +79,9 @@ def _is_force_line(
     return np.abs(line_numbers - force_line_spacing * np.round(line_numbers / force_line_spacing)) <= FORCE_LINE_REACH
 
 
-def _outstanding_ratio(residual: ResidualRows, repeats_per_sample: float) -> Float[np.ndarray, "rows lines"]:
+def _peak_to_neighbour_power_ratio(
+    residual: ResidualRows, repeats_per_sample: float
+) -> Float[np.ndarray, "rows lines"]:
     """Power of each peak over OUTSTANDING_RATIO times its neighbours'; zero off peaks, at ends, on a force's lines."""
     nearest_neighbour, farthest_neighbour = NEIGHBOUR_LINES
     line_power = np.abs(np.fft.rfft(residual * hann(residual.shape[1]))) ** 2

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
-from identify.gaps.residual.gauges import gauge_changes, without_slow_bending
+from identify.gaps.residual.gauges import gauge_nuisance_changes, without_slow_bending
 from identify.gaps.residual.linear import LinearModel, ground_spring_correction
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.unfolding import transverse_index
-from identify.gaps.residual.windowed import has_ground_forces, with_motion_following_dampers
-from identify.linear.free_motion import state_changes, tuning_derivative
+from identify.gaps.residual.unfolding import transverse_station_indices
+from identify.gaps.residual.windowed import has_ground_forces, with_measured_motion_dampers_only
+from identify.linear.free_motion import initial_state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
     SINGLE_FORCE_NAME,
@@ -23,8 +23,8 @@ from identify.linear.nuisance import (
     NuisanceKind,
     ObservedSignals,
     changes_of,
-    crosstalk_of,
-    elastic_modes,
+    crosstalk_changes,
+    elastic_mode_indices,
 )
 from identify.linear.observed_motion import BodyMotion, ObservedTransverse
 from identify.linear.projection import Projection
@@ -76,8 +76,10 @@ def nuisance_columns_of(record: Record, model: LinearModel) -> NuisanceColumns:
     """Columns of all parameters whose tolerance is above zero."""
     body_names = [response.body.name for response in model.responses]
     motion, signal_norm = _observed_motion(record, model), float(np.linalg.norm(record.acceleration_signals))
-    changes = [_free_motion_change(record, model, change) for change in (*changes_of(motion), *crosstalk_of(motion))]
-    changes += state_changes(model.free_modes, body_names, model.sensor_response, signal_norm)
+    changes = [
+        _free_motion_change(record, model, change) for change in (*changes_of(motion), *crosstalk_changes(motion))
+    ]
+    changes += initial_state_changes(model.free_modes, body_names, model.sensor_response, signal_norm)
     contact_count, sample_count = len(model.rig.contacts), record.counted_slice.stop - record.counted_slice.start
     column_dtype = np.float64 if record.measured_modes else np.float32
     residual_columns = np.empty((len(changes), len(model.residual), sample_count), column_dtype)
@@ -126,7 +128,7 @@ def _projected_change(
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     change = _with_damper_feedback(record, model, change)
-    if change.displacements is None or not has_ground_forces(with_motion_following_dampers(record, model.rig)):
+    if change.displacements is None or not has_ground_forces(with_measured_motion_dampers_only(record, model.rig)):
         return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
@@ -156,7 +158,7 @@ def _shapes_at(record: Record, response: Response, sensor_indices: Sequence[int]
 def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
     explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
-    modal_accelerations = zip(model.responses, _modal_accelerations(record, model), strict=True)
+    modal_accelerations = zip(model.responses, _corrected_modal_accelerations(record, model), strict=True)
     return ObservedSignals(
         sensors=record.sensors,
         displacement_sensors=record.sensors,
@@ -166,8 +168,8 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
         signals=explained_signals - model.sensor_response * model.base_at_sensors,
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=model.displacements,
-        bodies=tuple(BodyMotion(r, modal, _parameter_mode_indices(record, r)) for r, modal in modal_accelerations),
-        further_changes=gauge_changes(record, model),
+        bodies=tuple(BodyMotion(r, modal, _nuisance_mode_indices(record, r)) for r, modal in modal_accelerations),
+        further_changes=gauge_nuisance_changes(record, model),
         base=model.observed_base,
         transverse=_observed_transverse(record, model),
     )
@@ -175,7 +177,7 @@ def _observed_motion(record: Record, model: LinearModel) -> ObservedSignals:
 
 def _observed_transverse(record: Record, model: LinearModel) -> ObservedTransverse | None:
     """Motion in the other direction of a rig in space where both are measured; None without any."""
-    pairs = transverse_index([sensor.station for sensor in record.sensors])
+    pairs = transverse_station_indices([sensor.station for sensor in record.sensors])
     if not pairs:
         return None
     sensor_indices, transverse_indices = list(pairs), list(pairs.values())
@@ -183,20 +185,22 @@ def _observed_transverse(record: Record, model: LinearModel) -> ObservedTransver
     return ObservedTransverse(sensor_indices, signals, model.displacements[transverse_indices])
 
 
-def _parameter_mode_indices(record: Record, response: Response) -> Int[np.ndarray, " some"]:
+def _nuisance_mode_indices(record: Record, response: Response) -> Int[np.ndarray, " some"]:
     """Modes with parameters of their own, by the nominal rig, so that all rigs have the same parameters."""
     mode_count = response.mode_count
     natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(mode_count)
-    elastic_indices = elastic_modes(response, mode_count)  # whichever springs hold the body
+    elastic_indices = elastic_mode_indices(response, mode_count)  # whichever springs hold the body
     return elastic_indices[natural_hz[elastic_indices] < MODE_FREQUENCY_REACH * record.omega[-1] / (2 * np.pi)]
 
 
-def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
+def _corrected_modal_accelerations(
+    record: Record, model: LinearModel
+) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
     """Modal accelerations of each body: the modelled ones, corrected by the unexplained part of its sensors."""
     unexplained = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
     accelerations = model.modal_accelerations
     for response, body_accelerations in zip(model.responses, accelerations, strict=True):
-        sensor_indices = record.motion_sensors_on(response.body.name)
+        sensor_indices = record.motion_sensor_indices_on(response.body.name)
         if sensor_indices:
             sensed_mode_count = min(len(sensor_indices), response.mode_count)
             shapes = _shapes_at(record, response, sensor_indices)[:, :sensed_mode_count]
@@ -205,7 +209,7 @@ def _modal_accelerations(record: Record, model: LinearModel) -> tuple[Complex[np
     return accelerations
 
 
-def apply_nuisance(
+def with_nonlinear_nuisance(
     rig: Rig, parameters: tuple[Nuisance, ...], pulls: Float[np.ndarray, " nuisances"], tolerances: Tolerances
 ) -> tuple[Rig, Float[np.ndarray, " nuisances"]]:
     """Rig with the nuisance parameters applied in which the residual is nonlinear, and their values, others zero.
@@ -265,12 +269,12 @@ def residual_in_time(
 
     Zero in a quiet start, where motion from before the record decays.
     """
-    residual = residual_scale(record) * record.in_time(residual_spectra)
+    residual = line_to_time_residual_factor(record) * record.in_time(residual_spectra)
     residual[:, record.residual_times_s < record.excitation_start_s] = 0.0
     return residual
 
 
-def residual_scale(record: Record) -> float:
+def line_to_time_residual_factor(record: Record) -> float:
     """Factor from lines of unit variance to a residual over time of unit variance."""
     return float(np.sqrt(record.transform_length * record.sample_count / (2 * record.omega.size)))
 

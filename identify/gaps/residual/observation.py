@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from identify.gaps.residual.linear import LinearModel, eta_weights, sensor_places_of
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
-from identify.signals.drift import Spline, slow_force_density, spline
+from identify.signals.drift import DriftSpline, slow_force_density, spline
 from identify.signals.law_evaluation import evaluated_on_batches, finer_signal_batches
 from identify.signals.recent_values import RecentValues
 
@@ -115,7 +115,7 @@ class ContactObservation:
 
     force_weights: Float[np.ndarray, " times"]
     closed_mask: Float[np.ndarray, " times"]
-    drift_spline: Spline
+    drift_spline: DriftSpline
     oversampling: float
     law_prior_deviations: tuple[float, float, float]
 
@@ -133,7 +133,7 @@ class ContactObservation:
         return self.drift_spline.knot_count + len(self.law_prior_deviations) * len(law.laws)
 
     @property
-    def prior_weight(self) -> float:
+    def pull_prior_weight(self) -> float:
         """Weight of a pull of one standard deviation, sqrt(oversampling)."""
         return float(self.oversampling**0.5)
 
@@ -147,14 +147,17 @@ def contact_observations(
     """
     forces_n, errors_n = record.in_time(model.contact_force_n), model.contact_force_error_n(record)
     tolerances, observations = record.tolerances, []
-    error_densities, slow_n_per_m = _error_densities_beside_eta(record, model), np.diag(model.slow_stiffness_n_per_m)
+    error_densities, slow_n_per_m = (
+        _eta_independent_force_densities(record, model),
+        np.diag(model.slow_stiffness_n_per_m),
+    )
     law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
     for force_n, error_n, group_law, drift, contact_variance, error_density, spring_n_per_m in zip(
         forces_n, errors_n, laws, record.drifts, contact_variances, error_densities, slow_n_per_m, strict=True
     ):
         envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES_EACH_SIDE + 1)
         is_clearly_closed = envelope_n > CLOSED_DEVIATIONS * error_n
-        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_noise_m
+        unfollowed_drift_m = 0.0 if drift is None else drift.noise_above_knot_band_m
         stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in group_law.laws)
         is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         counted_drift, fast_error_n = drift, error_n
@@ -182,7 +185,7 @@ def contact_observations(
     return tuple(observations)
 
 
-def _error_densities_beside_eta(record: Record, model: LinearModel) -> Float[np.ndarray, "contacts lines"]:
+def _eta_independent_force_densities(record: Record, model: LinearModel) -> Float[np.ndarray, "contacts lines"]:
     """One-sided densities, N^2/Hz, of the contact forces' errors that no errors of the relative displacements make
     through the slow stiffness."""
     places, contact_count = sensor_places_of(record, model.rig), len(model.rig.contacts)

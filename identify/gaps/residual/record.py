@@ -21,7 +21,7 @@ from rig.model.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
-class CountedPart:
+class CountedBandAndEnd:
     """Counted part of a record: the recording's samples per time of the residuals, which sets the band, and the end."""
 
     decimation: int
@@ -108,7 +108,7 @@ class Record:
         """Places of the sensors: stations, and gauges themselves."""
         return tuple(place_of(sensor, sensor.station) for sensor in self.sensors)
 
-    def motion_sensors_on(self, body_name: str) -> list[int]:
+    def motion_sensor_indices_on(self, body_name: str) -> list[int]:
         """Indices of the sensors of motion on a body."""
         return [k for k, sensor in enumerate(self.motion_sensors) if sensor.station.body == body_name]
 
@@ -128,9 +128,9 @@ class Record:
         return [sensor.name for sensor in (*self.sensors, *([self.base.sensor] if self.base else []))]
 
     @property
-    def counted_part(self) -> CountedPart:
+    def counted_part(self) -> CountedBandAndEnd:
         """Band and end of the samples that count, for other records of the same test."""
-        return CountedPart(self.decimation, self.counted_slice.stop / self.residual_rate_hz)
+        return CountedBandAndEnd(self.decimation, self.counted_slice.stop / self.residual_rate_hz)
 
     @property
     def residual_rate_hz(self) -> float:

@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.law import ContactResidual, contact_residual, force_and_motion, initial_unknowns
+from identify.gaps.residual.law import ContactResidual, contact_residual, force_and_drifted_eta, initial_unknowns
 from identify.gaps.residual.linear import LinearModel, linear_model, sensor_response_of
-from identify.gaps.residual.lines import outstanding_frequencies, without_lines
+from identify.gaps.residual.lines import outstanding_line_frequencies, without_lines
 from identify.gaps.residual.nuisance import (
     NuisanceColumns,
-    apply_nuisance,
     nuisance_columns_of,
     relative_displacements,
     residual_in_time,
+    with_nonlinear_nuisance,
     with_nuisance,
 )
 from identify.gaps.residual.observation import (
@@ -94,13 +94,13 @@ class Linearization:
         return self.columns.products_with(self.columns.flat_residual)
 
     @cached_property
-    def line_frequencies_per_sample(self) -> tuple[float, ...]:
+    def outstanding_frequencies_per_sample(self) -> tuple[float, ...]:
         """Frequencies, per sample, of outstanding lines in the linearised rig's residual; none for a free decay, whose
         modes ring as sharply."""
         if not self.record.has_force:
             return ()
         sensor_residual = residual_in_time(self.record, self.model.residual[: len(self.record.sensors)])
-        return outstanding_frequencies(sensor_residual, self.record.repeats_per_sample)
+        return outstanding_line_frequencies(sensor_residual, self.record.repeats_per_sample)
 
     @property
     def columns(self) -> NuisanceColumns:
@@ -182,7 +182,7 @@ def linearized(
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
     if residual:
         parameters, pulls = residual.parameters, residual.nuisance_pulls
-        expansion_rig, applied_pulls = apply_nuisance(rig, parameters, pulls, record.tolerances)
+        expansion_rig, applied_pulls = with_nonlinear_nuisance(rig, parameters, pulls, record.tolerances)
         tuning = tuned_modes(record, expansion_rig, parameters, pulls)
     else:
         expansion_rig, applied_pulls, tuning = rig, None, tuned_modes(record, rig)
@@ -194,10 +194,10 @@ def linearized(
 
 def with_estimated_scales(linearization: Linearization, residual: Residual) -> Linearization:
     """Linearisation with the scales estimated from one of its residuals."""
-    return linearization.relinearized(linearization.rig, residual, scales_at(linearization, residual))
+    return linearization.relinearized(linearization.rig, residual, scales_from_residual(linearization, residual))
 
 
-def scales_at(linearization: Linearization, residual: Residual) -> Scales:
+def scales_from_residual(linearization: Linearization, residual: Residual) -> Scales:
     """Scales of the unmodelled, estimated from a residual."""
     record, scales = linearization.record, linearization.scales
     return estimated_scales(record, scales, residual.linear_without_lines, residual.contact_mean_squares)
@@ -207,7 +207,7 @@ def model_of_rig(linearization: Linearization, rig: Rig) -> LinearModel:
     """Linear model of a rig with the nuisance parameters that the linearisation applies."""
     record, applied_pulls = linearization.record, linearization.applied_nuisance
     if applied_pulls is not None and applied_pulls.any():
-        rig, _ = apply_nuisance(rig, linearization.columns.parameters, applied_pulls, record.tolerances)
+        rig, _ = with_nonlinear_nuisance(rig, linearization.columns.parameters, applied_pulls, record.tolerances)
     scales, cache = linearization.scales, linearization.cache
     return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuning.factors)
 
@@ -225,10 +225,10 @@ def residual_of(
     """
     record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
     nuisance_pulls = linearization.expansion_pulls if nuisance_pulls is None else nuisance_pulls
-    if reusable is not None and same_but_laws(reusable.rig, rig):
+    if reusable is not None and same_except_laws(reusable.rig, rig):
         model, contact_signals, linear_at_expansion = reusable.model, reusable.signals, reusable.linear_before_nuisance
     else:
-        model = linearization.model if same_but_laws(linearization.rig, rig) else model_of_rig(linearization, rig)
+        model = linearization.model if same_except_laws(linearization.rig, rig) else model_of_rig(linearization, rig)
         contact_signals = contact_signals_of(record, model, linearization.cache.finer_motions)
         linear_at_expansion = residual_in_time(record, model.residual)
     observations = linearization.observations
@@ -244,7 +244,7 @@ def residual_of(
         linear_residual, previous = linear_at_expansion, ()
         if pull_change.any():
             linear_residual = linear_at_expansion - columns.residual_decrease(pull_change)
-        line_frequencies = () if rig.tones else linearization.line_frequencies_per_sample
+        line_frequencies = () if rig.tones else linearization.outstanding_frequencies_per_sample
         linear_without_lines = without_lines(linear_residual, line_frequencies)
     same_motion = bool(previous) and all(c.unknowns is unknown for c, unknown in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
@@ -262,7 +262,7 @@ def residual_of(
             return contact_residual(contact_signals[j], observations[j], law, unknowns[j], previous[j].motion)
         added_force_n = -pull_change @ columns.contact_force_n[:, j]
         added_force_n -= sum(coupling_n_per_m[j, i] * drifts_m[i] for i in coupled_contacts)
-        motion = force_and_motion(contact_signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
+        motion = force_and_drifted_eta(contact_signals[j], observations[j], unknowns[j], added_force_n, added_eta_m[j])
         return contact_residual(contact_signals[j], observations[j], law, unknowns[j], motion)
 
     return Residual(
@@ -287,13 +287,13 @@ def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: 
     1975), as they are for nuisance parameters, so that a parameter equal to one of those has the same column.
     """
     record, model = linearization.record, residual.model
-    if same_but_laws(residual.rig, changed_rig):
+    if same_except_laws(residual.rig, changed_rig):
         unknowns = tuple(contact_fit.unknowns for contact_fit in residual.contacts)
         changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, reusable=residual)
         contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         return residual.linear_residual - changed.linear_residual, contact_decreases
-    if same_but_sensors(residual.rig, changed_rig):
-        return _decreases_by_sensors(linearization, changed_rig, residual)
+    if same_except_sensors(residual.rig, changed_rig):
+        return _decrease_by_sensor_responses(linearization, changed_rig, residual)
     changed_model = model_of_rig(linearization, changed_rig)
     sensor_count = len(record.sensors)
     spectral_decrease = model.residual - changed_model.residual
@@ -310,7 +310,7 @@ def residual_decrease(linearization: Linearization, changed_rig: Rig, residual: 
     return residual_in_time(record, linear_decrease), contact_decreases
 
 
-def _decreases_by_sensors(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
+def _decrease_by_sensor_responses(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn:
     """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
     record, model = linearization.record, residual.model
     change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
@@ -338,13 +338,13 @@ def contact_columns(
     ]
 
 
-def same_but_sensors(rig: Rig, compared: Rig) -> bool:
+def same_except_sensors(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their sensors on bodies alone, and no force depends on the measured motion."""
     same_base = rig.base_sensors == compared.base_sensors
     return same_base and replace(rig, sensors=compared.sensors) == compared and not has_ground_forces(rig)
 
 
-def same_but_laws(rig: Rig, compared: Rig) -> bool:
+def same_except_laws(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their contact laws alone, if at all."""
     same_laws = (replace(c, law=target.law) for c, target in zip(rig.contacts, compared.contacts, strict=True))
     return rig is compared or replace(rig, contacts=tuple(same_laws)) == compared

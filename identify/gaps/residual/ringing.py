@@ -57,7 +57,7 @@ def highest_ringing_hz(
     return float(lines_hz[1 + np.searchsorted(cumulative, POWER_SHARE * cumulative[-1])]) if cumulative[-1] > 0 else 0.0
 
 
-def highest_vibrating_hz(
+def highest_hz_of_any_segment(
     signals: Float[np.ndarray, "sensors samples"], rate_hz: float, noise_densities: Float[np.ndarray, " sensors"]
 ) -> float:
     """Highest frequency (Hz) that some part of a record of length `PART_S` shows beyond noise: hits are soon over."""

@@ -43,19 +43,21 @@ def prior_scales(record: Record) -> Scales:
     return Scales(np.full(record.noise_variance.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
-def segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
+def segment_and_band_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
     """Samples per segment, number of segments, lines per band and number of bands."""
     samples = min(round(SEGMENT_LENGTH_S * rate_hz), sample_count)
     lines_per_band = max(1, round(BAND_WIDTH_HZ * samples / rate_hz))
     return samples, sample_count // samples, lines_per_band, (samples // 2 + 1) // lines_per_band
 
 
-def levels_by_second(
+def residual_mean_squares_by_second(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
     residuals = residual[: len(record.sensors)]
-    segment_sample_count, count, band_lines, band_count = segment_counts(record.residual_rate_hz, residuals.shape[1])
+    segment_sample_count, count, band_lines, band_count = segment_and_band_counts(
+        record.residual_rate_hz, residuals.shape[1]
+    )
     segments = residuals[:, : count * segment_sample_count].reshape(len(residuals), count, segment_sample_count)
     window = hann(segment_sample_count, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
@@ -63,7 +65,7 @@ def levels_by_second(
     return np.asarray(power_by_line.mean(axis=3).transpose(1, 2, 0))
 
 
-def band_variances(
+def power_weighted_band_variances(
     record: Record,
     residual: Float[np.ndarray, "rows times"],
     error_deviation: Float[np.ndarray, "sensors lines"],
@@ -89,9 +91,11 @@ def band_variances(
     return weighted_variances
 
 
-def levels_by_band(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
+def residual_mean_squares_by_band(
+    record: Record, residual: Float[np.ndarray, "rows times"]
+) -> Float[np.ndarray, "bands sensors"]:
     """Mean square of a linear residual by band over the whole record."""
-    return np.asarray(levels_by_second(record, residual).mean(axis=0))
+    return np.asarray(residual_mean_squares_by_second(record, residual).mean(axis=0))
 
 
 def band_index(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
@@ -135,7 +139,7 @@ def estimated_scales(
     )
     if not record.has_force:
         return Scales(fit_scales.unmodelled_shares, contact_variances)
-    mean_square_by_band = levels_by_band(record, linear_residual)
+    mean_square_by_band = residual_mean_squares_by_band(record, linear_residual)
     band_count = len(mean_square_by_band)
     line_variance = record.noise_variance + fit_scales.unmodelled_shares**2 * record.smoothed_power
     noise_share = band_means(record, record.noise_variance / np.maximum(line_variance, 1e-300), band_count)

@@ -44,7 +44,7 @@ class BaseSpectra:
     displacement: Complex[np.ndarray, " lines"]
     noise_variance: Float[np.ndarray, " lines"]
 
-    def in_rig(self, rig: Rig, omega: Float[np.ndarray, " lines"]) -> "BaseSpectra":
+    def deconvolved(self, rig: Rig, omega: Float[np.ndarray, " lines"]) -> "BaseSpectra":
         """Motion behind these signals by the sensor's gain, delay and high-pass in a rig."""
         sensor = next(base_sensor for base_sensor in rig.base_sensors if base_sensor.name == self.sensor.name)
         sensor_response = sensor.response(omega)
@@ -78,7 +78,7 @@ def check_base(rig: Rig) -> None:
             f"{body_forces[0].body!r} beside {rig.base_sensors[0].name!r} on the ground; record without that force and "
             "leave force_at out, or record by the force with the base at rest and take the sensor off the ground"
         )
-    if read_quantity(rig) is None:
+    if common_sensor_quantity(rig) is None:
         raise RigError(
             f"identify gap reads a shaken base and its bodies by {' or '.join(READ_QUANTITIES)} sensors, the same on "
             f"both, and {rig.name!r} has {_quantities(rig.base_sensors)} on the ground and "
@@ -95,7 +95,7 @@ def body_sensors(rig: Rig) -> tuple[Sensor, ...]:
     return tuple(sensor for sensor in rig.sensors if sensor.measures.translates and sensor not in rig.base_sensors)
 
 
-def read_quantity(rig: Rig) -> str | None:
+def common_sensor_quantity(rig: Rig) -> str | None:
     """Quantity by which base and bodies are read; None if they have none in common."""
     on_ground, on_bodies = ({sensor.quantity for sensor in group} for group in (rig.base_sensors, body_sensors(rig)))
     return next((quantity for quantity in READ_QUANTITIES if quantity in on_ground & on_bodies), None)
@@ -103,7 +103,7 @@ def read_quantity(rig: Rig) -> str | None:
 
 def base_sensor(rig: Rig) -> Sensor:
     """Sensor on the ground by which the base is read."""
-    quantity = read_quantity(rig)
+    quantity = common_sensor_quantity(rig)
     return next(sensor for sensor in rig.base_sensors if sensor.quantity == quantity)
 
 

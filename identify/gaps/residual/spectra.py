@@ -13,36 +13,36 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft
 from scipy.ndimage import uniform_filter1d
 
-from identify.contacts.separation import drift_of
+from identify.contacts.separation import contact_drift_prior
 from identify.gaps.residual.extent import (
     FORCE_BAND_RATIO,
     LEAST_COUNTED_S,
     RecordBeginning,
     beginning_of,
     check_length,
+    diagnosis_sensors,
     end_of_motion_s,
     force_noise_n,
-    highest_hz_of,
+    highest_diagnosed_hz,
+    integration_corner_hz,
     is_free_mass,
-    noise_corner_hz,
-    read_sensors,
     sensor_noise_densities,
 )
-from identify.gaps.residual.gauges import gauge_sensors, zeros_of
-from identify.gaps.residual.record import CountedPart, Record
+from identify.gaps.residual.gauges import gauge_sensors, gauge_zeros_and_deviations
+from identify.gaps.residual.record import CountedBandAndEnd, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
 from identify.gaps.residual.transform import RecordTransform, transform_of
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from identify.signals.drift import DriftPrior
 from identify.signals.kinematics import CORNER_HZ, kinematics, omega_power
-from identify.signals.noise import acceleration_noise
+from identify.signals.noise import acceleration_noise_m_per_s2
 from rig.model.description import ON_GROUND, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
-from rig.recording.period import period_of
+from rig.recording.period import force_period_samples
 
 INITIAL_SAMPLE_COUNT = 10
 """Samples from which the first state of a decay is read. Set by hand."""
@@ -54,21 +54,22 @@ by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and fram
 
 
 def record_of(
-    recording: Recording, tolerances: Tolerances | None = None, counted_part: CountedPart | None = None
+    recording: Recording, tolerances: Tolerances | None = None, counted_part: CountedBandAndEnd | None = None
 ) -> Record:
-    """Record of a recording, by the sensors of `extent.read_sensors` and the strain gauges of `gauges.gauge_sensors`.
+    """Record of a recording, by the sensors of `extent.diagnosis_sensors` and the strain gauges of
+    `gauges.gauge_sensors`.
 
     It counts up to the highest frequency that it shows and until its motion has decayed, or as `counted_part` says.
     Raises RigError if the recording is too short, has no sensors of motion or shows none.
     """
     rig, rate_hz, sample_count = recording.rig, recording.rig.sample_rate_hz, recording.samples
-    joined_rig, tolerances = group_rig_of(rig), tolerances or rig.tolerances or LABORATORY
-    motion_sensors, gauges = read_sensors(recording), gauge_sensors(recording)
+    joined_rig, tolerances = rig_with_joined_contacts(rig), tolerances or rig.tolerances or LABORATORY
+    motion_sensors, gauges = diagnosis_sensors(recording), gauge_sensors(recording)
     sensors, motion_count = (*motion_sensors, *gauges), len(motion_sensors)
     beginning = beginning_of(recording, motion_sensors)
     check_length(recording, beginning)
     noise_densities = sensor_noise_densities(recording, sensors, beginning.quiet_sample_count)
-    highest_hz = highest_hz_of(recording, motion_sensors, noise_densities[:motion_count], tolerances)
+    highest_hz = highest_diagnosed_hz(recording, motion_sensors, noise_densities[:motion_count], tolerances)
     modes: tuple[MeasuredMode, ...] = ()
     is_floating = rig.contacts and any(body.is_mass or body.rigid_modes for body in rig.bodies)
     if beginning.fits_initial_state and not is_floating:
@@ -79,12 +80,12 @@ def record_of(
     transform = transform_of(recording, beginning, decimation)
     omega = transform.omega
     sensor_spectra, eta_above_band = _sensor_spectra_and_eta_above(recording, transform, joined_rig, sensors)
-    gauge_zeros, gauge_zero_errors = zeros_of(recording, gauges, beginning)
+    gauge_zeros, gauge_zero_errors = gauge_zeros_and_deviations(recording, gauges, beginning)
     sensor_spectra[motion_count:] -= np.outer(gauge_zeros, transform.spectrum(np.ones(sample_count))[: omega.size])
     noise_per_line, corner_hz = sample_count * noise_densities**2 * rate_hz / 2, CORNER_HZ
     if not (rig.contacts or beginning.zero_known):  # contacts have drifts for the slow motion
         motion_power = np.abs(sensor_spectra[:motion_count]) ** 2
-        corner_hz = noise_corner_hz(rig, omega, motion_power, noise_per_line[:motion_count])
+        corner_hz = integration_corner_hz(rig, omega, motion_power, noise_per_line[:motion_count])
     acceleration_per_signal, displacement_per_signal = (
         np.stack([omega_power(omega, order - sensor.measures.order, corner_hz) for sensor in sensors])
         for order in (2, 0)
@@ -98,7 +99,7 @@ def record_of(
     base, base_velocity_correction = _base_and_velocity_corrections(recording, transform, beginning, corner_hz)
     period_samples = _period_samples(recording.forces_n[:, beginning.excitation_start_sample :])
     unsettled_noise_factor = _unsettled_noise_factors(rig, sensors, omega) if beginning.fits_initial_state else 1.0
-    static_ratio = np.stack([_static_acceleration_ratio(rig, sensor, omega) for sensor in sensors])
+    static_ratio = np.stack([_quasi_static_acceleration_factor(rig, sensor, omega) for sensor in sensors])
     counted_end_s = counted_part.end_s if counted_part else None
     return Record(
         rig=rig,
@@ -122,12 +123,14 @@ def record_of(
         smoothed_power=_smoothed_power(accelerations, static_ratio, transform),
         corner_hz=corner_hz,
         eta_above_band=eta_above_band,
-        drifts=_drifts(recording, joined_rig, motion_sensors, tolerances, beginning),
+        drifts=_drift_priors(recording, joined_rig, motion_sensors, tolerances, beginning),
         excitation_start_s=beginning.excitation_start_sample / rate_hz,
         period_s=None if period_samples is None else period_samples / rate_hz,
         tolerances=tolerances,
         fits_initial_state=beginning.fits_initial_state,
-        initial_sensor_states=np.array([_initial_state(recording.values_of(sensor), rate_hz) for sensor in sensors]),
+        initial_sensor_states=np.array(
+            [_initial_value_and_slope(recording.values_of(sensor), rate_hz) for sensor in sensors]
+        ),
         measured_modes=modes,
         counted_slice=_counted_slice(sample_count, transform, beginning, accelerations[:motion_count], counted_end_s),
         responses_windowed=not rig.contacts,
@@ -147,13 +150,13 @@ def _signal_factors(
     return signal_factors
 
 
-def _initial_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
+def _initial_value_and_slope(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
     """Value and slope of a signal at its first sample, by a cubic through its first samples."""
     time_s = np.arange(INITIAL_SAMPLE_COUNT) / rate_hz
     return np.polynomial.polynomial.polyfit(time_s, signal[:INITIAL_SAMPLE_COUNT], 3)[:2]
 
 
-def _drifts(
+def _drift_priors(
     recording: Recording,
     joined_rig: Rig,
     sensors: tuple[Sensor, ...],
@@ -165,9 +168,11 @@ def _drifts(
     if not beginning.integrates:
         return (None,) * len(joined_rig.contacts)
     sensor_kinematics = kinematics(recording, sensors[0].quantity, least_order=2)
-    noise_deviations = acceleration_noise(sensor_kinematics, recording.rig)
+    noise_deviations = acceleration_noise_m_per_s2(sensor_kinematics, recording.rig)
     return tuple(
-        drift_of(joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples)
+        contact_drift_prior(
+            joined_rig, sensor_kinematics, contact_index, noise_deviations, tolerances, recording.samples
+        )
         for contact_index in range(len(joined_rig.contacts))
     )
 
@@ -190,7 +195,7 @@ def _sensor_spectra_and_eta_above(
     return sensor_spectra, eta_above_band
 
 
-def _static_acceleration_ratio(
+def _quasi_static_acceleration_factor(
     rig: Rig, sensor: Sensor, omega: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, " lines"]:
     """Approximate acceleration per force of a body below its first mode, omega^2 / (omega^2 + omega_1^2); one for a
@@ -252,7 +257,7 @@ def _base_and_velocity_corrections(
     """Spectra of a measured base, and its part in the velocity corrections of the sensors; None, 0 without one."""
     if not recording.rig.base_sensors:
         return None, 0.0
-    rig, omega, sensors = recording.rig, transform.omega, read_sensors(recording)
+    rig, omega, sensors = recording.rig, transform.omega, diagnosis_sensors(recording)
     sensor = base_sensor(rig)
     base_signal, base_order = recording.values_of(sensor), sensor.measures.order
     spectrum = transform.spectrum(base_signal)[: omega.size]
@@ -291,7 +296,9 @@ def _counted_slice(
 
 def _period_samples(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
     """Common period of all forces in samples; None if there is none."""
-    first_period, *further_periods = {period_of(force_n) for force_n in forces_n if np.any(force_n)} or {None}
+    first_period, *further_periods = {force_period_samples(force_n) for force_n in forces_n if np.any(force_n)} or {
+        None
+    }
     return None if further_periods else first_period
 
 

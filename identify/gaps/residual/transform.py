@@ -62,7 +62,7 @@ class RecordTransform:
 def transform_of(recording: Recording, beginning: RecordBeginning, decimation: int) -> RecordTransform:
     """Transform of the lowest lines; the record fades out, and in unless it starts quiet or with a blow."""
     rate_hz, sample_count = recording.rig.sample_rate_hz, recording.samples
-    ringing_sample_count = round(_ring_down_s(recording.rig) * rate_hz)
+    ringing_sample_count = round(_ring_down_padding_s(recording.rig) * rate_hz)
     padded_length = decimation * next_fast_len(-(-(sample_count + ringing_sample_count) // decimation), real=True)
     window = taper(sample_count, max(2, round(beginning.fade_length_s * rate_hz)))
     if beginning.zero_known and not beginning.fits_initial_state:  # differentiated twice, a kink in w'' would ring
@@ -74,7 +74,7 @@ def transform_of(recording: Recording, beginning: RecordBeginning, decimation: i
     return RecordTransform(rate_hz, padded_length, decimation, window)
 
 
-def _ring_down_s(rig: Rig) -> float:
+def _ring_down_padding_s(rig: Rig) -> float:
     """Padding in which a rig rings down, s: without contacts until its slowest mode has decayed."""
     if rig.contacts:
         return RING_S

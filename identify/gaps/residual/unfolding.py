@@ -11,7 +11,7 @@ from dataclasses import replace as with_fields
 
 from msgspec.structs import replace
 
-from identify.contacts.space_contacts import recording_from_rest
+from identify.contacts.space_contacts import recording_relative_to_rest
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Contact, Rig, Station
@@ -66,31 +66,41 @@ class Unfolding:
         """Unfolded rig: a plane one, without weight, which changes no linear residual."""
         y_rig, z_rig = in_plane(self.space_rig, "y"), in_plane(self.space_rig, "z")
         twin_contacts = tuple(
-            replace(c, name=c.name + IN_Z, at=_twin(c.at), against=None if c.against is None else _twin(c.against))
+            replace(
+                c,
+                name=c.name + IN_Z,
+                at=_z_twin_station(c.at),
+                against=None if c.against is None else _z_twin_station(c.against),
+            )
             for c in z_rig.contacts
         )
-        sensor_by_name = {s.name: replace(s, station=_twin(s.station)) for s in z_rig.sensors}
+        sensor_by_name = {s.name: replace(s, station=_z_twin_station(s.station)) for s in z_rig.sensors}
         sensor_by_name |= {s.name: s for s in y_rig.sensors}
-        force_stations = tuple(_twin(station_in_y(s)) if s.direction == "z" else s for s in self.space_rig.forces)
+        force_stations = tuple(
+            _z_twin_station(station_in_y(s)) if s.direction == "z" else s for s in self.space_rig.forces
+        )
         return replace(
             y_rig,
             bodies=(*y_rig.bodies, *(replace(b, name=b.name + IN_Z) for b in z_rig.bodies)),
             contacts=(*y_rig.contacts, *twin_contacts),
             force_at=force_stations if len(force_stations) > 1 else force_stations[0],
             sensors=tuple(sensor_by_name[s.name] for s in self.space_rig.sensors),
-            masses=(*y_rig.masses, *(replace(m, station=_twin(m.station)) for m in y_rig.masses)),
-            supports=(*y_rig.supports, *(replace(s, station=_twin(s.station)) for s in y_rig.supports)),
+            masses=(*y_rig.masses, *(replace(m, station=_z_twin_station(m.station)) for m in y_rig.masses)),
+            supports=(*y_rig.supports, *(replace(s, station=_z_twin_station(s.station)) for s in y_rig.supports)),
             clamps=(*y_rig.clamps, *(replace(c, body=c.body + IN_Z) for c in y_rig.clamps)),
             gravity_m_per_s2=0.0,
             **{
-                field: (*getattr(y_rig, field), *(replace(x, station=_twin(x.station)) for x in getattr(z_rig, field)))
+                field: (
+                    *getattr(y_rig, field),
+                    *(replace(x, station=_z_twin_station(x.station)) for x in getattr(z_rig, field)),
+                )
                 for field in ELEMENTS
             },
         )
 
     def unfolded_recording(self, space_recording: Recording) -> Recording:
         """Recording of the unfolded rig; displacements count from the rest position."""
-        return with_rig(recording_from_rest(space_recording), self.unfolded_rig)
+        return with_rig(recording_relative_to_rest(space_recording), self.unfolded_rig)
 
     def folded(self, rig: Rig) -> Rig:
         """Rig in space of an unfolded rig with effects or drawn bodies; what twins share is that of the body in y."""
@@ -126,7 +136,7 @@ class Unfolding:
         )
 
 
-def transverse_index(stations: Sequence[Station]) -> dict[int, int]:
+def transverse_station_indices(stations: Sequence[Station]) -> dict[int, int]:
     """Index of the station of the other direction at the same place, by the index of each that has one."""
     index_by_place = {(station.body, station.position_m): k for k, station in enumerate(stations)}
     index_pairs = [(k, index_by_place.get((s.body + IN_Z, s.position_m))) for k, s in enumerate(stations)]
@@ -143,5 +153,5 @@ def with_rig(recording: Recording, rig: Rig) -> Recording:
     return with_fields(recording, rig=rig, signals=signals)
 
 
-def _twin(station: Station) -> Station:
+def _z_twin_station(station: Station) -> Station:
     return replace(station, body=station.body + IN_Z)

@@ -51,13 +51,13 @@ def known_forces_of(
         lag_factor = np.exp(-1j * record.omega * rig.force_sensor.lag_s)
         measured_forces_n = record.force_spectra * lag_factor / rig.force_sensor.gain
     else:
-        measured_forces_n = -record.base.in_rig(rig, record.omega).acceleration[None]
+        measured_forces_n = -record.base.deconvolved(rig, record.omega).acceleration[None]
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions, following_rig = [], with_motion_following_dampers(record, rig)
+    ground_reactions, following_rig = [], with_measured_motion_dampers_only(record, rig)
     if has_ground_forces(following_rig):
         ground_reactions = ground_forces(record, following_rig, responses, sensor_places, motion)
     measured_forces = zip(rig.forces, measured_forces_n, strict=True)
-    return (*measured_forces, *tone_forces, *_loads_from_rest(record, rig), *ground_reactions)
+    return (*measured_forces, *tone_forces, *_static_loads_on_free_masses(record, rig), *ground_reactions)
 
 
 def response_to_force(
@@ -68,7 +68,7 @@ def response_to_force(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
     accelerations = acceleration_per_newton * force_spectrum
-    is_ringing_on = np.array([_rings_on(record, rig, sensor.station.body) for sensor in record.sensors])
+    is_ringing_on = np.array([_is_response_windowed(record, rig, sensor.station.body) for sensor in record.sensors])
     if not is_ringing_on.any():
         return accelerations
     unwindowed = acceleration_per_newton * _unwindowed_force(record, force_spectrum)
@@ -81,28 +81,28 @@ def modal_response(
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     body_name = response.body.name
-    if not _rings_on(record, rig, body_name):
+    if not _is_response_windowed(record, rig, body_name):
         return response.modal_accelerations(modal_force_spectra)
     derivative_order = next((sensor.measures.order for sensor in record.sensors if sensor.station.body == body_name), 2)
     unwindowed_response = response.modal_accelerations(_unwindowed_force(record, modal_force_spectra))
     return _windowed_accelerations(record, unwindowed_response, [derivative_order] * len(unwindowed_response))
 
 
-def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
+def _static_loads_on_free_masses(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
     """Windowed static loads that move free bodies from the record's start on, each with its station."""
     spectrum_of_one = record.spectrum(np.ones(record.sample_count)) if rig.loads else np.zeros(0)
     return [
         (load.station, load.force_n * spectrum_of_one)
-        for load in _loads_without_contacts(record, rig)
+        for load in _loads_on_contactless_bodies(record, rig)
         if is_free_mass(rig, load.station.body)
     ]
 
 
-def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
+def static_modal_accelerations(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a held body that rests under static loads: second derivatives of its windowed static
     displacements phi F / omega^2 in each mode."""
     body_name = response.body.name
-    loads = [load for load in _loads_without_contacts(record, rig) if load.station.body == body_name]
+    loads = [load for load in _loads_on_contactless_bodies(record, rig) if load.station.body == body_name]
     if not loads or is_free_mass(rig, body_name):
         return np.zeros((response.mode_count, record.omega.size), dtype=complex)
     modal_load_n = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
@@ -110,13 +110,13 @@ def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.
     return np.outer(displacements, -(record.omega**2) * record.spectrum(np.ones(record.sample_count)))
 
 
-def _loads_without_contacts(record: Record, rig: Rig) -> list[StaticLoad]:
+def _loads_on_contactless_bodies(record: Record, rig: Rig) -> list[StaticLoad]:
     """Static loads on bodies without contacts, where the zero of displacements is known."""
     bodies_in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
     return [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
 
 
-def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
+def _is_response_windowed(record: Record, rig: Rig, body_name: str) -> bool:
     """True for a held body in a record whose responses are windowed."""
     return record.responses_windowed and not is_free_mass(rig, body_name)
 
@@ -125,7 +125,7 @@ def _unwindowed_force(
     record: Record, force_spectrum: Complex[np.ndarray, "*rows lines"]
 ) -> Complex[np.ndarray, "*rows lines"]:
     """Force up to the record's end from the windowed one, F(t) = (w F)(t) / w(t) where w > LEAST_WINDOW."""
-    window = _window_fall(record)
+    window = _falling_half_window(record)
     windowed = irfft(force_spectrum, window.size)
     return np.asarray(rfft(np.divide(windowed, window, out=np.zeros_like(windowed), where=window > LEAST_WINDOW)))
 
@@ -134,12 +134,12 @@ def _windowed_accelerations(
     record: Record, accelerations: Complex[np.ndarray, "rows lines"], derivative_orders: Sequence[int]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
-    window_fall = _window_fall(record)
+    window_fall = _falling_half_window(record)
     per_acceleration = np.stack([omega_power(record.omega, 2 - order, 0.0) for order in derivative_orders])
     return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
 
 
-def _window_fall(record: Record) -> Float[np.ndarray, " padded"]:
+def _falling_half_window(record: Record) -> Float[np.ndarray, " padded"]:
     """Falling half of the window over the padded record at `rate_hz`, one before it."""
     window = record.window[:: record.decimation]
     window_fall = np.zeros(record.transform_length // record.decimation)
@@ -206,14 +206,14 @@ def ground_force_derivative(
     return force_changes
 
 
-def with_motion_following_dampers(record: Record, rig: Rig) -> Rig:
+def with_measured_motion_dampers_only(record: Record, rig: Rig) -> Rig:
     """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
     motion is fitted, or whose windowed acceleration is measured."""
     return replace(rig, dampers=tuple(damper for damper in rig.dampers if not _is_linear(record, rig, damper)))
 
 
 def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
-    """Dampers that the linear model holds; see `with_motion_following_dampers`."""
+    """Dampers that the linear model holds; see `with_measured_motion_dampers_only`."""
     return [damper for damper in rig.dampers if _is_linear(record, rig, damper)]
 
 
@@ -227,7 +227,7 @@ def has_ground_forces(rig: Rig) -> bool:
     return bool(_cubic_springs(rig) or rig.dampers)
 
 
-def needs_every_line(rig: Rig) -> bool:
+def has_nonlinear_ground_forces(rig: Rig) -> bool:
     """True if forces to the ground are nonlinear, so that they cannot be computed from a selection of lines."""
     return bool(_cubic_springs(rig)) or any(damper.friction_n for damper in rig.dampers)
 

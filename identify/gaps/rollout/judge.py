@@ -24,9 +24,9 @@ from identify.gaps.rollout.states import MeasuredMotion, measured_motion
 from identify.gaps.rollout.windows import (
     Windows,
     disjoint_starts,
-    horizon_of,
     measured_and_predicted,
     median_errors,
+    predictable_horizon_samples,
     prediction_errors,
     rms_by_window,
 )
@@ -61,7 +61,7 @@ def judge_correction(
     Three rigs are predicted: the nominal one, the nominal one fitted within its tolerances, and the corrected one
     fitted likewise, which must not be worse than the second.
     """
-    horizon_samples = horizon_of(nulls)
+    horizon_samples = predictable_horizon_samples(nulls)
     if horizon_samples is None:
         return Rollout(code="no_horizon")
     motions = [
@@ -83,13 +83,15 @@ def judge_correction(
         decay_modes = () if record.has_force else _decay_modes(nominal, corrected, record, predict, first_sample, stop)
     except RigError:
         return Rollout(code="not_simulated")
-    ratios_by_block = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
-    errors_of_all, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
+    ratios_by_block = error_log_ratios_by_block(fitted_errors, corrected_errors, window_starts, rate_hz)
+    errors_of_all, *by_sensor = _errors_by_sensor(
+        nominal_errors, corrected_errors, null_error_medians_and_limits(nulls, horizon_samples)
+    )
     shrunk_95 = None
     if errors_of_all.shrunk is not None:
         block_of_window = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
         nominal_rms, corrected_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
-        shrunk_95 = _shrinkage_interval(nominal_rms, corrected_rms, errors_of_all.null_median, block_of_window)
+        shrunk_95 = _removed_share_interval_95(nominal_rms, corrected_rms, errors_of_all.null_median, block_of_window)
     return Rollout(
         code=veto_code(ratios_by_block),
         horizon_s=horizon_samples / rate_hz,
@@ -189,16 +191,16 @@ def compared_modes(
 
 
 @dataclass(frozen=True)
-class BlockRatios:
+class BlockLogRatios:
     """Log ratios ln(E_corrected / E_nominal) by blocks of 1 s, and those expected of a right correction."""
 
     log_ratios: Float[np.ndarray, " blocks"]
     expected_log_ratios: Float[np.ndarray, " blocks"]
 
 
-def block_ratios(
+def error_log_ratios_by_block(
     nominal_errors: Windows, corrected_errors: Windows, window_starts: Int[np.ndarray, " windows"], rate_hz: float
-) -> BlockRatios:
+) -> BlockLogRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
     block_samples = min(nominal_errors.shape[2], round(BLOCK_S * rate_hz))
     block_starts = range(0, nominal_errors.shape[2] - block_samples // 2, block_samples)
@@ -213,7 +215,7 @@ def block_ratios(
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
     block_numbers = np.floor(middle_s / BLOCK_S).ravel()
-    return BlockRatios(*(_means_by_block(ratios.ravel(), block_numbers) for ratios in log_ratios))
+    return BlockLogRatios(*(_means_by_block(ratios.ravel(), block_numbers) for ratios in log_ratios))
 
 
 def _means_by_block(
@@ -223,7 +225,7 @@ def _means_by_block(
     return np.array([values[block_numbers == block_number].mean() for block_number in np.unique(block_numbers)])
 
 
-def veto_code(ratios_by_block: BlockRatios) -> Code:
+def veto_code(ratios_by_block: BlockLogRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
     log_ratios = ratios_by_block.log_ratios
     veto_limit = max(WORSE_LOG_RATIO, _veto_quantile(log_ratios.size) * standard_error_of_mean(log_ratios))
@@ -235,10 +237,10 @@ def _veto_quantile(value_count: int) -> float:
     return float(student.ppf(1 - VETO_P_VALUE, value_count - 1))
 
 
-def falls_short(ratios: BlockRatios) -> bool:
+def falls_short(ratios: BlockLogRatios) -> bool:
     """True if the predictions differ but do not improve as those of a right correction would.
 
-    This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
+    This holds as well for two rigs within the tolerances that err alike: simulations decide (`with_simulation_veto`).
     """
     log_ratios, shortfalls = ratios.log_ratios, ratios.log_ratios - ratios.expected_log_ratios
     quantile = _veto_quantile(log_ratios.size)
@@ -247,7 +249,7 @@ def falls_short(ratios: BlockRatios) -> bool:
     return bool(is_different and log_ratios.mean() > -quantile * standard_error_of_mean(log_ratios))
 
 
-def log_ratio_of(
+def mean_error_log_ratio(
     recording: Recording, nominal_residual: Residual, corrected_residual: Residual, horizon: int, predict: Predict
 ) -> float:
     """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon in samples."""
@@ -255,14 +257,19 @@ def log_ratio_of(
     first_sample, stop_sample = _common_samples(motions)
     starts = disjoint_starts(first_sample, stop_sample - first_sample, horizon, MAX_WINDOW_COUNT)
     nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, horizon) for motion in motions)
-    return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
+    return float(
+        error_log_ratios_by_block(
+            nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz
+        ).log_ratios.mean()
+    )
 
 
-def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
+def with_simulation_veto(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
     """Rollout with the veto `no_improvement` if it falls short of simulated machines that have the named effects.
 
-    `simulated_log_ratios` are the means of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
-    The veto needs a log ratio above Student's prediction limit of theirs, and a limit below -BETTER_LOG_RATIO / 2.
+    `simulated_log_ratios` are the means of three or more such machines (`mean_error_log_ratio`), fitted and predicted
+    likewise. The veto needs a log ratio above Student's prediction limit of theirs, and a limit below -BETTER_LOG_RATIO
+    / 2.
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
@@ -282,7 +289,7 @@ def standard_error_of_mean(blocks: Float[np.ndarray, " blocks"]) -> float:
     return float(np.sqrt(squares / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
 
 
-def null_bounds(nulls: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
+def null_error_medians_and_limits(nulls: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
     rows = [(null, null.samples.index(horizon_samples)) for null in nulls if horizon_samples in null.samples]
@@ -303,7 +310,7 @@ def _errors_by_sensor(
             corrected=corrected,
             null_median=null_median,
             null_95=null_95,
-            shrunk=None if nominal <= null_95 else shrunk_share(nominal, corrected, null_median),
+            shrunk=None if nominal <= null_95 else removed_mismatch_share(nominal, corrected, null_median),
         )
         for nominal, corrected, (null_median, null_95) in zip(
             median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
@@ -311,22 +318,24 @@ def _errors_by_sensor(
     ]
 
 
-def shrunk_share(nominal_error: float, corrected_error: float, null_error: float) -> float:
+def removed_mismatch_share(nominal_error: float, corrected_error: float, null_error: float) -> float:
     """Share of the mismatch beyond null simulations that a correction removes, at most 1."""
     return min(1.0, (nominal_error**2 - corrected_error**2) / max(nominal_error**2 - null_error**2, 1e-300))
 
 
-def _shrinkage_interval(
+def _removed_share_interval_95(
     nominal: Float[np.ndarray, " windows"],
     corrected: Float[np.ndarray, " windows"],
     null_error: float,
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
-    """95 % interval of `shrunk_share` by a bootstrap over blocks."""
+    """95 % interval of `removed_mismatch_share` by a bootstrap over blocks."""
     rng, block_windows = np.random.default_rng(0), [np.flatnonzero(blocks == block) for block in np.unique(blocks)]
     shares = []
     for _ in range(BOOTSTRAP_DRAW_COUNT):
         drawn = np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
-        shares.append(shrunk_share(float(np.median(nominal[drawn])), float(np.median(corrected[drawn])), null_error))
+        shares.append(
+            removed_mismatch_share(float(np.median(nominal[drawn])), float(np.median(corrected[drawn])), null_error)
+        )
     lower, upper = np.quantile(shares, [0.025, 0.975])
     return float(lower), float(upper)

@@ -27,7 +27,7 @@ class PredictionErrors(msgspec.Struct, frozen=True, kw_only=True):
     shrunk: float | None
 
     @property
-    def at_floor(self) -> bool:
+    def is_within_null_errors(self) -> bool:
         """True if the nominal rig predicts as well as machines within the tolerances."""
         return self.shrunk is None
 

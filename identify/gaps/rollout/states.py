@@ -22,7 +22,7 @@ from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.linear.joined import group_rig_of
+from identify.linear.joined import rig_with_joined_contacts
 from identify.signals.kinematics import CORNER_HZ, kinematics
 from rig.model.description import Body, Rig, Station
 from rig.model.modes import Modes, modes_of
@@ -146,7 +146,7 @@ class _StationModes:
 
 def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...]) -> _StationModes:
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
-    record, contacts = residual.model.record, group_rig_of(rig).contacts
+    record, contacts = residual.model.record, rig_with_joined_contacts(rig).contacts
     modal_motions = {
         response.body.name: (motion, response.dynamics.high_passed_modes)
         for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)

@@ -101,7 +101,7 @@ def disjoint_starts(
     return np.asarray(first_sample + np.round(offsets).astype(int))
 
 
-def horizon_of(nulls: Sequence[NullErrors]) -> int | None:
+def predictable_horizon_samples(nulls: Sequence[NullErrors]) -> int | None:
     """Longest horizon, samples, at which the median null simulation is predicted; None if there is none."""
     errors_by_horizon = [
         dict(zip(null.samples, (all_sensors for all_sensors, *_ in null.within), strict=True)) for null in nulls

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal.windows import hann
 
 from identify.gaps.residual.linear import linear_model
-from identify.gaps.residual.nuisance import residual_scale
+from identify.gaps.residual.nuisance import line_to_time_residual_factor
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.spectra import SMOOTHING_BANDWIDTH_HZ
 from identify.gaps.search.candidates import Candidate
@@ -92,10 +92,10 @@ def _pattern_spectra(linearization: Linearization, residual: Residual) -> _Patte
     pattern = signal_per_input[contact_count]
     contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", signal_per_input[:contact_count], contact_forces)
-    spectra = _windowed_spectra(linearization, residual)
+    spectra = _hann_windowed_residual_spectra(linearization, residual)
     smoothing_line_count = max(1, round(SMOOTHING_BANDWIDTH_HZ * record.transform_length / record.sample_rate_hz))
     sensor_rms = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_line_count, axis=1), 1e-300))
-    pattern_power, unit_motion_power = _power_and_size(spectra / sensor_rms, pattern / sensor_rms)
+    pattern_power, unit_motion_power = _pattern_power_and_squared_norm(spectra / sensor_rms, pattern / sensor_rms)
     remaining_power = np.sum(np.abs(spectra / sensor_rms) ** 2, axis=0) - pattern_power
     remaining_power = remaining_power / max(1, len(spectra) - contact_count - 1)
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_line_count), 1e-300)
@@ -104,7 +104,7 @@ def _pattern_spectra(linearization: Linearization, residual: Residual) -> _Patte
         lines_hz,
         pattern_power / noise_power,
         unit_motion_power / noise_power,
-        _power_and_size(spectra, pattern)[0] - noise_by_pattern,
+        _pattern_power_and_squared_norm(spectra, pattern)[0] - noise_by_pattern,
         np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern,
     )
 
@@ -119,7 +119,9 @@ def _band_estimate(
     is_in_range = (lines_hz >= ranges["low_hz"].low) & (lines_hz <= ranges["high_hz"].high)
     largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
-        gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, unit_motion_power), 0.0)
+        gain_by_line = np.where(
+            is_in_range, _log_likelihood_gains_by_line(trial_density, pattern_power, unit_motion_power), 0.0
+        )
         interval_gain, interval_lines = _interval_of_largest_sum(gain_by_line)
         if interval_gain > largest_gain:
             largest_gain, best_lines, best_density = interval_gain, interval_lines, trial_density
@@ -129,7 +131,9 @@ def _band_estimate(
         return None
     band_power_and_size = pattern_power[best_lines], unit_motion_power[best_lines]
     best_density, relative_error = _fitted_density(best_density, *band_power_and_size, counted_share)
-    gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, unit_motion_power), 0.0)
+    gain_by_line = np.where(
+        is_in_range, _log_likelihood_gains_by_line(best_density, pattern_power, unit_motion_power), 0.0
+    )
     gain_by_line = gain_by_line * counted_sample_count / record.transform_length / WINDOW_BANDWIDTH_LINES
     cumulative_gain = np.concatenate([[0.0], np.cumsum(gain_by_line)])
     resolution_hz = record.sample_rate_hz / counted_sample_count
@@ -142,7 +146,7 @@ def _band_estimate(
     return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])
 
 
-def _power_and_size(
+def _pattern_power_and_squared_norm(
     spectra: Complex[np.ndarray, "sensors lines"], pattern: Complex[np.ndarray, "sensors lines"]
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """Power |p'y|^2/|p|^2 of a pattern p in spectra y at every line, and its size |p|^2."""
@@ -152,7 +156,7 @@ def _power_and_size(
     ), unit_motion_power
 
 
-def _line_gains(
+def _log_likelihood_gains_by_line(
     density: float, pattern_power: Float[np.ndarray, " lines"], unit_motion_power: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, " lines"]:
     """Gain of each line's log likelihood by a spectral density."""
@@ -170,7 +174,9 @@ def _fitted_density(
     """Likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
     log_density_bounds = np.log(start_density) + np.array([-1.0, 1.0]) * np.log(10)
     optimum = minimize_scalar(
-        lambda log_density: -np.sum(_line_gains(np.exp(log_density), pattern_power, unit_motion_power)),
+        lambda log_density: (
+            -np.sum(_log_likelihood_gains_by_line(np.exp(log_density), pattern_power, unit_motion_power))
+        ),
         bounds=log_density_bounds,
         method="bounded",
     )
@@ -189,13 +195,15 @@ def _band_edge(
     return mean_hz, float(np.sqrt(probabilities @ (lines_hz - mean_hz) ** 2 + resolution_hz**2))
 
 
-def _windowed_spectra(linearization: Linearization, residual: Residual) -> Complex[np.ndarray, "sensors lines"]:
+def _hann_windowed_residual_spectra(
+    linearization: Linearization, residual: Residual
+) -> Complex[np.ndarray, "sensors lines"]:
     """Spectra of the residual on the record's lines, under a Hann window so that no band leaks into another."""
     record = linearization.record
     sensor_residuals = residual.linear_residual[: len(record.sensors)]
     window = hann(sensor_residuals.shape[1]) * np.sqrt(8 / 3)
     spectrum = np.fft.rfft(sensor_residuals * window, record.transform_length // record.decimation)
-    return np.asarray(spectrum * record.decimation / residual_scale(record))
+    return np.asarray(spectrum * record.decimation / line_to_time_residual_factor(record))
 
 
 def _interval_of_largest_sum(gain_by_line: Float[np.ndarray, " lines"]) -> tuple[float, slice]:

@@ -17,12 +17,12 @@ from identify.gaps.search.hypothesis import (
     Search,
     combined_hypothesis,
     fit_briefly,
-    fit_spectrum,
-    fit_with_values,
+    fit_nuisance_at_values,
+    fit_stochastic_effect,
     refined,
     reset_saturated_nuisance,
 )
-from identify.gaps.search.nominal import fitted_nuisance
+from identify.gaps.search.nominal import nuisance_fit
 from identify.gaps.search.singles import single_effect_fits
 from rig.model.description import Rig
 
@@ -34,7 +34,7 @@ def is_stochastic(hypothesis: Hypothesis) -> bool:
 def linearized_about(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation about the rig of a fitted set, with the tolerances fitted in it."""
     linearization = set_fit.linearization.relinearized(set_rig, set_fit.residual, set_fit.linearization.scales)
-    return linearization, fitted_nuisance(linearization, set_fit.residual).residual
+    return linearization, nuisance_fit(linearization, set_fit.residual).residual
 
 
 def search_about(search: Search, set_fit: FittedHypothesis, remaining_candidates: Sequence[Candidate]) -> Search:
@@ -69,17 +69,17 @@ def with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypoth
     too.
     """
     base_candidates = [candidate for candidate in search.candidates if candidate.kind.stochastic]
-    if not base_candidates or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
+    if not base_candidates or is_stochastic(best_set.hypothesis) or not best_set.hypothesis.has_unexplained_misfit:
         return best_set
     base_search = search_about(search, best_set, ())
     set_fit = base_search.nominal_fit()
     for candidate in base_candidates:
-        base_motion_fit = fit_spectrum(base_search, set_fit, candidate, beside_set=True)
+        base_motion_fit = fit_stochastic_effect(base_search, set_fit, candidate, beside_set=True)
         if base_motion_fit is None:
             continue
-        if in_nominal_rig := fit_spectrum(search, search.nominal_fit(), candidate, beside_set=True):
+        if in_nominal_rig := fit_stochastic_effect(search, search.nominal_fit(), candidate, beside_set=True):
             values, variances = in_nominal_rig.hypothesis.values, np.diag(in_nominal_rig.hypothesis.covariance)
-            other_fit = fit_with_values(base_search, set_fit, candidate, values, np.sqrt(variances))
+            other_fit = fit_nuisance_at_values(base_search, set_fit, candidate, values, np.sqrt(variances))
             base_motion_fit = min(filter(None, (base_motion_fit, other_fit)), key=lambda fitted: fitted.cost)
         if best_set.cost - base_motion_fit.cost > MIN_GAIN:
             joined_hypothesis = combined_hypothesis(best_set, base_motion_fit)

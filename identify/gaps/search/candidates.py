@@ -130,7 +130,7 @@ def contains(container: Candidate, contained: Candidate) -> bool:
     return contained.kind.name in container.kind.contains and contained.place == container.place
 
 
-def model_names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+def equivalent_names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
     """Names of effects, the same for sets that span the same rigs: any two of the stiffnesses of both stops of a
     contact, of its lower and of its upper one do."""
     stops = Counter(c.place["contact"] for c in candidates if c.kind.name in STOP_STIFFNESSES)
@@ -148,7 +148,7 @@ def _has_logarithmic_range(parameter: Parameter) -> bool:
     return parameter.low > 0 and parameter.high > 20 * parameter.low
 
 
-def scale_of(record: Record, rig: Rig) -> Scale:
+def effect_range_scale(record: Record, rig: Rig) -> Scale:
     """Scale of the effects' ranges: the rig, and the record's force (root mean square, N) and duration (s).
 
     In a free decay, and on a shaken base, the inertial forces of the bodies, averaged over the sensors, stand for the
@@ -214,7 +214,7 @@ def strength_columns(
         values = start_values.copy()
         values[index] = start_values[index] + candidate.step_sizes[index]
         rig = candidate.applied(linearization.rig, values)
-        column = attached_column(linearization, rig, residual)
+        column = attachment_residual_decrease(linearization, rig, residual)
         decreases.append(column or residual_decrease(linearization, rig, residual))
     return decreases
 
@@ -226,7 +226,9 @@ def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
     return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
 
 
-def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> ResidualColumn | None:
+def attachment_residual_decrease(
+    linearization: Linearization, changed_rig: Rig, residual: Residual
+) -> ResidualColumn | None:
     """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
 
     They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
@@ -238,7 +240,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     attached_forces = _attached_forces(record, model, attachments)
     attachment_signals = signals_by_forces(model, sensor_places_of(record, model.rig), attached_forces)
     linear_decrease, contact_decrease_n = model.projection.applied_to(attachment_signals)
-    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_decrease_n)
+    eta_decrease_m = -model.eta_by_unobserved_modes_m(attached_forces, -contact_decrease_n)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 

@@ -68,7 +68,7 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     Unmeasured excitation (a base motion, a tone) stays in the scatter.
     """
     contact_names = [contact.name for contact in rig.contacts]
-    if unmodelled_part := _unmodelled_part(rig):
+    if unmodelled_part := _feature_beyond_contact_fit(rig):
         refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
         return LawOutcomes((), dict.fromkeys(contact_names, refusal))
     force_data = recording.signals["force"]
@@ -85,7 +85,7 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     return LawOutcomes(estimates, outcomes.refusals)
 
 
-def _unmodelled_part(rig: Rig) -> str:
+def _feature_beyond_contact_fit(rig: Rig) -> str:
     """Part of a rig that the contact fit does not model; empty if it models all."""
     if rig.loads:
         return "a constant force"
@@ -135,7 +135,7 @@ def with_contact_fit(
     Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
     """
     nominal_rig, values = recordings[0].rig, hypothesis.values.copy()
-    law_change = _law_change(hypothesis, nominal_rig)
+    law_change = _law_parameter_derivatives(hypothesis, nominal_rig)
     if law_change is None:
         return hypothesis
     rig, free = hypothesis.applied_to(nominal_rig), law_change.free_indices
@@ -155,7 +155,7 @@ def with_contact_fit(
 
 
 @dataclass(frozen=True)
-class LawChange:
+class LawParameterDerivatives:
     """Numbers y of every contact's law under a hypothesis, and dy/dv for the `free_indices` that change them."""
 
     law_parameters: Float[np.ndarray, "contacts 4"]
@@ -163,7 +163,7 @@ class LawChange:
     free_indices: Int[np.ndarray, " free"]
 
 
-def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
+def _law_parameter_derivatives(hypothesis: Hypothesis, nominal_rig: Rig) -> LawParameterDerivatives | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
     values, steps = hypothesis.values, step_sizes_of(hypothesis.candidates)
     steps = DERIVATIVE_STEP * np.where(values + steps > hypothesis.parameters.bounds[1], -steps, steps)
@@ -180,7 +180,11 @@ def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
         [(parameters - nominal_parameters) / step for parameters, step in zip(stepped_parameters, steps, strict=True)]
     )
     free_indices = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
-    return LawChange(nominal_parameters, derivatives[free_indices], free_indices) if free_indices.size else None
+    return (
+        LawParameterDerivatives(nominal_parameters, derivatives[free_indices], free_indices)
+        if free_indices.size
+        else None
+    )
 
 
 def _law_parameters(
@@ -206,7 +210,7 @@ def parameters_alone_differ(changed_law: ContactLaw, nominal_law: ContactLaw) ->
 
 
 def _solution_of_record(
-    nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawChange, free_values: Values
+    nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawParameterDerivatives, free_values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
     """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
     contact_names = [contact.name for contact in nominal_rig.contacts]

@@ -22,12 +22,12 @@ from scipy.optimize import minimize
 
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import same_but_laws
+from identify.gaps.residual.residual import same_except_laws
 from identify.gaps.residual.scales import prior_scales
-from identify.gaps.residual.windowed import needs_every_line
+from identify.gaps.residual.windowed import has_nonlinear_ground_forces
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import FittedHypothesis, Search, fit_briefly, parameters_of, refined, with_effects
-from identify.gaps.search.nominal import stated_scale_refits
+from identify.gaps.search.nominal import stated_refits
 from identify.gaps.search.screening import LINE_STRIDE, grid_values_of, thinned_record
 from identify.linear.model import ResponseCache
 from rig.errors import RigError
@@ -43,7 +43,7 @@ Values = Float[np.ndarray, " parameters"]
 
 
 @dataclass(frozen=True)
-class FarSet:
+class LargeEffectSet:
     """Set of effects with their values, and its cost on the thinned record."""
 
     candidates: tuple[Candidate, ...]
@@ -52,7 +52,7 @@ class FarSet:
 
 
 @dataclass(frozen=True)
-class _Landscape:
+class _CostLandscape:
     """Cost of a thinned record over the rigs that effects make of the nominal one."""
 
     record: Record
@@ -72,7 +72,7 @@ class _Landscape:
             return np.inf
         return float(np.sum(np.log1p(np.abs(model.residual) ** 2)))
 
-    def minimum(self, start_set: FarSet) -> FarSet:
+    def minimum(self, start_set: LargeEffectSet) -> LargeEffectSet:
         """Set at the minimum that a simplex reaches."""
         candidates, values = start_set.candidates, start_set.values
         lower_bounds, upper_bounds = parameters_of(candidates).bounds
@@ -83,18 +83,18 @@ class _Landscape:
             method="Nelder-Mead",
             options={"maxfev": MAX_EVALUATIONS_PER_PARAMETER * values.size, "xatol": 1e-4, "fatol": 1.0},
         )
-        reached_set = FarSet(candidates, lower_bounds + optimum.x * ranges, float(optimum.fun))
+        reached_set = LargeEffectSet(candidates, lower_bounds + optimum.x * ranges, float(optimum.fun))
         return min(start_set, reached_set, key=attrgetter("cost"))
 
 
-def far_fits(search: Search) -> list[FittedHypothesis]:
+def large_effect_fits(search: Search) -> list[FittedHypothesis]:
     """Refined fits of the best sets, the likeliest first; none for rigs with contacts, single masses or free motion."""
     record, rig = search.linearization.record, search.linearization.rig
-    if record.fits_initial_state or not stated_scale_refits(rig) or needs_every_line(rig):
+    if record.fits_initial_state or not stated_refits(rig) or has_nonlinear_ground_forces(rig):
         return []
     thin_record = thinned_record(record)
     unmodelled_shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
-    landscape = _Landscape(thin_record, rig, unmodelled_shares, ResponseCache(thin_record.omega))
+    landscape = _CostLandscape(thin_record, rig, unmodelled_shares, ResponseCache(thin_record.omega))
     linear_effects = [candidate for candidate in search.candidates if _is_linear_effect(candidate, rig)]
     by_cost = attrgetter("cost")
     single_starts = [start for effect in linear_effects for start in _best_on_grid(landscape, (), effect)]
@@ -118,10 +118,15 @@ def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
         changed_rig = candidate.applied(rig, candidate.typical_values)
     except RigError:
         return False
-    return not (same_but_laws(rig, changed_rig) or needs_every_line(changed_rig)) and changed_rig.loads == rig.loads
+    return (
+        not (same_except_laws(rig, changed_rig) or has_nonlinear_ground_forces(changed_rig))
+        and changed_rig.loads == rig.loads
+    )
 
 
-def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
+def _best_on_grid(
+    landscape: _CostLandscape, present_sets: tuple[LargeEffectSet, ...], candidate: Candidate
+) -> Iterator[LargeEffectSet]:
     """Best set of present effects and a further one on its grid; none where no point of it makes a rig, or where the
     further one stands nowhere and is there already."""
     present_candidates = tuple(member for far_set in present_sets for member in far_set.candidates)
@@ -133,10 +138,10 @@ def _best_on_grid(landscape: _Landscape, present_sets: tuple[FarSet, ...], candi
     trials = [(landscape.cost(members, point), point) for point in grid_points]
     cost, point = min(trials, key=itemgetter(0), default=(np.inf, present_values))
     if np.isfinite(cost):
-        yield FarSet(members, point, cost)
+        yield LargeEffectSet(members, point, cost)
 
 
-def _refined_fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
+def _refined_fits(search: Search, far_sets: Sequence[LargeEffectSet]) -> Iterator[FittedHypothesis]:
     """Refined fits of those sets of which there are rigs; refinement ends for those that stay far above the best."""
     best_cost = np.inf
     for far_set in far_sets:

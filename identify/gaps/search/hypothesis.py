@@ -11,12 +11,12 @@ from scipy.linalg import block_diag
 from identify.gaps.residual.fit import MAX_STEPS, BuildRig, Values, fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
 from identify.gaps.residual.nuisance import PULL_LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, scales_at, with_estimated_scales
+from identify.gaps.residual.residual import Linearization, Residual, scales_from_residual, with_estimated_scales
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
 from identify.gaps.search.base_spectrum import fit_base_spectrum
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.nominal import extra_relinearizations, fitted_nuisance, stated_scale_refits
+from identify.gaps.search.nominal import nuisance_fit, relinearizations, stated_refits
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -67,7 +67,7 @@ class Hypothesis:
         return self.misfit.minus_two_log
 
     @property
-    def is_incomplete(self) -> bool:
+    def has_unexplained_misfit(self) -> bool:
         """True if the misfit above noise and tolerated shares exceeds what an effect must gain, or if a tolerance is
         pulled far off, so that it hides the misfit."""
         return self.misfit.excess_cost > MIN_GAIN or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > CHANCE_PULL
@@ -180,7 +180,7 @@ def fit_briefly(
     return _gauss_newton(search, build_rig, candidates, start_values, linearization, start_residual, FIRST_STEPS)
 
 
-def fit_afresh(search: Search, candidates: tuple[Candidate, ...], start_values: Values) -> FittedHypothesis:
+def fit_from_prior_scales(search: Search, candidates: tuple[Candidate, ...], start_values: Values) -> FittedHypothesis:
     """Fit of effects from the contact scales that the tolerances state, and from a slow motion that follows no law yet.
 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
@@ -201,7 +201,7 @@ def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np
     candidates, rig = initial_fit.hypothesis.candidates, search.linearization.rig
     if any(candidate.kind.stochastic for candidate in candidates):
         return initial_fit
-    round_limit = REFIT_ROUNDS + extra_relinearizations(rig)
+    round_limit = REFIT_ROUNDS + relinearizations(rig)
     return best_refit(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
 
 
@@ -224,10 +224,10 @@ def best_refit(
     contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
     candidates, likeliest, record = initial_fit.hypothesis.candidates, initial_fit, search.linearization.record
-    stated_scale_rounds = stated_scale_refits(search.linearization.rig)
+    stated_scale_rounds = stated_refits(search.linearization.rig)
 
     def refit(earlier: FittedHypothesis) -> FittedHypothesis:
-        return refit_at(earlier, scales_at(earlier.linearization, earlier.residual))
+        return refit_at(earlier, scales_from_residual(earlier.linearization, earlier.residual))
 
     def refit_at(earlier: FittedHypothesis, scales: Scales) -> FittedHypothesis:
         nonlocal likeliest
@@ -277,7 +277,7 @@ def step_sizes_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " para
 
 def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
     """Parameters of several effects in sequence, each marked with the name of its candidate."""
-    return sum((candidate.parameters.belonging_to(candidate.name) for candidate in candidates), ParameterSet())
+    return sum((candidate.parameters.with_owner(candidate.name) for candidate in candidates), ParameterSet())
 
 
 def _fitted_hypothesis(
@@ -292,18 +292,18 @@ def _fitted_hypothesis(
     return FittedHypothesis(Hypothesis(candidates, values, covariance, record_misfit), linearization, residual)
 
 
-def fit_spectrum(
+def fit_stochastic_effect(
     search: Search, nominal_fit: FittedHypothesis, candidate: Candidate, beside_set: bool = False
 ) -> FittedHypothesis | None:
     """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time;
     `beside_set` as in `fit_base_spectrum`."""
-    if not nominal_fit.hypothesis.is_incomplete:
+    if not nominal_fit.hypothesis.has_unexplained_misfit:
         return None
     estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN, beside_set)
-    return None if estimate is None else fit_with_values(search, nominal_fit, candidate, *estimate)
+    return None if estimate is None else fit_nuisance_at_values(search, nominal_fit, candidate, *estimate)
 
 
-def fit_with_values(
+def fit_nuisance_at_values(
     search: Search,
     nominal_fit: FittedHypothesis,
     candidate: Candidate,
@@ -317,8 +317,8 @@ def fit_with_values(
         return None
     scales = nominal_fit.linearization.scales
     linearization = search.linearization.relinearized(rig, nominal_fit.residual, scales)
-    linearization = with_estimated_scales(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
-    residual = fitted_nuisance(linearization, nominal_fit.residual).residual
+    linearization = with_estimated_scales(linearization, nuisance_fit(linearization, nominal_fit.residual).residual)
+    residual = nuisance_fit(linearization, nominal_fit.residual).residual
     return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 
 

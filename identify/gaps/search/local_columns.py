@@ -7,7 +7,7 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.fit import contact_residual_columns
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn
-from identify.gaps.residual.scales import band_means, segment_counts
+from identify.gaps.residual.scales import band_means, segment_and_band_counts
 
 
 class LocalColumns:
@@ -57,7 +57,7 @@ def _spectrum_scales_and_cells(
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, lines_per_band, band_count = segment_counts(record.residual_rate_hz, sample_count)
+    _, segment_count, lines_per_band, band_count = segment_and_band_counts(record.residual_rate_hz, sample_count)
     variances = band_means(record, linearization.model.error_deviation**2, band_count)
     spectrum_scales = np.sqrt((variances / nominal_variances.expected_variance).T / (segment_count * lines_per_band))
     row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)
@@ -70,7 +70,7 @@ def _scaled_spectra(
     rate_hz: float, signal: Float[np.ndarray, "sensors times"], spectrum_scales: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    samples, segment_count, lines, band_count = segment_counts(rate_hz, signal.shape[1])
+    samples, segment_count, lines, band_count = segment_and_band_counts(rate_hz, signal.shape[1])
     hann_window = hann(samples, sym=False)
     hann_window = hann_window / np.sqrt(np.sum(hann_window**2))
     segments = signal[:, : segment_count * samples].reshape(len(signal), segment_count, samples) * hann_window

@@ -239,7 +239,9 @@ def local_model(
                 for linear_decrease, contact_decreases in new_columns:
                     single_decreases = [decrease.astype(np.float32) for decrease in contact_decreases]
                     local_columns.append((linear_decrease.astype(np.float32), single_decreases))
-    return _model_of(local_columns, nominal_variances, present_count, tuple(terms), _present_range(present_set))
+    return _local_model_of_columns(
+        local_columns, nominal_variances, present_count, tuple(terms), _present_theta_bounds(present_set)
+    )
 
 
 def _candidate_term(
@@ -270,7 +272,9 @@ def _present_columns(
         yield (linear_decrease / signed_share, [column / signed_share for column in contact_decreases])
 
 
-def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
+def _present_theta_bounds(
+    present_set: Hypothesis,
+) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
     if not present_set.candidates:
         return np.zeros(0), np.zeros(0)
     parameter_bounds = parameters_of(present_set.candidates).bounds
@@ -278,7 +282,7 @@ def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present
     return np.minimum(*theta_bounds), np.maximum(*theta_bounds)
 
 
-def _model_of(
+def _local_model_of_columns(
     columns: LocalColumns,
     nominal_variances: NominalVariances,
     present_count: int,
@@ -296,7 +300,7 @@ def _model_of(
         contact_matrix, gradient = equations_without_drift(residual, contact_index, contact_rows)
         contact_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", contact_rows, contact_rows))
         sum_of_squares = float(np.sum(contact_fit.residual[: contact_fit.observation.force_weights.size] ** 2))
-        contact_level = _contact_level(nominal_variances, residual, contact_index)
+        contact_level = _contact_mean_square(nominal_variances, residual, contact_index)
         contact_matrices.append(contact_matrix * contact_level / sum_of_squares if sum_of_squares else contact_matrix)
         contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
         contact_levels.append(contact_level)
@@ -327,7 +331,7 @@ def _model_of(
     )
 
 
-def _contact_level(nominal_variances: NominalVariances, residual: Residual, contact_index: int) -> float:
+def _contact_mean_square(nominal_variances: NominalVariances, residual: Residual, contact_index: int) -> float:
     """Mean square of a contact's residual relative to the nominal rig's variances."""
     contact_fit, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.force_weights
     residual_n = np.divide(contact_fit.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)

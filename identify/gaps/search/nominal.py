@@ -24,7 +24,7 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     nominal_variances = nominal_variances_of(initial_linearizations[0])
 
     def fit_in(linearization: Linearization, start_residual: Residual | None) -> _NuisanceFit:
-        residual = fitted_nuisance(linearization, start_residual).residual
+        residual = nuisance_fit(linearization, start_residual).residual
         return _NuisanceFit(linearization, residual, misfit(record, nominal_variances, residual))
 
     def refit(previous_fit: _NuisanceFit) -> _NuisanceFit:
@@ -41,16 +41,14 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         cost_decrease = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
         return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_decrease > COST_TOLERANCE)
 
-    nuisance_fit = refit_until_settled(
-        refit_until_settled(
-            fit_in(initial_linearizations.pop(), None), relinearize, max_rounds=stated_scale_refits(rig)
-        ),
+    settled_fit = refit_until_settled(
+        refit_until_settled(fit_in(initial_linearizations.pop(), None), relinearize, max_rounds=stated_refits(rig)),
         refit,
         settled,
         max_rounds=MAX_ROUNDS,
-        min_rounds=extra_relinearizations(rig),
+        min_rounds=relinearizations(rig),
     )
-    return nuisance_fit.linearization, nuisance_fit.residual
+    return settled_fit.linearization, settled_fit.residual
 
 
 @dataclass(frozen=True)
@@ -60,20 +58,20 @@ class _NuisanceFit:
     misfit: Misfit
 
 
-def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
+def nuisance_fit(linearization: Linearization, start_residual: Residual | None = None) -> ParameterFit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
     no_values = np.zeros(0)
     return fit(linearization, lambda _: linearization.rig, no_values, no_values, (no_values, no_values), start_residual)
 
 
-def stated_scale_refits(rig: Rig) -> int:
+def stated_refits(rig: Rig) -> int:
     """Number of refits at the scales that the tolerances state, for elastic bodies without contacts.
 
-    Their residual is nonlinear near resonances. Single masses have `extra_relinearizations`.
+    Their residual is nonlinear near resonances. Single masses have `relinearizations`.
     """
     return 0 if rig.contacts or any(body.is_mass for body in rig.bodies) else RESONANT_REFITS
 
 
-def extra_relinearizations(rig: Rig) -> int:
+def relinearizations(rig: Rig) -> int:
     """Number of further linearisations for the resonance of a single mass, where the residual is nonlinear."""
     return 3 if any(body.is_mass for body in rig.bodies) else 0

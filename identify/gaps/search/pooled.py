@@ -188,7 +188,7 @@ def pooled(
     return PooledEstimate(values, covariance, cost)
 
 
-def fitted_together(
+def fitted_to_all_records(
     records: Sequence[Record], variances_by_record: Sequence[NominalVariances], hypothesis: Hypothesis
 ) -> Hypothesis:
     """Hypothesis with parameters fitted to all records together, from those fitted to one.

@@ -20,12 +20,12 @@ from scipy.optimize import least_squares
 
 from identify.gaps.residual.fit import ReducedEquations, reduced_equations
 from identify.gaps.residual.linear import linear_model
-from identify.gaps.residual.lines import sharpest_frequencies
+from identify.gaps.residual.lines import sharpest_line_frequencies
 from identify.gaps.residual.nuisance import PULL_LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_of, same_but_laws
+from identify.gaps.residual.residual import Linearization, Residual, ResidualColumn, residual_of, same_except_laws
 from identify.gaps.residual.tuning import matched_modes
-from identify.gaps.residual.windowed import needs_every_line
+from identify.gaps.residual.windowed import has_nonlinear_ground_forces
 from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.linear.model import ResponseCache
 from rig.errors import RigError
@@ -53,7 +53,7 @@ class ScreenedCandidate:
     start_values: Float[np.ndarray, " parameters"]
 
 
-def score_screening(
+def rao_score_screening(
     linearization: Linearization, residual: Residual, candidates: Sequence[Candidate]
 ) -> list[ScreenedCandidate]:
     """Screening by the gain of the linearised cost, with nuisance parameters and drifts free; the best first.
@@ -64,7 +64,7 @@ def score_screening(
     peaks_hz, equations_with_lines = [], equations
     if any(candidate.kind.grid_screened for candidate in candidates):
         peaks_hz = peak_frequencies_hz(linearization, residual, PEAK_COUNT).tolist()
-        equations_with_lines = equations.with_lines()
+        equations_with_lines = equations.with_outstanding_lines()
     screened = []
     for candidate in candidates:
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
@@ -84,7 +84,9 @@ def peak_frequencies_hz(
     linear_residual, record = residual.linear_residual, linearization.record
     contact_rows = (contact.residual[None, : linear_residual.shape[1]] for contact in residual.contacts)
     residual_rows, rate_hz = np.concatenate([linear_residual, *contact_rows]), record.residual_rate_hz
-    return rate_hz * sharpest_frequencies(residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample)
+    return rate_hz * sharpest_line_frequencies(
+        residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, record.repeats_per_sample
+    )
 
 
 def _screened_strengths(
@@ -129,7 +131,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     ground.
     """
     rig = linearization.rig
-    if needs_every_line(rig):
+    if has_nonlinear_ground_forces(rig):
         return []
     record = thinned_record(linearization.record)
     unmodelled_shares = linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE]
@@ -143,8 +145,8 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     screened = []
     for candidate in candidates:
         changed_rig = candidate.applied(rig, candidate.typical_values)
-        is_linear_change = changed_rig.loads == rig.loads and not same_but_laws(rig, changed_rig)
-        if not is_linear_change or candidate.kind.stochastic or needs_every_line(changed_rig):
+        is_linear_change = changed_rig.loads == rig.loads and not same_except_laws(rig, changed_rig)
+        if not is_linear_change or candidate.kind.stochastic or has_nonlinear_ground_forces(changed_rig):
             continue
         trials = []
         for grid_values in grid_values_of(candidate):
@@ -159,7 +161,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that change contact laws alone."""
     return [
-        candidate for candidate in candidates if same_but_laws(rig, candidate.applied(rig, candidate.typical_values))
+        candidate for candidate in candidates if same_except_laws(rig, candidate.applied(rig, candidate.typical_values))
     ]
 
 
@@ -226,7 +228,7 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
             ScreenedCandidate(candidate, nominal_cost - least_cost, best_values)
             for candidate in candidates
             if not (candidate.kind.stochastic or candidate.kind.grid_screened)
-            for least_cost, best_values in _cost_minima(record, rig, candidate)
+            for least_cost, best_values in _mode_mismatch_minima(record, rig, candidate)
         ]
     )
 
@@ -247,7 +249,7 @@ def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), log_ratios.T.ravel()))
 
 
-def _cost_minima(
+def _mode_mismatch_minima(
     record: Record, rig: Rig, candidate: Candidate
 ) -> list[tuple[float, Float[np.ndarray, " parameters"]]]:
     """Minima of the modes' cost, with their values, from the best strength at each of the best places.

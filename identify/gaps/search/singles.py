@@ -13,10 +13,10 @@ from identify.gaps.search.hypothesis import (
     MIN_GAIN,
     FittedHypothesis,
     Search,
-    fit_afresh,
     fit_briefly,
     fit_effects,
-    fit_spectrum,
+    fit_from_prior_scales,
+    fit_stochastic_effect,
     refined,
     reset_saturated_nuisance,
 )
@@ -26,7 +26,7 @@ from identify.gaps.search.screening import (
     law_candidates,
     law_screening,
     mode_screening,
-    score_screening,
+    rao_score_screening,
 )
 from rig.errors import RigError
 
@@ -67,7 +67,7 @@ def single_effect_fits(search: Search, nominal_fit: FittedHypothesis) -> list[Fi
     if not min(refined_fits, key=attrgetter("cost"), default=nominal_fit).hypothesis.has_tolerance_at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
-    for single_fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
+    for single_fit in _fits_from_typical_size(search, law_free_residual, time_fitted, law_effects):
         best_fits.keep_if_better(single_fit)
     return sorted(best_fits.by_name.values(), key=attrgetter("cost"))
 
@@ -82,10 +82,10 @@ def _screened_fits(
 ) -> Iterator[FittedHypothesis]:
     """Brief fits of the candidates of which the screenings promise most."""
     linearization = search.linearization
-    by_law_score = score_screening(linearization, law_free_residual, law_effects)
+    by_law_score = rao_score_screening(linearization, law_free_residual, law_effects)
     by_grid = grid_screening(linearization, time_fitted)
     by_modes = mode_screening(linearization.record, linearization.rig, time_fitted)
-    by_score = _score_screened(linearization, residual, time_fitted, nominal_fit, FITS_BY_SCORE)
+    by_score = _best_by_score_and_tones(linearization, residual, time_fitted, nominal_fit, FITS_BY_SCORE)
     starts: list[tuple[ScreenedCandidate, Residual | None]] = [
         *((screened, residual) for screened in by_score),
         *((screened, law_free_residual) for screened in _worth_fitting(linearization, by_law_score, FITS_BY_LAW_SCORE)),
@@ -107,17 +107,17 @@ def _law_fits(
         with suppress(RigError):
             yield fit_effects(search, (screened.candidate,), screened.start_values, law_free_residual)
             if not linearization.record.has_force:
-                yield fit_afresh(search, (screened.candidate,), screened.start_values)
+                yield fit_from_prior_scales(search, (screened.candidate,), screened.start_values)
 
 
 def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
     """Fits of effects that are known by their spectrum alone."""
     for candidate in search.candidates:
-        if candidate.kind.stochastic and (spectrum_fit := fit_spectrum(search, nominal_fit, candidate)):
+        if candidate.kind.stochastic and (spectrum_fit := fit_stochastic_effect(search, nominal_fit, candidate)):
             yield spectrum_fit
 
 
-def _typical_fits(
+def _fits_from_typical_size(
     search: Search, law_free_residual: Residual, time_fitted: Sequence[Candidate], law_effects: Sequence[Candidate]
 ) -> Iterator[FittedHypothesis]:
     """Fits of ratios and linear effects from their typical size, those of single sensors left out."""
@@ -136,7 +136,7 @@ def _worth_fitting(
     return [screened for screened in ranked_candidates[:fit_count] if screened.cost_decrease > least_gain]
 
 
-def _score_screened(
+def _best_by_score_and_tones(
     linearization: Linearization,
     residual: Residual,
     candidates: Sequence[Candidate],
@@ -148,11 +148,11 @@ def _score_screened(
     Where the misfit is large the best candidate is fitted whatever it promises: scales that the misfit itself raised
     hide its gain.
     """
-    screened = score_screening(linearization, residual, candidates)
+    screened = rao_score_screening(linearization, residual, candidates)
     tone_candidates = [start for start in screened if start.candidate.kind.grid_screened]
     other_candidates = [start for start in screened if not start.candidate.kind.grid_screened]
     promising = _worth_fitting(linearization, other_candidates, fit_count)
-    if not promising and nominal_fit.hypothesis.is_incomplete:
+    if not promising and nominal_fit.hypothesis.has_unexplained_misfit:
         promising = other_candidates[:1]
     return promising + (tone_candidates if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 

@@ -4,17 +4,17 @@ Notes for maintainers
 1. Select (`best_selection`): from the local model about the fitted rig, candidates enter one at a time, the six that
    promise most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
    candidate may stand at two places of a body (two cables are two masses).
-2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
-   selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing is selected,
-   the three that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
+2. Refine (`set_extended_by_selection`): the whole set is fitted by Gauss-Newton, the local model is made anew about it,
+   and more is selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing
+   is selected, the three that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
 3. Start from a single effect (`_with_single_effects`): where a set leaves more than half of the mismatch, an effect is
    so large, or a line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range;
    so they are beside sets of three and more, which may stand for one large effect, and so are pairs on bodies without
    contacts (`far_sets`). A free decay whose modes are known starts so at once: no slope leads from one resonance to
    another.
-4. Leave out (`reduced_sets`): linear removal of strong effects misleads, so the set is fitted again without each of its
-   members. A member without which S rises by less than `MIN_GAIN` leaves the set. Then members leave one after the
-   other, the least important first, so that the record that was not fitted may demand fewer.
+4. Leave out (`reduced_and_variants`): linear removal of strong effects misleads, so the set is fitted again without
+   each of its members. A member without which S rises by less than `MIN_GAIN` leaves the set. Then members leave one
+   after the other, the least important first, so that the record that was not fitted may demand fewer.
 5. Exchange (`_look_alike_fit`): about the set without a member, the candidate that then lowers S most is fitted in its
    place, so that look-alikes are compared on the record that was not fitted. A look-alike that makes others
    superfluous is fitted without them too, and is the best set if S then rises by less than `MIN_GAIN`.
@@ -29,8 +29,8 @@ from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.search.beside_set import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
-from identify.gaps.search.candidates import Candidate, contains, is_possible, model_names
-from identify.gaps.search.far_sets import far_fits
+from identify.gaps.search.candidates import Candidate, contains, equivalent_names, is_possible
+from identify.gaps.search.far_sets import large_effect_fits
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
     MIN_GAIN,
@@ -89,22 +89,22 @@ def ranked_hypotheses(search: Search, progress: Callable[[float], None] = lambda
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
     nominal_fit = search.nominal_fit()
-    likeliest = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
+    likeliest = nominal_fit if search.linearization.record.measured_modes else _settled_set(search, nominal_fit)
     progress(0.4)
     likeliest, rivals = _with_single_effects(search, nominal_fit, likeliest)
     progress(0.6)
-    likeliest, variants = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest)))
+    likeliest, variants = reduced_and_variants(search, with_base_motion(search, with_tone(search, likeliest)))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, likeliest.hypothesis, *variants, *rivals)
-    by_effects = {model_names(hypothesis.candidates): hypothesis for hypothesis in reversed(hypotheses)}
+    by_effects = {equivalent_names(hypothesis.candidates): hypothesis for hypothesis in reversed(hypotheses)}
     return sorted(by_effects.values(), key=attrgetter("cost"))
 
 
-def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
+def _settled_set(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
         start_set,
-        lambda fitted: refined_set(search, fitted),
+        lambda fitted: set_extended_by_selection(search, fitted),
         lambda before, after: before is after,
         max_rounds=MAX_SELECTION_ROUNDS,
     )
@@ -120,18 +120,18 @@ def _with_single_effects(
     """
     nominal_misfit, set_misfit = nominal_fit.hypothesis.misfit, best_set.hypothesis.misfit
     if search.linearization.record.measured_modes:
-        is_doubtful = best_set.hypothesis.is_incomplete
+        is_doubtful = best_set.hypothesis.has_unexplained_misfit
     else:
         dominant_excess = max(MAX_EXCESS_COST, DOMINANT_MISFIT_SHARE * nominal_misfit.excess_cost)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
         is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SET_SIZE
-    start_fits = [*single_effect_fits(search, nominal_fit), *far_fits(search)] if is_doubtful else []
+    start_fits = [*single_effect_fits(search, nominal_fit), *large_effect_fits(search)] if is_doubtful else []
     if not start_fits:
         return best_set, []
     likeliest = min(start_fits, key=attrgetter("cost"))
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
-    continue_fit = _base_motion_with_set if is_stochastic(likeliest.hypothesis) else _refined_from
+    continue_fit = _base_motion_with_set if is_stochastic(likeliest.hypothesis) else _settled_set
     return continue_fit(search, likeliest), []
 
 
@@ -139,15 +139,15 @@ def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> Fitt
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
     further_candidates = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
     shaken_search = search_about(search, base_motion, further_candidates)
-    best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
+    best_set = _settled_set(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
     return FittedHypothesis(combined_hypothesis(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
-def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
+def set_extended_by_selection(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Set fitted together with what the local model selects beside it; the set itself where that gains too little."""
-    if not best_set.hypothesis.is_incomplete:
+    if not best_set.hypothesis.has_unexplained_misfit:
         return best_set
     linearization, residual, model = _linearized_local_model(search, best_set)
     selection = best_selection(model, best_set.hypothesis)
@@ -260,7 +260,7 @@ def _promising_terms(
     return promising
 
 
-def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
+def reduced_and_variants(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Best set without members that gain too little, and its variants.
 
     The variants are the set without each member, with a look-alike in the place of each, and without the two, three and
@@ -277,18 +277,18 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
             costs_without_member.append(np.inf)
             continue
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
-            return reduced_sets(search, reduced_fit)
+            return reduced_and_variants(search, reduced_fit)
         costs_without_member.append(reduced_fit.cost)
         variants.append(reduced_fit.hypothesis)
         if (look_alike_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
             variants.append(look_alike_fit.hypothesis)
-            strong_indices = _strong_members(look_alike_fit.hypothesis)
+            strong_indices = _significant_member_indices(look_alike_fit.hypothesis)
             if 0 < len(strong_indices) < len(candidates):
                 smaller_fit = _subset_fit(search, look_alike_fit, strong_indices)
                 if smaller_fit is None:
                     continue
                 if smaller_fit.cost - best_set.cost < MIN_GAIN:
-                    return reduced_sets(search, smaller_fit)
+                    return reduced_and_variants(search, smaller_fit)
                 variants.append(smaller_fit.hypothesis)
     indices_by_importance = np.argsort(costs_without_member)  # the least important first
     for dropped_count in range(2, len(candidates)):
@@ -298,7 +298,7 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     return best_set, variants
 
 
-def _strong_members(hypothesis: Hypothesis) -> list[int]:
+def _significant_member_indices(hypothesis: Hypothesis) -> list[int]:
     """Indices of the members that have a strength whose 95 % interval excludes its neutral value."""
     neutral_values = [parameter.neutral for member in hypothesis.candidates for parameter in member.parameters]
     half_widths = COVERED * np.sqrt(np.diag(hypothesis.covariance))

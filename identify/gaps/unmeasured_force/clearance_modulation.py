@@ -14,7 +14,7 @@ from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
 from identify.pages.wording import interval
-from identify.signals.scores import part_scores
+from identify.signals.scores import cluster_scores
 from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
@@ -89,7 +89,7 @@ def _contact_modulation(record: Record, contact_name: str, contact: ContactResid
     share, frequency_hz = max(
         (_harmonic_share(times_s, clearance_change_m, trial), float(trial)) for trial in trial_hz if trial > 0
     )
-    return _modulation(contact_name, times_s, clearance_change_m, frequency_hz, share)
+    return _fitted_modulation(contact_name, times_s, clearance_change_m, frequency_hz, share)
 
 
 def _periodogram(
@@ -126,7 +126,7 @@ def _harmonic_share(
     return 1 - float(np.var(residual_m)) / max(float(np.var(clearance_change_m)), 1e-300)
 
 
-def _modulation(
+def _fitted_modulation(
     contact_name: str,
     times_s: Float[np.ndarray, " times"],
     clearance_change_m: Float[np.ndarray, " times"],
@@ -144,7 +144,7 @@ def _modulation(
     _, cosine_m, sine_m, frequency_step_hz = solution
     residual_m = clearance_change_m - jacobian @ solution
     amplitude_m = float(np.hypot(cosine_m, sine_m))
-    scores = part_scores(influence, residual_m)
+    scores = cluster_scores(influence, residual_m)
     amplitude_scores = scores @ np.array([0.0, cosine_m, sine_m, 0.0]) / max(amplitude_m, 1e-300)
     amplitude_error_m, frequency_error_hz = (float(np.sqrt(np.sum(s**2))) for s in (amplitude_scores, scores[:, 3]))
     return ClearanceModulation(

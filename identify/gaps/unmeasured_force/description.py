@@ -9,7 +9,7 @@ from jaxtyping import Float
 from identify.gaps.residual.observation import is_closed
 from identify.gaps.unmeasured_force.force import UnmeasuredForceFit
 from identify.gaps.unmeasured_force.force_laws import ForceLaw
-from identify.gaps.unmeasured_force.law_fit import fit_laws, shortest_law
+from identify.gaps.unmeasured_force.law_fit import fit_laws, simplest_adequate_law
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceHistory, explained_share, force_history
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
@@ -48,7 +48,11 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a force at one station, or of a pair at two."""
     located, place = force_fit.on_fit_record, force_fit.on_fit_record.force_place
     history, size = force_history(located), _force_size(located)
-    law = shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located) > LAW_SEARCH_SHARE else None
+    law = (
+        simplest_adequate_law(fit_laws(history), LAW_GAIN_SHARE)
+        if explained_share(located) > LAW_SEARCH_SHARE
+        else None
+    )
     tone = law if law and law.form.is_tone else None
     timing = _force_timing(history)
     station, opposite_station = place.stations[0], place.stations[1] if len(place.stations) > 1 else None

@@ -107,7 +107,7 @@ def evidence_with_force(
     for round_number in range(1 if is_nuisance_held else ROUNDS):
         projection = residual_projection if is_nuisance_held else residual_projection - theta @ projected_columns
         projection_power, total_squares = np.abs(projection) ** 2, residual_squares(whitened, theta)
-        noise_variance, force_spectrum = _scored_noise_and_spectrum(
+        noise_variance, force_spectrum = _fisher_scored_noise_and_spectrum(
             whitened, response_squares, projection_power, total_squares, noise_variance, force_spectrum, spectrum_shape
         )
         line_variance = at_lines(noise_variance) + at_lines(force_spectrum) * response_squares
@@ -115,9 +115,9 @@ def evidence_with_force(
             break
         weight_loss = at_lines(1 / noise_variance) - 1 / line_variance
         normal_matrix, right_side = nuisance_equations(whitened, noise_variance)
-        lost_columns = real_pairs(weight_loss * projected_columns)
-        normal_matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
-        right_side -= reals_per_line * (lost_columns @ real_pairs(residual_projection))
+        lost_columns = interleaved_real_imaginary(weight_loss * projected_columns)
+        normal_matrix -= reals_per_line * (lost_columns @ interleaved_real_imaginary(projected_columns).T)
+        right_side -= reals_per_line * (lost_columns @ interleaved_real_imaginary(residual_projection))
         theta = _solve_positive_definite(normal_matrix, right_side)
     assert force_spectrum is not None
     unexplained_squares = np.maximum(total_squares - _band_sums(whitened, projection_power), 0.0)
@@ -145,7 +145,7 @@ def _nuisance_penalty(whitened: WhitenedRecord, theta: Float[np.ndarray, " colum
     return float(theta @ theta) + whitened.reals_per_line * float(whitened.trace_terms @ theta)
 
 
-def real_pairs(complex_values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
+def interleaved_real_imaginary(complex_values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
     """Real and imaginary parts, interleaved along the last axis."""
     return np.ascontiguousarray(complex_values).view(float)
 
@@ -154,7 +154,7 @@ def _band_sums(whitened: WhitenedRecord, line_values: Float[np.ndarray, " lines"
     return np.asarray(np.add.reduceat(line_values, whitened.band_first_lines))
 
 
-def _scored_noise_and_spectrum(
+def _fisher_scored_noise_and_spectrum(
     whitened: WhitenedRecord,
     response_squares: Float[np.ndarray, " lines"],
     projection_power: Float[np.ndarray, " lines"],

@@ -8,9 +8,9 @@ from jaxtyping import Complex
 from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.evidence import evidence_with_force
 from identify.gaps.unmeasured_force.location import LocatedForce, locate_force, response_of
-from identify.gaps.unmeasured_force.nuisance import drift_accelerations, whitened_record
+from identify.gaps.unmeasured_force.nuisance import modulus_drift_accelerations, whitened_record
 from identify.gaps.unmeasured_force.time_history import force_spectrum
-from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, without_columns
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, without_nuisance_columns
 from rig.model.description import Rig
 
 SAME_PLACE_M = 0.05
@@ -44,7 +44,7 @@ class UnmeasuredForceFit:
         accelerations = np.zeros(whitened.model.sensor_response.shape, dtype=complex)
         if place.kind == "distributed":
             for body_name, growth in zip(place.body_names, self.at_fit_place.modulus_growth, strict=True):
-                accelerations += growth * drift_accelerations(whitened, body_name)
+                accelerations += growth * modulus_drift_accelerations(whitened, body_name)
         elif place.kind == "sensor":
             sensor_names = [sensor.name for sensor in whitened.record.sensors]
             accelerations[sensor_names.index(place.sensor_name)] = force_spectrum(self.at_fit_place)
@@ -63,15 +63,17 @@ def likeliest_force(fit_record: Record, rig: Rig, validation: Record) -> Unmeasu
     on_fit_record = locate_force(whitened_record(fit_record, rig))
     whitened_validation = whitened_record(validation, rig)
     on_validation_record = locate_force(whitened_validation)
-    at_fit_place = _fit_at_place(on_fit_record, whitened_validation, on_validation_record)
+    at_fit_place = _validation_fit_at_place(on_fit_record, whitened_validation, on_validation_record)
     on_validation_record, at_fit_place = (
-        replace(located, whitened_record=without_columns(located.whitened_record))
+        replace(located, whitened_record=without_nuisance_columns(located.whitened_record))
         for located in (on_validation_record, at_fit_place)
     )
     return UnmeasuredForceFit(on_fit_record, on_validation_record, at_fit_place)
 
 
-def _fit_at_place(on_fit_record: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
+def _validation_fit_at_place(
+    on_fit_record: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce
+) -> LocatedForce:
     """Fit of the validation record with the place and the spectrum's shape of the fit record, or a drift's bodies."""
     place, without_force = on_fit_record.force_place, on_validation.without_force
     if place.kind == "distributed":

@@ -107,7 +107,7 @@ class ForceLaw:
         return values
 
 
-def creep_m_per_s(velocity_m_per_s: Series) -> float:
+def friction_transition_m_per_s(velocity_m_per_s: Series) -> float:
     """Velocity over which friction changes its sign, above zero."""
     return CREEP_VELOCITY_SHARE * float(np.std(velocity_m_per_s)) + 1e-300
 
@@ -119,7 +119,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
         "velocity",
         "F sign(v), F = {0}",
         ("N",),
-        lambda _, v, __: [np.tanh(v / creep_m_per_s(v))],
+        lambda _, v, __: [np.tanh(v / friction_transition_m_per_s(v))],
     ),
     ForceLawForm(
         "viscous damping",

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, ForceLawForm, Series, tone_form
-from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, with_law_error
+from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, reweighted_for_law_error
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
 
@@ -33,7 +33,10 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
 
     Slow forms are fitted only if no other law reaches the free force's gain, and the best of them only to the end.
     """
-    laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
+    laws = [
+        _fit_tone(history),
+        *(fit_law_without_slow_motion(history, form) for form in LAW_FORMS if not form.needs_slow_motion),
+    ]
     if max(law.share_of_free_gain for law in laws) < 1 - EQUIVALENT_GAIN:
         started = sorted(
             (_start_descent(history, form) for form in LAW_FORMS if form.needs_slow_motion),
@@ -48,7 +51,7 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
     return tuple(sorted(laws, key=lambda law: -law.share_of_free_gain))
 
 
-def shortest_law(laws: tuple[ForceLaw, ...], least_gain_share: float) -> ForceLaw | None:
+def simplest_adequate_law(laws: tuple[ForceLaw, ...], least_gain_share: float) -> ForceLaw | None:
     """Law of the fewest values among those as good as the best (the first); None if its share is below the least."""
     equivalent_laws = [law for law in laws if law.share_of_free_gain >= laws[0].share_of_free_gain - EQUIVALENT_GAIN]
     best_law = min(equivalent_laws, key=lambda law: (law.form.value_count, -law.share_of_free_gain))
@@ -60,18 +63,18 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
 
     No law error is allowed for: it would hide the lines beside the tone's.
     """
-    history = with_law_error(history, 0.0)
+    history = reweighted_for_law_error(history, 0.0)
     form, whitened = tone_form(history), history.located_force.whitened_record
     omega = whitened.record.omega
     amplitudes = np.abs(np.fft.rfft(history.free_force_n * history.time_gate))[: omega.size]
     amplitudes[: whitened.line_slice.start] = 0.0
     step_hz, peak_hz = omega[2] / (4 * np.pi), omega[int(np.argmax(amplitudes))] / (2 * np.pi)
     trial_hz = [peak_hz + half_steps * step_hz / 2 for half_steps in range(-2, 3)]
-    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, form, tone_hz)[1])
-    return fit_form(history, form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
+    best_hz = max(trial_hz, key=lambda tone_hz: solve_coefficients_at(history, form, tone_hz)[1])
+    return fit_law_without_slow_motion(history, form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
 
 
-def fit_form(
+def fit_law_without_slow_motion(
     history: ForceHistory, form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
@@ -81,7 +84,7 @@ def fit_form(
     parameter, parameter_error, parameter_step = 0.0, 0.0, 1e-3 * (high - low)
 
     def gain_at(parameter: float) -> float:
-        return solve_form(history, form, parameter)[1]
+        return solve_coefficients_at(history, form, parameter)[1]
 
     if form.parameter_name and low == high:
         parameter = low
@@ -90,9 +93,11 @@ def fit_form(
         gain_before, gain_at_optimum, gain_after = (gain_at(parameter + count * parameter_step) for count in (-1, 0, 1))
         curvature = (2 * gain_at_optimum - gain_before - gain_after) / parameter_step**2
         parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
-    coefficients, gain, coefficient_errors = solve_form(history, form, parameter)
+    coefficients, gain, coefficient_errors = solve_coefficients_at(history, form, parameter)
     if parameter_error and not form.is_tone:
-        changes = np.subtract(*(solve_form(history, form, parameter + sign * parameter_step)[0] for sign in (1, -1)))
+        changes = np.subtract(
+            *(solve_coefficients_at(history, form, parameter + sign * parameter_step)[0] for sign in (1, -1))
+        )
         coefficient_errors = np.hypot(coefficient_errors, changes / (2 * parameter_step) * parameter_error)
     return ForceLaw(
         form,
@@ -105,7 +110,7 @@ def fit_form(
     )
 
 
-def solve_form(
+def solve_coefficients_at(
     history: ForceHistory, form: ForceLawForm, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body at a parameter, their gain in -2 ln L, and their standard errors."""
@@ -134,23 +139,23 @@ def _scaled_inverse(
 
 def _start_descent(history: ForceHistory, form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at two `LAW_ERROR_SHARES`."""
-    soft_history = with_law_error(history, LAW_ERROR_SHARES[0])
+    soft_history = reweighted_for_law_error(history, LAW_ERROR_SHARES[0])
     largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
     low, high = (share * largest_displacement_m for share in form.parameter_range)
     parameter = 0.0
     if form.parameter_name:
         grid = np.geomspace(low, high, GRID_VALUE_COUNT) if low > 0 else np.linspace(low, high, GRID_VALUE_COUNT)
-        parameter = max(grid.tolist(), key=lambda value: solve_form(soft_history, form, value)[1])
+        parameter = max(grid.tolist(), key=lambda value: solve_coefficients_at(soft_history, form, value)[1])
     descent = _descent_of_form(soft_history, form, largest_displacement_m, (low, high))
     iterate, _ = descent.descend(descent.start_iterate(parameter))
-    descent = replace(descent, history=with_law_error(history, LAW_ERROR_SHARES[1]))
+    descent = replace(descent, history=reweighted_for_law_error(history, LAW_ERROR_SHARES[1]))
     return descent, *descent.descend(iterate)
 
 
 def _finish_descent(history: ForceHistory, descent: "Descent", iterate: "_Iterate") -> ForceLaw:
     """Law at the end of a descent that is continued at the smaller `LAW_ERROR_SHARES`, then at that of the history."""
     for law_error in LAW_ERROR_SHARES[2:]:
-        iterate, _ = replace(descent, history=with_law_error(history, law_error)).descend(iterate)
+        iterate, _ = replace(descent, history=reweighted_for_law_error(history, law_error)).descend(iterate)
     return replace(descent, history=history).descend(iterate)[1]
 
 
@@ -190,7 +195,7 @@ class Descent:
 
     def start_iterate(self, parameter: float) -> _Iterate:
         """Iterate with the best coefficients at a parameter, without slow motion."""
-        coefficients, _, _ = solve_form(self.history, self.law_form, parameter)
+        coefficients, _, _ = solve_coefficients_at(self.history, self.law_form, parameter)
         return self._evaluate(coefficients, parameter, np.zeros(len(self.knot_precision)))
 
     def unit_forces(
@@ -204,7 +209,7 @@ class Descent:
     def penalised_gain(self, fine_force_n: Series, slow_knots_m: Float[np.ndarray, " knots"]) -> float:
         """Gain in -2 ln L of a force, less the prior's cost of the slow motion."""
         prior_cost = float(slow_knots_m @ self.knot_precision @ slow_knots_m)
-        return self.history.log_likelihood_gain(self.history.gated_spectra(fine_force_n)) - prior_cost
+        return self.history.minus_two_log_decrease(self.history.gated_spectra(fine_force_n)) - prior_cost
 
     def descend(self, start: _Iterate) -> tuple[_Iterate, ForceLaw]:
         """Best iterate from the values of another, and its law."""

@@ -17,7 +17,7 @@ from identify.gaps.unmeasured_force.evidence import (
     residual_without_nuisance,
 )
 from identify.gaps.unmeasured_force.nuisance import modulus_drift_column
-from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns, without_columns
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns, without_nuisance_columns
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
@@ -130,7 +130,7 @@ def locate_force(
         if refitted_forces:
             best_by_kind.append(min(refitted_forces, key=lambda located: located.with_force.criterion))
     if expected_place is None or expected_place.kind == "distributed":
-        drift_force = _locate_drift(whitened, without_force, expected_place)
+        drift_force = _locate_modulus_drift(whitened, without_force, expected_place)
         best_by_kind += [drift_force] if drift_force else []
     return _with_refined_position(max(best_by_kind, key=lambda located: located.criterion_decrease))
 
@@ -229,7 +229,7 @@ def _parabola_vertex(positions_m: list[float], criterion_values: list[float]) ->
     return float(np.clip(-linear / (2 * quadratic), positions_m[0], positions_m[-1])) if is_convex else lowest_m
 
 
-def _locate_drift(
+def _locate_modulus_drift(
     whitened: WhitenedRecord, without_force: ForceEvidence, expected_place: ForcePlace | None
 ) -> LocatedForce | None:
     """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
@@ -254,7 +254,7 @@ def _locate_drift(
         )
         with_force = evidence_without_force(with_drift)
         place = ForcePlace("distributed", body_names=bodies)
-        located = LocatedForce(place, without_force, with_force, without_columns(with_drift), no_response)
+        located = LocatedForce(place, without_force, with_force, without_nuisance_columns(with_drift), no_response)
         best_decrease = best.criterion_decrease if best else -np.inf
         if located.criterion_decrease > max(best_decrease, 1.05 * best_decrease):
             covariance = np.linalg.inv(nuisance_equations(with_drift, with_force.noise_variance)[0])

@@ -3,17 +3,17 @@
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.gauges import gauge_changes
+from identify.gaps.residual.gauges import gauge_nuisance_changes
 from identify.gaps.residual.nuisance import MODE_FREQUENCY_REACH
 from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.whitened_record import (
     WhitenedRecord,
     modal_inverse,
-    record_without_nuisance,
+    whitened_record_without_nuisance,
     with_columns,
 )
-from identify.linear.free_motion import state_changes
-from identify.linear.nuisance import Change, Nuisance, ObservedSignals, changes_of, crosstalk_of
+from identify.linear.free_motion import initial_state_changes
+from identify.linear.nuisance import Change, Nuisance, ObservedSignals, changes_of, crosstalk_changes
 from identify.linear.observed_motion import BodyMotion
 from identify.signals.kinematics import omega_power
 from rig.model.description import Rig
@@ -24,7 +24,7 @@ def whitened_record(record: Record, rig: Rig) -> WhitenedRecord:
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
-    whitened = record_without_nuisance(record, rig)
+    whitened = whitened_record_without_nuisance(record, rig)
     parameters, columns, trace_terms = nuisance_columns(whitened)
     return with_columns(whitened, parameters, [columns], trace_terms)
 
@@ -36,12 +36,12 @@ def nuisance_columns(
     model, sensor_count = whitened.model, len(whitened.record.sensors)
     signal_norm = float(np.linalg.norm(whitened.record.acceleration_signals))
     body_names = [response.body.name for response in model.responses]
-    motion = _measured_motion(whitened)
+    motion = _observed_signals_of_record(whitened)
     parameters, columns, trace_terms = list[Nuisance](), list[Complex[np.ndarray, "lines rows"]](), list[float]()
     for parameter_changes in (
         changes_of(motion, with_common_tolerances=False),
-        crosstalk_of(motion),
-        state_changes(model.free_modes, body_names, model.sensor_response, signal_norm),
+        crosstalk_changes(motion),
+        initial_state_changes(model.free_modes, body_names, model.sensor_response, signal_norm),
     ):
         for change in parameter_changes:
             column = whitened.gated_residual(change.at_all_sensors(sensor_count) / model.error_deviation)
@@ -53,7 +53,7 @@ def nuisance_columns(
     return tuple(parameters), all_columns, np.array(trace_terms)
 
 
-def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
+def _observed_signals_of_record(whitened: WhitenedRecord) -> ObservedSignals:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = whitened.record, whitened.model
     highest_hz = MODE_FREQUENCY_REACH * record.omega[-1] / (2 * np.pi)
@@ -71,7 +71,7 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
         signals=record.acceleration_signals - model.sensor_response * model.base_at_sensors,
         force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=record.displacement_signals,
-        further_changes=gauge_changes(record, model),
+        further_changes=gauge_nuisance_changes(record, model),
         base=model.observed_base,
         bodies=tuple(bodies),
     )
@@ -92,12 +92,12 @@ def _trace_by_data(whitened: WhitenedRecord, change: Change) -> float:
 
 
 def modulus_drift_column(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "lines rows"]:
-    """Whitened residual, gated in time, by a modulus that drifts (`drift_accelerations`)."""
-    accelerations = drift_accelerations(whitened, body_name)
+    """Whitened residual, gated in time, by a modulus that drifts (`modulus_drift_accelerations`)."""
+    accelerations = modulus_drift_accelerations(whitened, body_name)
     return whitened.gated_residual(whitened.model.sensor_response * accelerations / whitened.model.error_deviation)
 
 
-def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "sensors alllines"]:
+def modulus_drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.ndarray, "sensors alllines"]:
     """Accelerations by a body's modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
     tau, relative_time, runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.

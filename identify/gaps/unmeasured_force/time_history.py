@@ -8,7 +8,7 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unmeasured_force.evidence import nuisance_equations, real_pairs, residual_squares
+from identify.gaps.unmeasured_force.evidence import interleaved_real_imaginary, nuisance_equations, residual_squares
 from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.signals.kinematics import omega_power
 from rig.model.description import Station
@@ -62,8 +62,8 @@ class ForceHistory:
     @cached_property
     def free_force_gain(self) -> float:
         """Gain in -2 ln L of a force that is free at every line, less what noise alone would gain."""
-        weighted_columns = real_pairs(self.projected_columns * np.sqrt(self.line_weights))
-        weighted_residual = real_pairs(self.projected_residual * np.sqrt(self.line_weights))
+        weighted_columns = interleaved_real_imaginary(self.projected_columns * np.sqrt(self.line_weights))
+        weighted_residual = interleaved_real_imaginary(self.projected_residual * np.sqrt(self.line_weights))
         free_matrix = self.normal_matrix - weighted_columns @ weighted_columns.T
         free_right_side = self.right_side - weighted_columns @ weighted_residual
         nuisance_gain = float(self.right_side @ cho_solve(self.nuisance_cholesky, self.right_side))
@@ -88,15 +88,15 @@ class ForceHistory:
         self, force_columns: Complex[np.ndarray, "columns lines"]
     ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
         """Normal equations of the amounts of some forces, with the nuisance parameters eliminated."""
-        weighted_columns = real_pairs(force_columns * self.line_weights)
-        coupling = weighted_columns @ real_pairs(self.projected_columns).T
-        force_matrix = weighted_columns @ real_pairs(force_columns).T - coupling @ cho_solve(
+        weighted_columns = interleaved_real_imaginary(force_columns * self.line_weights)
+        coupling = weighted_columns @ interleaved_real_imaginary(self.projected_columns).T
+        force_matrix = weighted_columns @ interleaved_real_imaginary(force_columns).T - coupling @ cho_solve(
             self.nuisance_cholesky, coupling.T
         )
-        right_side = weighted_columns @ real_pairs(self.projected_residual)
+        right_side = weighted_columns @ interleaved_real_imaginary(self.projected_residual)
         return force_matrix, right_side - coupling @ cho_solve(self.nuisance_cholesky, self.right_side)
 
-    def log_likelihood_gain(self, force_projection: Complex[np.ndarray, " lines"]) -> float:
+    def minus_two_log_decrease(self, force_projection: Complex[np.ndarray, " lines"]) -> float:
         """Fall of -2 ln L by a given force."""
         normal_matrix, right_side = self.reduced_equations(force_projection[None])
         return float(2 * right_side[0] - normal_matrix[0, 0])
@@ -157,21 +157,21 @@ def force_history(located: LocatedForce) -> ForceHistory:
         normal_matrix=normal_matrix,
         right_side=right_side,
     )
-    return with_law_error(history, LAW_ERROR_SHARE)
+    return reweighted_for_law_error(history, LAW_ERROR_SHARE)
 
 
-def with_law_error(history: ForceHistory, law_error_share: float) -> ForceHistory:
+def reweighted_for_law_error(history: ForceHistory, law_error_share: float) -> ForceHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
     located = history.located_force
     line_weights = located.whitened_record.reals_per_line / (
         located.noise_by_line + law_error_share**2 * located.spectrum_by_line * located.with_force.response_norm**2
     )
-    lost_columns = real_pairs(history.projected_columns * (history.line_weights - line_weights))
+    lost_columns = interleaved_real_imaginary(history.projected_columns * (history.line_weights - line_weights))
     return replace(
         history,
         line_weights=line_weights,
-        normal_matrix=history.normal_matrix - lost_columns @ real_pairs(history.projected_columns).T,
-        right_side=history.right_side - lost_columns @ real_pairs(history.projected_residual),
+        normal_matrix=history.normal_matrix - lost_columns @ interleaved_real_imaginary(history.projected_columns).T,
+        right_side=history.right_side - lost_columns @ interleaved_real_imaginary(history.projected_residual),
     )
 
 
@@ -191,7 +191,7 @@ def explained_share(located: LocatedForce) -> float:
 def _unobserved_accelerance(located: LocatedForce, station: Station) -> Complex[np.ndarray, " alllines"]:
     """Driving-point accelerance of the modes that the sensors do not observe."""
     whitened = located.whitened_record
-    observed_count = len(whitened.record.motion_sensors_on(station.body))
+    observed_count = len(whitened.record.motion_sensor_indices_on(station.body))
     for response in whitened.model.responses:
         if response.body.name == station.body:
             shapes = response.shapes([station])[0, observed_count:]

@@ -147,7 +147,7 @@ class WhitenedRecord:
         raise KeyError(station.body)
 
 
-def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
+def whitened_record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     """Whitened residual of a record against the linear part of a rig, without nuisance columns.
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
@@ -183,7 +183,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         nuisance_parameters=(),
         nuisance_columns=np.zeros((0, line_count, row_count), dtype=complex),
         modal_accelerations=tuple(
-            _measured_accelerations(record, model, response, modelled)
+            _measured_modal_accelerations(record, model, response, modelled)
             for response, modelled in zip(model.responses, model.modal_accelerations, strict=True)
         ),
         band_first_lines=band_first_lines,
@@ -208,7 +208,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     return replace(whitened, whitened_residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
 
 
-def without_columns(whitened: WhitenedRecord) -> WhitenedRecord:
+def without_nuisance_columns(whitened: WhitenedRecord) -> WhitenedRecord:
     """Record with the band sums of its nuisance columns alone, which are large, where it describes no force."""
     return replace(whitened, nuisance_columns=whitened.nuisance_columns[:0].copy())
 
@@ -267,7 +267,7 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
 def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
     """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor of
     motion."""
-    sensor_indices = record.motion_sensors_on(response.body.name)
+    sensor_indices = record.motion_sensor_indices_on(response.body.name)
     mode_count = min(len(sensor_indices), response.mode_count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
@@ -276,7 +276,7 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
     return inverse_shapes
 
 
-def _measured_accelerations(
+def _measured_modal_accelerations(
     record: Record, model: LinearModel, response: Response, modelled: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""

@@ -69,7 +69,7 @@ def clock_in(file_summary: FileSummary, channels: Sequence[ColumnSummary], rig_r
     return ClockProposal(time_column, unit, sample_times.rate_hz if unit else None, note, sample_times.fault)
 
 
-def is_time(column: ColumnSummary) -> bool:
+def is_time_column(column: ColumnSummary) -> bool:
     """True if the name or unit of a column is one of time."""
     name, _ = name_and_unit(column.name, guess=True)
     return quantity_of(column.unit) == "time" or TIME_NAME_PATTERN.search(name) is not None
@@ -78,7 +78,7 @@ def is_time(column: ColumnSummary) -> bool:
 def _time_column(columns: Sequence[ColumnSummary]) -> ColumnSummary | None:
     """Column that says by name or unit that it is the time and increases; else the first that increases evenly."""
     ascending = [c for c in columns if c.stamps is not None and not (c.is_counter and quantity_of(c.unit) != "time")]
-    time_columns = [column for column in ascending if column.is_date or is_time(column)]
+    time_columns = [column for column in ascending if column.is_date or is_time_column(column)]
     if time_columns:
         return min(time_columns, key=lambda column: (column.is_date, quantity_of(column.unit) != "time"))
     return next((column for column in ascending if column.unit is None and _increases_evenly(column)), None)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from rig.lab.column import Blocks, Column, Refused, UnreadableError
 from rig.lab.csv_text import TextForm
-from rig.lab.recorded import rate_in
+from rig.lab.recorded import stated_sampling_rate_hz
 from rig.limits import MAX_ITEMS
 
 
@@ -94,7 +94,9 @@ def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
             refusal_facts.append(f"left out: {block.sentence}")
         elif block.sample_count == 1 and len(block.names) == 1:
             (single_column,) = block.read([0])
-            stated_hz = rate_in([[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], ".")
+            stated_hz = stated_sampling_rate_hz(
+                [[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], "."
+            )
             if stated_hz is not None and rate_hz is None:
                 rate_hz, rate_origin = stated_hz, repr(single_column.name)
         else:

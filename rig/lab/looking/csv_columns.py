@@ -12,10 +12,10 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.lab.column import Column
-from rig.lab.csv_text import LINES_PER_BLOCK, TextForm, cells_of, number_in, sample_lines
+from rig.lab.csv_text import LINES_PER_BLOCK, TextForm, cells_of, finite_number_or_none, sample_lines
 from rig.lab.looking.columns import ColumnSummary, FileSummary, column_summary
-from rig.lab.looking.csv_dialect import CsvDialect, cell_kinds_of, dialect_of
-from rig.lab.recorded import rate_in
+from rig.lab.looking.csv_dialect import CsvDialect, cell_kind_letters, dialect_of
+from rig.lab.recorded import stated_sampling_rate_hz
 from rig.lab.units import is_unit, name_and_unit
 from rig.limits import PROGRAM_BYTES, check_decoded_size
 
@@ -35,7 +35,7 @@ _DELIMITER_WORDS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "spaces
 def summary_of_csv(path: Path) -> FileSummary:
     """Columns of a CSV file; raises RigError with a sentence if no map can import it."""
     dialect = dialect_of(path)
-    line_numbers, values, last_digits, is_date = _column_values(path, dialect)
+    line_numbers, values, last_digits, is_date = _line_numbers_values_digits_dates(path, dialect)
     form, line_count, is_finite = dialect.form, values.shape[1], np.isfinite(values)
     first_rows, counts = is_finite.argmax(axis=1), is_finite.sum(axis=1)
     end_rows = np.where(counts > 0, line_count - is_finite[:, ::-1].argmax(axis=1), 0)
@@ -50,9 +50,9 @@ def summary_of_csv(path: Path) -> FileSummary:
             f"{path}: none of its {len(values)} columns has numbers throughout; export the channels at one rate"
         )
     first_row, end = int(first_rows[is_channel].max()), int(end_rows[is_channel].min())
-    facts = [_reading_sentence(dialect), _placing_sentence(dialect)]
+    facts = [_encoding_and_delimiter_sentence(dialect), _line_layout_sentence(dialect)]
     if first_row:
-        form = _form_skipping(dialect, line_numbers[first_row] - line_numbers[0])
+        form = _form_with_more_skipped_lines(dialect, line_numbers[first_row] - line_numbers[0])
         facts.append(f"lines {line_numbers[0]} to {line_numbers[first_row] - 1} lack numbers, and are skipped")
     if end < line_count:
         form = replace(form, cut_incomplete_end=True)
@@ -68,11 +68,11 @@ def summary_of_csv(path: Path) -> FileSummary:
         elif not is_finite[k, first_row:end].all():
             fault = f"it has no number in line {line_numbers[first_row + int(np.argmin(is_finite[k, first_row:end]))]}"
         columns.append(column_summary(k + 1, Column(heading, column_samples, unit), last_digits[k], is_date[k], fault))
-    rate_hz = rate_in(dialect.header, form.decimal)
-    return FileSummary(path, tuple(_without_unused_end(columns)), tuple(facts), form, rate_hz)
+    rate_hz = stated_sampling_rate_hz(dialect.header, form.decimal)
+    return FileSummary(path, tuple(_without_empty_trailing_columns(columns)), tuple(facts), form, rate_hz)
 
 
-def _column_values(
+def _line_numbers_values_digits_dates(
     path: Path, dialect: CsvDialect
 ) -> tuple[list[int], Float[np.ndarray, "columns lines"], list[float], list[bool]]:
     """Line numbers, values (NaN where there is no number; dates as seconds), last digits, and which are dates."""
@@ -86,7 +86,7 @@ def _column_values(
     numbered_lines = sample_lines(path, form, dialect.first_line - 1)
     while numbered_batch := list(islice(numbered_lines, LINES_PER_BLOCK)):
         lines = [line for _, line in numbered_batch]
-        kinds = kinds or cell_kinds_of(cells_of(lines[0], form.delimiter), form.decimal).ljust(count, "e")[:count]
+        kinds = kinds or cell_kind_letters(cells_of(lines[0], form.delimiter), form.decimal).ljust(count, "e")[:count]
         line_numbers += [line_number for line_number, _ in numbered_batch]
         needed_bytes = PROGRAM_BYTES + WORKING_BYTES_PER_CELL * count * len(line_numbers)
         check_decoded_size(needed_bytes, file_bytes, f"{path}: its {count} columns")
@@ -101,12 +101,12 @@ def _column_values(
                 if kinds[column_index] == "d":
                     column_arrays[column_index].append(_seconds_since_first(cell, column_index, first_dates))
                 else:
-                    number = number_in(cell, form.decimal)
+                    number = finite_number_or_none(cell, form.decimal)
                     column_arrays[column_index].append(np.nan if number is None else number)
     is_date = [kind == "d" for kind in kinds]
     cells_by_column = zip(*(_padded_cells(line, form, count) for line in last_lines), strict=True)
     last_digits = [
-        min(_last_digit(cell, form.decimal, is_column_of_dates) for cell in column_cells)
+        min(_last_digit_value(cell, form.decimal, is_column_of_dates) for cell in column_cells)
         for column_cells, is_column_of_dates in zip(cells_by_column, is_date, strict=True)
     ]
     return line_numbers, np.array([np.frombuffer(column) for column in column_arrays]), last_digits, is_date
@@ -152,7 +152,7 @@ def _seconds_since_first(cell: str, column_index: int, first_date_by_column: dic
     return (date - first_date_by_column.setdefault(column_index, date)).total_seconds()
 
 
-def _last_digit(cell: str, decimal: str, is_date: bool) -> float:
+def _last_digit_value(cell: str, decimal: str, is_date: bool) -> float:
     """Value of the last digit written: 1e-3 of 0.125, 1e-6 of 1.25e-4; of dates, s, at least the microsecond held."""
     if is_date:
         _, decimal_point, decimals = cell.replace(",", ".").rpartition(":")[2].partition(".")
@@ -175,7 +175,7 @@ def _check_one_block(path: Path, line_numbers: list[int], values: Float[np.ndarr
         )
 
 
-def _form_skipping(dialect: CsvDialect, skipped_count: int) -> TextForm:
+def _form_with_more_skipped_lines(dialect: CsvDialect, skipped_count: int) -> TextForm:
     form = dialect.form
     if dialect.names:
         return replace(form, lines_after_names=form.lines_after_names + skipped_count)
@@ -191,21 +191,21 @@ def _name_and_unit(dialect: CsvDialect, column_index: int) -> tuple[str, str | N
     return name, unit or name_and_unit(name, guess=True)[1]
 
 
-def _without_unused_end(columns: list[ColumnSummary]) -> list[ColumnSummary]:
+def _without_empty_trailing_columns(columns: list[ColumnSummary]) -> list[ColumnSummary]:
     """Columns without those at the end that have neither name nor numbers."""
     while columns and columns[-1].fault == "it has no numbers" and not columns[-1].name:
         columns = columns[:-1]
     return columns
 
 
-def _reading_sentence(dialect: CsvDialect) -> str:
+def _encoding_and_delimiter_sentence(dialect: CsvDialect) -> str:
     form = dialect.form
     encoding = {"utf-8-sig": "UTF-8"}.get(form.encoding, form.encoding)
     delimiter = _DELIMITER_WORDS.get(form.delimiter, repr(form.delimiter))
     return f"text in {encoding}, {delimiter} between columns, decimal {'comma' if form.decimal == ',' else 'point'}"
 
 
-def _placing_sentence(dialect: CsvDialect) -> str:
+def _line_layout_sentence(dialect: CsvDialect) -> str:
     units_line = next((k for k, row in enumerate(dialect.header, 1) if dialect.units and row == dialect.units), None)
     names_words = f"names in line {dialect.form.lines_before_names + 1}" if dialect.names else "no names"
     units_words = f"units in line {units_line}" if units_line else "no line of units"

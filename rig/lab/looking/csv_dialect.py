@@ -49,7 +49,7 @@ def dialect_of(path: Path) -> CsvDialect:
     """Dialect of a CSV file; raises RigError if no lines of numbers are found in it."""
     encoding = _text_encoding(path)
     lines = [line.rstrip("\r\n") for line in islice(lines_of(path, encoding), MAX_HEADER_LINES)]
-    scored_runs = [(*_longest_run(lines, *separators), *separators) for separators in DELIMITERS_AND_DECIMALS]
+    scored_runs = [(*_longest_numeric_run(lines, *separators), *separators) for separators in DELIMITERS_AND_DECIMALS]
     best_score, first_line, last_line, delimiter, decimal = max(scored_runs, key=lambda scored_run: scored_run[0])
     if best_score <= 0:
         _check_no_quoted_commas(path, lines)
@@ -80,16 +80,16 @@ def dialect_of(path: Path) -> CsvDialect:
     return CsvDialect(form, column_names, unit_cells, tuple(header_cells), max(map(len, sample_cells)), first_line + 1)
 
 
-def is_stamp(cell: str) -> bool:
+def is_date_or_time(cell: str) -> bool:
     """True if a cell is a date, a time of day, or both."""
     text = cell.strip()
     return any(separator in text for separator in ":-/.") and bool(text) and STAMP_PATTERN.fullmatch(text) is not None
 
 
-def cell_kinds_of(cells: Sequence[str], decimal: str) -> str:
+def cell_kind_letters(cells: Sequence[str], decimal: str) -> str:
     """Letter for each cell: n for a number, d for a date or time of day, e if it is empty, t for other text."""
     return "".join(
-        "e" if not cell.strip() else "n" if is_number(cell, decimal) else "d" if is_stamp(cell) else "t"
+        "e" if not cell.strip() else "n" if is_number(cell, decimal) else "d" if is_date_or_time(cell) else "t"
         for cell in cells
     )
 
@@ -132,7 +132,7 @@ def _decoded_pieces(path: Path, encoding: str) -> Iterator[str]:
             yield decoder.decode(piece, final=not piece)
 
 
-def _longest_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, int, int]:
+def _longest_numeric_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, int, int]:
     """Numbers less texts of the longest run of lines of samples, and its first and last line.
 
     Lines of a run have their texts, if any, in the same columns, and more numbers and dates than texts.
@@ -142,7 +142,7 @@ def _longest_run(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[in
     for line_index, line in enumerate(lines):
         if not line.strip():
             continue
-        cell_kinds = cell_kinds_of(cells_of(line, delimiter)[:MAX_CELL_COUNT], decimal)
+        cell_kinds = cell_kind_letters(cells_of(line, delimiter)[:MAX_CELL_COUNT], decimal)
         number_count = cell_kinds.count("n")
         line_text_columns = {column_index for column_index, kind in enumerate(cell_kinds) if kind == "t"}
         if not number_count or number_count + cell_kinds.count("d") <= len(line_text_columns):
@@ -166,7 +166,7 @@ def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, de
     """First line that has numbers where the samples have them, perhaps with a header beside them."""
 
     def number_columns(line: str) -> set[int]:
-        return {k for k, kind in enumerate(cell_kinds_of(cells_of(line, delimiter), decimal)) if kind == "n"}
+        return {k for k, kind in enumerate(cell_kind_letters(cells_of(line, delimiter), decimal)) if kind == "n"}
 
     needed_columns = number_columns(lines[first_line])
     while first_line and needed_columns <= number_columns(lines[first_line - 1]):
@@ -188,7 +188,7 @@ def _names_and_units_lines(
     for line_index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
         cells = header_cells[line_index]
         filled_cells = [cell for cell in cells if cell]
-        text_count, half_count = cell_kinds_of(cells, decimal).count("t"), len(filled_cells) / 2
+        text_count, half_count = cell_kind_letters(cells, decimal).count("t"), len(filled_cells) / 2
         is_wide = len(cells) > max(used_columns)
         if not filled_cells or not is_wide or text_count < min(needed_count, max(1, half_count)):
             continue

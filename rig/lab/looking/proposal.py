@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from rig.errors import RigError, is_plain, one_line
+from rig.errors import RigError, has_no_control_characters, one_line
 from rig.lab.clock import MAX_DECIMATION, RATE_TOLERANCE
 from rig.lab.column import Blocks
 from rig.lab.csv_text import TEXT_SUFFIXES, TextForm
@@ -16,7 +16,7 @@ from rig.lab.import_map import PLACEHOLDER
 from rig.lab.looking.clock import ClockProposal, clock_in
 from rig.lab.looking.columns import ColumnSummary, FileSummary, summary_of_blocks
 from rig.lab.looking.csv_columns import summary_of_csv
-from rig.lab.looking.roles import ColumnRole, candidates_in, roles_of
+from rig.lab.looking.roles import ColumnRole, channel_columns_and_rejections, roles_of
 from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
@@ -35,14 +35,14 @@ class Proposal:
     placeholder_count: int
 
 
-def look_at(source_path: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal:
+def proposed_import_map(source_path: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal:
     """Map proposed for a file, with a placeholder for each value that neither the file nor the rig states.
 
     rig_name is the path of rig.json that the map names. Raises RigError with one sentence if no map can import
     the file.
     """
-    file_summary = with_blocks(source_path, TextForm(), lambda blocks: _file_content(source_path, blocks))
-    channels, left_out_reasons = candidates_in(file_summary.columns)
+    file_summary = with_blocks(source_path, TextForm(), lambda blocks: _summary_by_suffix(source_path, blocks))
+    channels, left_out_reasons = channel_columns_and_rejections(file_summary.columns)
     if not channels:
         reasons = "; ".join(f"{_column_label(column)}: {reason}" for column, reason in left_out_reasons[:6])
         reasons = reasons or "it has no columns of numbers"
@@ -81,7 +81,7 @@ def look_at(source_path: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Pro
     return Proposal(map_text, tuple(map(one_line, facts)), unfilled_count)
 
 
-def _file_content(source_path: Path, blocks: Blocks) -> FileSummary:
+def _summary_by_suffix(source_path: Path, blocks: Blocks) -> FileSummary:
     suffix = source_path.suffix.lower()
     if suffix in TEXT_SUFFIXES:
         return summary_of_csv(source_path)
@@ -96,7 +96,13 @@ def _key_by_number(file_summary: FileSummary) -> dict[int, str | int]:
 
     def is_telling(name: str) -> bool:
         is_short = 0 < len(name) <= MAX_NAME_LENGTH
-        return name_counts[name] == 1 and is_plain(name) and name == name.strip() and is_short and name != PLACEHOLDER
+        return (
+            name_counts[name] == 1
+            and has_no_control_characters(name)
+            and name == name.strip()
+            and is_short
+            and name != PLACEHOLDER
+        )
 
     return {column.number: column.name if is_telling(column.name) else column.number for column in file_summary.columns}
 

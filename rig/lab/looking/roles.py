@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 
-from rig.lab.looking.clock import is_time
+from rig.lab.looking.clock import is_time_column
 from rig.lab.looking.columns import ColumnSummary
 from rig.lab.units import SCALED_UNITS, name_and_unit, quantity_of
 
@@ -30,7 +30,7 @@ class ColumnRole:
     is_by_name: bool
 
 
-def candidates_in(
+def channel_columns_and_rejections(
     columns: Sequence[ColumnSummary],
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
@@ -79,7 +79,7 @@ def _unfit_reason(column: ColumnSummary) -> str:
         (column.distinct_count == 1, f"it is {column.lowest:g} throughout"),
         (column.distinct_count == 2, f"it is {column.lowest:g} or {column.highest:g}, as a trigger is"),
         (column.stamps is not None and column.is_counter, "it counts the samples"),
-        (column.stamps is not None and is_time(column), "it is a time"),
+        (column.stamps is not None and is_time_column(column), "it is a time"),
         (is_foreign_unit, f"it is in {column.unit}, which no sensor of a rig measures"),
     )
     return next((reason for applies, reason in conditions_and_reasons if applies), "")

@@ -79,11 +79,11 @@ def fit_modes(
     log_modes = _stable_modes(line_hz[::line_step], scaled_frfs[:, ::line_step])
     if not log_modes.size:
         raise RigError("no mode is found in the FRFs; check their band and noise")
-    log_modes = _pruned_modes(line_hz, scaled_frfs, log_modes)
+    log_modes = _modes_pruned_by_bic(line_hz, scaled_frfs, log_modes)
     while True:
         log_modes = _refined_modes(line_hz, scaled_frfs, log_modes)
         modal_basis = _modal_basis(line_hz, log_modes)
-        coefficients = basis_coefficients(modal_basis, scaled_frfs)
+        coefficients = real_least_squares_coefficients(modal_basis, scaled_frfs)
         frf_errors = np.abs(scaled_frfs - coefficients.T @ modal_basis.T)
         is_significant = _significant_mask(line_hz, modal_basis, log_modes, coefficients, frf_errors, driving_index)
         if is_significant.all():
@@ -102,13 +102,15 @@ def fit_modes(
 def _stable_modes(line_hz: Lines, frfs: Frfs) -> LogModes:
     """(ln f, ln z) of the poles that are stable from order to order."""
     stable_poles, previous_poles, order_count = [], np.zeros((0, 2)), 0
-    products, projections = _denominator_equations(line_hz, frfs)
+    products, projections = _lscf_products_and_projections(line_hz, frfs)
     for order in POLYNOMIAL_ORDERS:
         if 3 * order > line_hz.size:
             break
         leading_columns = slice(order + 1)
         projection = projections[:, leading_columns, leading_columns].reshape(-1, order + 1)
-        poles = _log_poles(line_hz, products[leading_columns, leading_columns] - projection.conj().T @ projection)
+        poles = _pole_log_frequency_and_damping(
+            line_hz, products[leading_columns, leading_columns] - projection.conj().T @ projection
+        )
         is_stable = np.abs(poles[:, None] - previous_poles[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
         stable_poles.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
         previous_poles, order_count = poles, order_count + 1
@@ -119,7 +121,7 @@ def _stable_modes(line_hz: Lines, frfs: Frfs) -> LogModes:
     return np.array(median_modes).reshape(-1, 2)
 
 
-def _denominator_equations(
+def _lscf_products_and_projections(
     line_hz: Lines, frfs: Frfs
 ) -> tuple[Complex[np.ndarray, "n n"], Complex[np.ndarray, "frfs n n"]]:
     """Equations sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares:
@@ -139,7 +141,9 @@ def _denominator_equations(
     return product_matrix, np.array(projections)
 
 
-def _log_poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Float[np.ndarray, "poles 2"]:
+def _pole_log_frequency_and_damping(
+    line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]
+) -> Float[np.ndarray, "poles 2"]:
     """(ln f, ln z) of the damped poles in the band, from the normal equations of one order."""
     first_hz, alias_hz = line_hz[0], 1.02 * (line_hz[-1] - line_hz[0])
     higher_coefficients = np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0]
@@ -153,12 +157,12 @@ def _log_poles(line_hz: Lines, normal_matrix: Complex[np.ndarray, "n n"]) -> Flo
     return np.log(np.stack([np.abs(poles[is_damped]) / (2 * np.pi), damping_ratios[is_damped]], axis=1))
 
 
-def _pruned_modes(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> Float[np.ndarray, "fewer 2"]:
+def _modes_pruned_by_bic(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> Float[np.ndarray, "fewer 2"]:
     """Modes after removing, one by one, those without which N log(sum of squares) + parameters log(N) is lower."""
 
     def information_criterion(fewer_modes: Float[np.ndarray, "some 2"]) -> float:
         basis = _modal_basis(line_hz, fewer_modes)
-        square_sum = float(np.sum(np.abs(frfs - basis_coefficients(basis, frfs).T @ basis.T) ** 2))
+        square_sum = float(np.sum(np.abs(frfs - real_least_squares_coefficients(basis, frfs).T @ basis.T) ** 2))
         data_count = 2 * frfs.size
         return data_count * np.log(max(square_sum, 1e-300)) + len(fewer_modes) * (len(frfs) + 2) * np.log(data_count)
 
@@ -195,7 +199,7 @@ def _refined_modes(line_hz: Lines, frfs: Frfs, log_modes: LogModes) -> LogModes:
 
     def real_errors(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
         basis = _modal_basis(line_hz, unknowns.reshape(-1, 2))
-        error = frfs - basis_coefficients(basis, frfs).T @ basis.T
+        error = frfs - real_least_squares_coefficients(basis, frfs).T @ basis.T
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
     log_half_widths, unknown_scales = np.tile(REFINEMENT_RANGE, len(log_modes)), np.tile([1e-3, 1e-1], len(log_modes))
@@ -213,7 +217,7 @@ def _modal_basis(line_hz: Lines, modes: LogModes) -> Complex[np.ndarray, "lines 
     return np.concatenate([mode_accelerance, -(omega**2) / natural_omega.max() ** 2, np.ones_like(omega)], axis=1)
 
 
-def basis_coefficients(
+def real_least_squares_coefficients(
     basis: Complex[np.ndarray, "lines terms"], frfs: Complex[np.ndarray, "frfs lines"]
 ) -> Float[np.ndarray, "terms frfs"]:
     """Real least-squares coefficients of the basis."""

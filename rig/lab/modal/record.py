@@ -9,9 +9,9 @@ from jaxtyping import Complex, Float
 
 from rig.errors import RigError
 from rig.lab.modal.fit import Lines, ModalFit, fit_modes, lines_in_band
-from rig.lab.modal.refine import ResponseMap, mode_accelerances, refined_by_frfs, refined_by_output
+from rig.lab.modal.refine import ResponseMap, refined_by_frfs, refined_by_output_error, unit_residue_accelerances
 from rig.model.structure import Structure, structure_of
-from rig.recording.period import period_of
+from rig.recording.period import force_period_samples
 
 MIN_FORCE_SHARE = 1e-3
 """Least power density of the force at a line that is used, relative to its largest."""
@@ -63,8 +63,8 @@ def fit_record(
     blocks that overlap by half. `fit_modes` finds the modes in the band, `refine` minimises their output error. Raises
     RigError if no mode is found.
     """
-    period_samples = period_of(measured.force_n)
-    line_hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
+    period_samples = force_period_samples(measured.force_n)
+    line_hz, force_density, frfs, noise_density = _h1_frfs_and_densities(measured, period_samples)
     is_used = (line_hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
     is_used &= lines_in_band(line_hz, band_hz)
     if not is_used.any():
@@ -75,7 +75,9 @@ def fit_record(
     error_weights = force_amplitudes / (2 * np.pi * line_hz) ** (2 - measured.derivative_order)
     modes = refined_by_frfs(line_hz, accelerance, error_weights, frf_modes, driving_index)
     used_band_hz = float(line_hz[0]), float(line_hz[-1])
-    modes = refined_by_output(*_output_spectra(measured, modes, used_band_hz), used_band_hz, modes, driving_index)
+    modes = refined_by_output_error(
+        *_response_spectra_and_map(measured, modes, used_band_hz), used_band_hz, modes, driving_index
+    )
     position_order = np.argsort(positions_m)
     sorted_m, shapes = np.array(positions_m, dtype=float)[position_order], modes.shapes(driving_index)[position_order]
     misfits = _free_run_misfits(measured, modes)
@@ -93,13 +95,15 @@ def fit_record(
 
 def free_run(measured: MeasuredResponse, modal_fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
     """Responses of the modes to the measured force from rest, zero-padded behind the record."""
-    force_spectrum, line_hz, response_by_acceleration = _force_spectrum(measured, modal_fit)
-    spectra = response_by_acceleration * mode_accelerances(line_hz, modal_fit.frequencies_hz, modal_fit.damping_ratios)
+    force_spectrum, line_hz, response_by_acceleration = _force_spectrum_and_integrator(measured, modal_fit)
+    spectra = response_by_acceleration * unit_residue_accelerances(
+        line_hz, modal_fit.frequencies_hz, modal_fit.damping_ratios
+    )
     modal_responses = scipy.fft.irfft(force_spectrum * spectra, 2 * (line_hz.size - 1))[:, : measured.force_n.size]
     return np.asarray(modal_fit.residues @ modal_responses)
 
 
-def _force_spectrum(
+def _force_spectrum_and_integrator(
     measured: MeasuredResponse, modal_fit: ModalFit
 ) -> tuple[Complex[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
     """Spectrum of the zero-padded force, its frequencies (Hz), and (i omega)^(order - 2), which is 0 at 0 Hz.
@@ -115,12 +119,12 @@ def _force_spectrum(
     return scipy.fft.rfft(measured.force_n, padded_length), line_hz, response_by_acceleration
 
 
-def _output_spectra(
+def _response_spectra_and_map(
     measured: MeasuredResponse, modal_fit: ModalFit, band_hz: tuple[float, float]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], ResponseMap, Float[np.ndarray, " all"]]:
     """Spectra of the responses in the band, a map from accelerances to those of a free run, and its lines (Hz)."""
     first_sample, sample_count = _first_decayed_sample(measured, modal_fit), measured.force_n.size
-    force_spectrum, line_hz, response_by_acceleration = _force_spectrum(measured, modal_fit)
+    force_spectrum, line_hz, response_by_acceleration = _force_spectrum_and_integrator(measured, modal_fit)
     is_in_band = lines_in_band(np.fft.rfftfreq(sample_count - first_sample, 1 / measured.sample_rate_hz), band_hz)
     is_simulated = line_hz <= 2 * band_hz[1]
     response_by_accelerance = force_spectrum[is_simulated] * response_by_acceleration[is_simulated]
@@ -132,7 +136,7 @@ def _output_spectra(
     return scipy.fft.rfft(measured.responses[:, first_sample:])[:, is_in_band], response_map, line_hz[is_simulated]
 
 
-def _measured_frfs(
+def _h1_frfs_and_densities(
     measured: MeasuredResponse, period_samples: int | None
 ) -> tuple[Lines, Lines, Complex[np.ndarray, "sensors lines"], Float[np.ndarray, " sensors"]]:
     """Frequencies (Hz), power density of the force, H1, and noise density of the sensors."""

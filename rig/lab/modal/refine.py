@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from rig.lab.modal.fit import Lines, ModalFit, basis_coefficients
+from rig.lab.modal.fit import Lines, ModalFit, real_least_squares_coefficients
 
 BELOW_START_RATIO, ABOVE_START_RATIO = 0.5, 1.6
 """Initial frequencies of the modes outside the band, relative to its ends."""
@@ -28,7 +28,7 @@ ResponseMap = Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "
 ModeRows = Float[np.ndarray, "modes columns"]
 
 
-def mode_accelerances(
+def unit_residue_accelerances(
     line_hz: Lines, natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Accelerances of modes with unit residue, -w^2 / (w_k^2 - w^2 + 2 i z_k w_k w)."""
@@ -50,12 +50,16 @@ def refined_by_frfs(
     and one above it, which represent all those there, are added where they lower the Bayesian information criterion.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    output_error = _OutputError(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * line_hz, driving_index)
+    output_error = _OutputResidual(
+        weights * accelerance, lambda unit: weights * unit, 2 * np.pi * line_hz, driving_index
+    )
     data_count = 2 * accelerance.size
     best_modes, least_criterion = initial_modes, np.inf
     for adds_below, adds_above in product((False, True), repeat=2):
         outside_hz = [line_hz[0] * BELOW_START_RATIO] * adds_below + [line_hz[-1] * ABOVE_START_RATIO] * adds_above
-        starting_modes = np.concatenate([initial_modes, output_error.outside_modes(initial_modes, outside_hz)])
+        starting_modes = np.concatenate(
+            [initial_modes, output_error.initial_out_of_band_modes(initial_modes, outside_hz)]
+        )
         candidate_modes = _least_error_modes(output_error, starting_modes, (line_hz[0], line_hz[-1]))
         error_square_sum = np.sum(output_error.residual(candidate_modes.ravel()) ** 2)
         criterion = data_count * np.log(error_square_sum) + candidate_modes.size * np.log(data_count)
@@ -64,7 +68,7 @@ def refined_by_frfs(
     return _fit_of_rows(best_modes, initial_fit, driving_index)
 
 
-def refined_by_output(
+def refined_by_output_error(
     response_spectra: Complex[np.ndarray, "sensors lines"],
     response_map: ResponseMap,
     line_hz: Float[np.ndarray, " all"],
@@ -77,11 +81,11 @@ def refined_by_output(
     Y are the `response_spectra`; `response_map` maps an accelerance to that of its response to the measured force.
     """
     initial_modes = _mode_rows(initial_fit, driving_index)
-    output_error = _OutputError(response_spectra, response_map, 2 * np.pi * line_hz, driving_index)
+    output_error = _OutputResidual(response_spectra, response_map, 2 * np.pi * line_hz, driving_index)
     return _fit_of_rows(_least_error_modes(output_error, initial_modes, band_hz), initial_fit, driving_index)
 
 
-class _OutputError:
+class _OutputResidual:
     """Error of modes, relative to the rms of each sensor, and its Jacobian; modes are rows (ln f, ln z, phi_1, ...)."""
 
     def __init__(
@@ -113,14 +117,16 @@ class _OutputError:
         jacobian_rows = -model_slopes.reshape(sensor_count * line_count, -1)
         return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
 
-    def outside_modes(self, modes: ModeRows, outside_hz: list[float]) -> Float[np.ndarray, "outside columns"]:
+    def initial_out_of_band_modes(
+        self, modes: ModeRows, outside_hz: list[float]
+    ) -> Float[np.ndarray, "outside columns"]:
         """Initial modes outside the band, with least-squares residues of the remaining error."""
         if not outside_hz:
             return np.zeros((0, modes.shape[1]))
         remaining_error = self.sensor_rms * self._error(modes)
         log_hz_damping = np.column_stack([np.log(outside_hz), np.full(len(outside_hz), np.log(OUTSIDE_DAMPING_RATIO))])
         unit_spectra = self.response_map(self._accelerance_and_slopes(log_hz_damping)[0])
-        residues = basis_coefficients(unit_spectra.T, remaining_error)
+        residues = real_least_squares_coefficients(unit_spectra.T, remaining_error)
         min_driving_residues = MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)
         driving_shape = np.sqrt(np.maximum(residues[:, self.driving_index], min_driving_residues))
         outside_shapes = residues / driving_shape[:, None]
@@ -153,7 +159,7 @@ def _accelerance_and_slopes(
     return [accelerance, -accelerance * (2 * omega_k**2 + loss) / denominator, -accelerance * loss / denominator]
 
 
-def _least_error_modes(output_error: _OutputError, start_modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
+def _least_error_modes(output_error: _OutputResidual, start_modes: ModeRows, band_hz: tuple[float, float]) -> ModeRows:
     """Modes of least error: those in the band stay near their start, those outside stay outside."""
     lower_bounds, upper_bounds = np.full(start_modes.shape, -np.inf), np.full(start_modes.shape, np.inf)
     (log_low_hz, log_high_hz), (log_down, log_up), log_hz = np.log(band_hz), np.log(OUTSIDE_REACH), start_modes[:, 0]

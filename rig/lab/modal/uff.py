@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import UnreadableError
 from rig.lab.modal.fit import ModalFit, fit_modes, lines_in_band
-from rig.lab.uff import check_whole
+from rig.lab.uff import check_uff_is_complete
 from rig.lab.units import si_factor
 from rig.model.structure import Structure, structure_of
 from rig.model.tolerances import Tolerances
@@ -23,7 +23,7 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Choice:
+class UffSelection:
     """Selection from a UFF file; None and () leave it to the file. axis is that along the body."""
 
     axis: Axis | None = None
@@ -48,7 +48,7 @@ class UffFile:
         return RigError(f"{self.path}: {sentence}")
 
 
-def structure_from_uff(path: Path, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
+def structure_from_uff(path: Path, choice: UffSelection) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
     """Structure named after the file, notes on its data and fit, and for FRFs its tolerances.
 
     The tolerances are the share of the FRFs that the modes leave unexplained, and the upper end of their band.
@@ -71,7 +71,7 @@ def read_uff(path: Path) -> UffFile:
         import pyuff
 
     try:
-        check_whole(path)
+        check_uff_is_complete(path)
         reader = pyuff.UFF(str(path))
         datasets: dict[int, list[dict[str, Any]]] = {}
         for dataset_index, dataset_type in enumerate(map(int, reader.get_set_types())):
@@ -97,8 +97,8 @@ def read_uff(path: Path) -> UffFile:
     return UffFile(path, datasets, nodes_m, length_units, force_units)
 
 
-def node_line(
-    file: UffFile, choice: Choice, nodes: Iterable[int]
+def nodes_along_body(
+    file: UffFile, choice: UffSelection, nodes: Iterable[int]
 ) -> tuple[tuple[int, ...], Float[np.ndarray, " places"], float, str]:
     """Nodes along the body, their positions from its left end (m), its length (m), and a note on them."""
     chosen = choice.nodes or tuple(sorted(set(nodes)))
@@ -132,14 +132,14 @@ MAX_OUT_OF_PHASE = 0.2
 """Largest share of a shape out of phase that a normal mode may approximate."""
 
 
-def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]]:
+def structure_from_shapes(file: UffFile, choice: UffSelection) -> tuple[Structure, tuple[str, ...]]:
     """Structure of the mode shapes of a file (dataset 55), mass-normalised in SI, and notes on it."""
     modes = sorted((_mode_of(file, dataset) for dataset in file.datasets[55]), key=lambda mode: mode.frequency_hz)
     modes = [mode for mode in modes if set(choice.nodes) <= set(mode.vector_by_node)] or modes
     common_nodes = set.intersection(*(set(mode.vector_by_node) for mode in modes))
     if not (common_nodes or choice.nodes):
         raise file.error("no node is in all its mode shapes, as of several bodies; name those of one by nodes")
-    nodes, positions_m, length_m, line_note = node_line(file, choice, common_nodes)
+    nodes, positions_m, length_m, line_note = nodes_along_body(file, choice, common_nodes)
     mode_vectors = np.array([[mode.vector_by_node[node] for node in nodes] for mode in modes])  # modes nodes 3
     amplitudes = np.sqrt(np.sum(np.abs(mode_vectors) ** 2, axis=1))
     if not amplitudes.any():
@@ -217,7 +217,7 @@ _FORCE_CODES = (9, 13)
 _FRF_FUNCTION_CODE = 4
 
 
-def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances]:
+def structure_from_frfs(file: UffFile, choice: UffSelection) -> tuple[Structure, tuple[str, ...], Tolerances]:
     frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION_CODE]
     if not frfs:
         raise file.error("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
@@ -226,8 +226,8 @@ def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple
         axis = AXES.index(choice.direction) + 1
     if axis not in (1, 2, 3):
         raise file.error("its FRFs do not say their directions; export them with node and direction")
-    driving_node, frf_by_node = _driving_point(file, frfs, axis)
-    nodes, positions_m, length_m, line_note = node_line(file, choice, frf_by_node)
+    driving_node, frf_by_node = _driving_point_and_frfs(file, frfs, axis)
+    nodes, positions_m, length_m, line_note = nodes_along_body(file, choice, frf_by_node)
     if driving_node not in nodes:
         raise file.error(f"the driving point, node {driving_node}, is not among nodes; add it")
     frequency_hz, accelerance = _accelerances_of(file, [frf_by_node[node] for node in nodes])
@@ -260,7 +260,7 @@ def _fit_notes(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
 SignedFrf = tuple[float, dict[str, Any]]
 
 
-def _driving_point(file: UffFile, frfs: list[dict[str, Any]], axis: int) -> tuple[int, dict[int, SignedFrf]]:
+def _driving_point_and_frfs(file: UffFile, frfs: list[dict[str, Any]], axis: int) -> tuple[int, dict[int, SignedFrf]]:
     """Driving point that most FRFs in the direction share, and their signs and FRFs by the node of the other end.
 
     The shared point may be where the force acts or, by reciprocity (a roving hammer), where the sensor sits.

@@ -11,7 +11,7 @@ from rig.lab.starting.structure import StructureRig
 from rig.model.description import Rig, to_json
 from rig.recording import RIG_NAME
 
-__all__ = ["KINDS", "MAP_NAME", "Start", "StartWithStops", "write_start"]
+__all__ = ["KINDS", "MAP_NAME", "Start", "StartWithStops", "write_rig_and_map"]
 
 MAP_NAME = "map.toml"
 KINDS: dict[str, type[Start]] = {
@@ -28,7 +28,7 @@ _HEAD = """# Which column of a measured file is which sensor, for `rig import FI
 """
 
 
-def write_start(rig: Rig, map_text: str, folder: Path) -> tuple[Path, Path]:
+def write_rig_and_map(rig: Rig, map_text: str, folder: Path) -> tuple[Path, Path]:
     """Write rig.json and the import map; return both paths."""
     make_folder(folder)
     rig_path, map_path = folder / RIG_NAME, folder / MAP_NAME

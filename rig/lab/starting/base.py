@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.lab.exporting import import_map
 from rig.model.contact_laws import AnyLaw
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.quantities import QuantityName
 from rig.model.sensing import named_sensor
@@ -69,7 +69,7 @@ class StartWithStops(Start, frozen=True, kw_only=True):
         force_at: Station,
         stations: Sequence[Station],
     ) -> Rig:
-        law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
+        law = symmetric_dead_zone(self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
         if self.stops != "both":
             absent_field = "lower_clearance_m" if self.stops == "upper" else "upper_clearance_m"
             law = msgspec.structs.replace(law, **{absent_field: np.inf})

@@ -73,14 +73,14 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
                 f"springs_n_per_m has {len(self.springs_n_per_m)} numbers for {count} masses; give one for all, or one "
                 "for each mass, zero or above"
             )
-        body = row_of_masses("chain", np.array(self.masses_kg), np.array(springs_n_per_m), self.damping_ratio)
+        body = chain_modal_basis("chain", np.array(self.masses_kg), np.array(springs_n_per_m), self.damping_ratio)
         stations = [Station("chain", float(number)) for number in range(1, count + 1)]
         meeting_stations = [
             (stations[first_number - 1], stations[second_number - 1] if second_number else None)
             for first_number, second_number in self._mass_pairs(count)
         ]
         force_at = stations[
-            self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1
+            self._checked_mass_number("force_mass", count if self.force_mass is None else self.force_mass, count) - 1
         ]
         frequency_words = ", ".join(f"{natural_hz:.4g}" for natural_hz in body.natural_hz)
         rig = self._rig((body,), meeting_stations, force_at, stations)
@@ -92,17 +92,17 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
             if not (dash and first_text.isdecimal() and second_text.isdecimal()) or first_text == second_text:
                 raise RigError(f"contacts has {pair!r}; give pairs of masses such as 3-2, or 3-0 against the ground")
             yield (
-                self._checked("contacts", int(first_text), mass_count),
-                self._checked("contacts", int(second_text), mass_count, least_number=0),
+                self._checked_mass_number("contacts", int(first_text), mass_count),
+                self._checked_mass_number("contacts", int(second_text), mass_count, least_number=0),
             )
 
-    def _checked(self, option: str, mass_number: int, mass_count: int, least_number: int = 1) -> int:
+    def _checked_mass_number(self, option: str, mass_number: int, mass_count: int, least_number: int = 1) -> int:
         if not least_number <= mass_number <= mass_count:
             raise RigError(f"{option} names mass {mass_number}; there are masses {least_number} to {mass_count}")
         return mass_number
 
 
-def row_of_masses(
+def chain_modal_basis(
     name: str,
     masses_kg: Float[np.ndarray, " masses"],
     springs_n_per_m: Float[np.ndarray, " masses"],

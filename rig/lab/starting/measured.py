@@ -9,14 +9,14 @@ import msgspec
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.lab.clock import evenly_sampled
+from rig.lab.clock import even_samples_and_steps
 from rig.lab.csv_text import TextForm
 from rig.lab.import_map import Source
-from rig.lab.importing import rows_in_si, sample_times_of, source_columns
+from rig.lab.importing import columns_and_si_factors, rows_in_si, sample_times_of
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
 from rig.lab.tables import read_table
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import Rig, Station
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import named_sensor
@@ -70,7 +70,7 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         noise_densities = fit.noise_density.tolist()
         if self.noise_density is not None:
             noise_densities = [self.noise_density] * len(noise_densities)
-        law = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
+        law = symmetric_dead_zone(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
         stations = [Station(self.name, position_m) for position_m in self.positions_m]
         sensors = (
             replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
@@ -137,11 +137,13 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         for sensor_number, name in enumerate(self.columns, start=1):
             source_by_name[f"sensor {sensor_number}"] = (self.quantity[0], _source(name, self.unit))
         try:
-            column_by_name, si_factors = source_columns(table, source_by_name)
+            column_by_name, si_factors = columns_and_si_factors(table, source_by_name)
             time_source = _source(self.time_column, "s") if self.time_column else None
             sample_times = sample_times_of(table, list(column_by_name.values()), time_source, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")
-            si_rows, _ = evenly_sampled(rows_in_si(column_by_name, si_factors), sample_times, rate_hz, resample=False)
+            si_rows, _ = even_samples_and_steps(
+                rows_in_si(column_by_name, si_factors), sample_times, rate_hz, resample=False
+            )
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(si_rows[0], si_rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)

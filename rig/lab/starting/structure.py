@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from rig.errors import RigError
-from rig.lab.modal import Axis, Choice, structure_from_uff
+from rig.lab.modal import Axis, UffSelection, structure_from_uff
 from rig.lab.starting.base import StartWithStops, spread_positions
 from rig.model.decoding import converted
 from rig.model.description import Rig, Station
@@ -76,15 +76,15 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         if self.from_uff is None:
             return self._with_rigid_modes(self._from_json()), (), None
         choice_fields = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
-        body, notes, tolerances = structure_from_uff(self.from_uff, Choice(*choice_fields))
+        body, notes, tolerances = structure_from_uff(self.from_uff, UffSelection(*choice_fields))
         return self._with_rigid_modes(body), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:
         contacts_m, stations_m = (
-            [_basis_position_m(body, position_m, option) for position_m in positions_m]
+            [_nearest_basis_position_m(body, position_m, option) for position_m in positions_m]
             for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
-        force_m = _basis_position_m(body, self.force_m, "force_m")
+        force_m = _nearest_basis_position_m(body, self.force_m, "force_m")
         sensor_positions_m = stations_m or spread_positions(
             [*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist()
         )
@@ -144,7 +144,7 @@ def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
     )
 
 
-def _basis_position_m(body: Structure, position_m: float, option: str) -> float:
+def _nearest_basis_position_m(body: Structure, position_m: float, option: str) -> float:
     """Place of the modal basis nearest to position_m; raises RigError if it is too far."""
     nearest_m = float(body.positions_m[np.argmin(np.abs(body.positions_m - position_m))])
     if not abs(nearest_m - position_m) <= SAME_PLACE_SHARE * body.length_m:

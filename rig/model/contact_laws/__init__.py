@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING, Union
 
-from rig.model.contact_laws.base import ContactLaw, penetration_m, walls_m
+from rig.model.contact_laws.base import ContactLaw, penetration_m, stop_positions_m_and_sides
 from rig.model.contact_laws.dead_zone import DeadZone
 from rig.registry import subclasses
 
-__all__ = ["LAWS", "PLANE_LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m", "walls_m"]
+__all__ = ["LAWS", "PLANE_LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m", "stop_positions_m_and_sides"]
 
 LAWS: dict[str, type[ContactLaw]] = {
     str(tag): kind for kind in subclasses(__path__, __name__, ContactLaw) if (tag := kind.__struct_config__.tag)

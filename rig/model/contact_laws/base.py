@@ -131,7 +131,7 @@ class PlaneLaw(ContactLaw, frozen=True, kw_only=True):
     wear_m_per_s: float = 0.0
 
 
-def walls_m(law: ContactLaw) -> list[tuple[float, int]]:
+def stop_positions_m_and_sides(law: ContactLaw) -> list[tuple[float, int]]:
     """Relative displacements at which the stops stand at time 0, the upper one first, each with its side."""
     position_by_side_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
     return [(position_by_side_m[side], side) for side in reversed(law.sides)]

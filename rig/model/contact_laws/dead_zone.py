@@ -52,7 +52,7 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
         depth_m = depth_of(law, eta, time_s)
-        force_n = _secant(law, depth_m) * depth_m
+        force_n = _secant_stiffness_n_per_m(law, depth_m) * depth_m
         if contributes(law.cubic_n_per_m3):
             force_n = force_n + law.cubic_n_per_m3 * depth_m * depth_m * depth_m
         if contributes(law.damping_n_s_per_m):
@@ -77,14 +77,14 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
 
     def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         depth_m = depth_of(self, eta_m, time_s)
-        tangent_n_per_m = self.exponent * _secant(self, depth_m)
+        tangent_n_per_m = self.exponent * _secant_stiffness_n_per_m(self, depth_m)
         return np.asarray((tangent_n_per_m + 3 * self.cubic_n_per_m3 * depth_m * depth_m) * (depth_m != 0))
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
         depth_m = depth_of(self, eta_m, time_s)
         damping_share = smaller(magnitude(depth_m) / DAMPING_DEPTH_M, 1.0)
         if not self.pulls:
-            elastic_n = (_secant(self, depth_m) + self.cubic_n_per_m3 * depth_m * depth_m) * depth_m
+            elastic_n = (_secant_stiffness_n_per_m(self, depth_m) + self.cubic_n_per_m3 * depth_m * depth_m) * depth_m
             damping_share = damping_share * (
                 (elastic_n + self.damping_n_s_per_m * damping_share * rate_m_per_s) * depth_m > 0.0
             )
@@ -95,10 +95,12 @@ class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         depth = depth_of(self, eta_m, time_s)
-        return np.asarray(_secant(self, depth) * depth**2 / (self.exponent + 1) + self.cubic_n_per_m3 * depth**4 / 4)
+        return np.asarray(
+            _secant_stiffness_n_per_m(self, depth) * depth**2 / (self.exponent + 1) + self.cubic_n_per_m3 * depth**4 / 4
+        )
 
 
-def _secant(law: Any, depth_m: Any) -> Any:
+def _secant_stiffness_n_per_m(law: Any, depth_m: Any) -> Any:
     """k |depth / d|^(p - 1) of the stop that is touched, N/m."""
     secant_n_per_m = law.stiffness_n_per_m
     if contributes(law.lower_stiffness_ratio - 1.0):
@@ -108,7 +110,7 @@ def _secant(law: Any, depth_m: Any) -> Any:
     return secant_n_per_m
 
 
-def equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float = 0.0) -> DeadZone:
+def symmetric_dead_zone(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float = 0.0) -> DeadZone:
     """The paper's contact: the same clearance to both sides; RigError if it is below zero."""
     if not clearance_m >= 0:
         raise RigError(f"contact law: clearance_m is {clearance_m}; give a value in metres, zero or above")

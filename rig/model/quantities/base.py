@@ -13,7 +13,7 @@ Derivatives = Float[np.ndarray, "3 coordinates"]
 METRES_BY_UNIT: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 
 
-def pointwise(derivatives: Derivatives, _: float) -> Row:
+def displacement_row(derivatives: Derivatives, _: float) -> Row:
     """Operator of a sensor of w itself: the row of w at its place."""
     return derivatives[0]
 
@@ -35,7 +35,7 @@ class Quantity:
     unit: str
     units: Mapping[str, float]
     order: int
-    operator: Callable[[Derivatives, float], Row] = pointwise
+    operator: Callable[[Derivatives, float], Row] = displacement_row
     ac_coupled: bool = False
     """Whether its sensors have a high-pass (IEPE)."""
     uff_kind: int = 0

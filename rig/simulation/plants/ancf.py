@@ -10,14 +10,14 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.model.components import DIRECTIONS
-from rig.model.description import Rig, Sensor, Station, contact_rows, stations_of
+from rig.model.description import Rig, Sensor, Station, contact_rows, rig_stations
 from rig.model.quantities import Quantity
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_of
 from rig.simulation.plants.connectors import ChangingModulus, ExtraPhysics, Section, modulus_update
 from rig.simulation.plants.finite_elements import add_loads, build, item
 from rig.simulation.plants.loading import (
-    base_signals_of,
-    check_softening,
+    base_motion_from_rig_or_force,
+    check_softening_limits,
     connections,
     has_static_load,
     softening_limits_m,
@@ -56,7 +56,9 @@ def simulate(
     system_container = exu.SystemContainer()
     try:
         mbs = system_container.AddSystem()
-        meshes, connector_numbers, load_numbers = build(exu, mbs, rig, inputs.first_n, min_element_count, extra_physics)
+        meshes, connector_numbers, load_numbers = build(
+            exu, mbs, rig, inputs.initial_forces_n, min_element_count, extra_physics
+        )
         instruments = _instruments(exu, mbs, rig, meshes, connector_numbers)
         _register_inputs(mbs, rig, meshes, load_numbers, inputs, step_s, extra_physics)
         mbs.Assemble()
@@ -84,7 +86,7 @@ class _Inputs:
     base_signals: tuple[Float[np.ndarray, " steps"], ...]
 
     @property
-    def first_n(self) -> list[float]:
+    def initial_forces_n(self) -> list[float]:
         """First values of the true forces."""
         return [float(history[0]) for history in self.loads_n[: len(self.measured_forces_n.signals)]]
 
@@ -99,7 +101,7 @@ def _inputs_of(rig: Rig, force_n: ForceSignal, step_s: float, extra_physics: tup
     Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
     """
     measured_forces_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
-    base_signals = base_signals_of(rig, measured_forces_n, step_s)
+    base_signals = base_motion_from_rig_or_force(rig, measured_forces_n, step_s)
     if (base_signals or has_static_load(rig)) and any(isinstance(part, Section) for part in extra_physics):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
     true_forces_n = (true_force(rig, signal[:], step_s) for signal in measured_forces_n.signals)
@@ -149,14 +151,15 @@ class _Instruments:
 def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connector_numbers: list[int]) -> _Instruments:
     """Exudyn sensors on every node and on the connectors of the contacts."""
     readers = {
-        order: _reader_of(exu, mbs, meshes, order) for order in {0, *(sensor.measures.order for sensor in rig.sensors)}
+        order: _coordinate_reader(exu, mbs, meshes, order)
+        for order in {0, *(sensor.measures.order for sensor in rig.sensors)}
     }
     force_columns = []
     for connector_number, contact in zip(connector_numbers, contact_rows(rig), strict=False):
         output_options = {"storeInternal": True, "outputVariableType": exu.OutputVariableType.Force}
         sensor_number = int(mbs.AddSensor(item("SensorObject")(objectNumber=connector_number, **output_options)))
         force_columns.append((sensor_number, 2 + DIRECTIONS.index(contact.at.direction) if contact.law.spatial else 1))
-    stations = {*stations_of(rig), *(contact.at for contact in connections(rig))}
+    stations = {*rig_stations(rig), *(contact.at for contact in connections(rig))}
     return _Instruments(
         reader_by_order=readers,
         contact_force_columns=force_columns,
@@ -177,7 +180,7 @@ def _motion(rig: Rig, mbs: Any, instruments: _Instruments, inputs: _Inputs, step
     step_span = slice(steps.stop + 1 - sample_count, steps.stop + 1)
     motion_m = {station: row @ by_order[0] for station, row in instruments.weights_by_station.items()}
     eta_m = [motion_m[c.at] - (motion_m[c.against] if c.against else 0) for c in connections(rig)]
-    check_softening(instruments.softening_limits_m, _stacked_rows(eta_m, sample_count))
+    check_softening_limits(instruments.softening_limits_m, _stacked_rows(eta_m, sample_count))
     base, force_columns = inputs.base_motion_over(step_span), instruments.contact_force_columns
     sensed_values = [row @ by_order[q.order] + base[q.order] * q.translates for q, row in instruments.sensor_weights]
     contact_forces_n = [mbs.GetSensorStoredData(sensor)[repeated_count:, column] for sensor, column in force_columns]
@@ -186,18 +189,20 @@ def _motion(rig: Rig, mbs: Any, instruments: _Instruments, inputs: _Inputs, step
         step_s=step_s,
         forces_n=inputs.measured_forces_n[step_span],
         sensed=_stacked_rows(sensed_values, sample_count),
-        displacement_m=_stacked_rows([motion_m[station] + base[0] for station in stations_of(rig)], sample_count),
+        displacement_m=_stacked_rows([motion_m[station] + base[0] for station in rig_stations(rig)], sample_count),
         eta_m=_stacked_rows(eta_m[: len(force_columns)], sample_count),
         contact_force_n=_stacked_rows(contact_forces_n, sample_count),
     )
 
 
-def _reader_of(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
+def _coordinate_reader(
+    exu: Any, mbs: Any, meshes: list[Mesh], order: int
+) -> Callable[[], Float[np.ndarray, "rows samples"]]:
     """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
     output_type = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
     sensor_columns = []
     for mesh in meshes:
-        columns = [1 + coordinate for coordinate in mesh.transverse_coordinate_indices]
+        columns = [1 + coordinate for coordinate in mesh.node_transverse_indices]
         for node in mesh.node_numbers:
             sensor = item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)
             sensor_columns.append((mbs.AddSensor(sensor), columns))

@@ -18,7 +18,7 @@ import rig.model.contact_laws
 from rig.model.contact_laws import LAWS, PLANE_LAWS, ContactLaw
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.elementary import beyond, contributes, magnitude, power, root, select, smaller, tanh
-from rig.simulation.plants.loading import law_spans
+from rig.simulation.plants.loading import law_row_spans
 
 NUMBA_OPTIONS = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 inlined = numba.njit(inline="always", **NUMBA_OPTIONS)
@@ -52,7 +52,7 @@ def law_records(laws: Sequence[ContactLaw]) -> Any:
             law_record[field_name] = value
         law_record["kind"] = ANNULAR_Y if law.spatial else PLANE_LAWS.index(type(law))
         law_record["acts_in_the_gap"] = law.acts_in_the_gap
-    for _, row_span in law_spans(laws):
+    for _, row_span in law_row_spans(laws):
         table["kind"][row_span.start + 1 : row_span.stop] = ANNULAR_Z
     return table.view(np.recarray)
 

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import Body, Direction, PointSpring, Rig, Station
-from rig.model.modes import held_coordinate_count, with_attachments
+from rig.model.modes import held_coordinate_count, oscillator_with_attachments
 from rig.model.oscillator import Oscillator
 from rig.model.space import plane_rigs
-from rig.model.supports import attached_springs
+from rig.model.supports import springs_including_supports
 from rig.simulation.plants.connectors import ExtraPhysics, GroundedForce, Section, add_contact, add_grounded
 from rig.simulation.plants.loading import connections
 from rig.simulation.plants.mesh import Mesh, inertia_against_base, mesh_positions_m, static_load, vectors_by_body
@@ -39,7 +39,7 @@ def build(
     forces. The loads are the exciting forces, with their first values, and the tones.
     """
     sections = [section for section in extra_physics if isinstance(section, Section)]
-    rig = _with_nodes_for(rig, extra_physics)
+    rig = _with_zero_stiffness_springs(rig, extra_physics)
     ground_node = mbs.AddNode(item("NodePointGround")())
     ground_marker = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
     meshes = [_add_body(mbs, rig, body, ground_marker, min_element_count, sections) for body in rig.bodies]
@@ -75,7 +75,7 @@ def build(
     return meshes, connector_numbers, load_numbers
 
 
-def _with_nodes_for(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
+def _with_zero_stiffness_springs(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
     """Rig with springs of zero stiffness where grounded forces act and sections end, so that nodes are placed there."""
     node_stations = [extra.station for extra in extra_physics if isinstance(extra, GroundedForce)]
     node_stations += [
@@ -90,7 +90,7 @@ def _with_nodes_for(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
 def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     """Add a marker on the displacement of the node at a station; return its number."""
     mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
-    node, coordinate = mesh.node_number_at(station.position_m), mesh.coordinate_indices_of(station.direction)[0]
+    node, coordinate = mesh.node_number_at(station.position_m), mesh.node_coordinate_indices_of(station.direction)[0]
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
@@ -106,13 +106,20 @@ def _add_mass(
 ) -> Mesh:
     if rig.in_space:
         node_number = int(mbs.AddNode(item("NodePoint")(referenceCoordinates=[0.0, 0.0, 0.0])))
-        mbs.AddObject(item("MassPoint")(nodeNumber=node_number, physicsMass=with_attachments(rig, body).mass_kg))
+        mbs.AddObject(
+            item("MassPoint")(nodeNumber=node_number, physicsMass=oscillator_with_attachments(rig, body).mass_kg)
+        )
     else:
         node_number = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
-        mbs.AddObject(item("Mass1D")(nodeNumber=node_number, physicsMass=with_attachments(rig, body).mass_kg))
+        mbs.AddObject(
+            item("Mass1D")(nodeNumber=node_number, physicsMass=oscillator_with_attachments(rig, body).mass_kg)
+        )
     mesh = Mesh(body, np.zeros(1), (node_number,), rig.directions)
     for direction, plane_rig in plane_rigs(rig).items():
-        loaded_mass, (coordinate_index,) = with_attachments(plane_rig, body), mesh.coordinate_indices_of(direction)
+        loaded_mass, (coordinate_index,) = (
+            oscillator_with_attachments(plane_rig, body),
+            mesh.node_coordinate_indices_of(direction),
+        )
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node_number, coordinate=coordinate_index))
         spring_constants = {"stiffness": loaded_mass.stiffness_n_per_m, "damping": loaded_mass.damping_n_s_per_m}
         mbs.AddObject(item("CoordinateSpringDamper")(markerNumbers=[ground_marker, marker], **spring_constants))
@@ -152,7 +159,9 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, min_elements: 
         mbs.AddObject(cable)
     if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
         held_count = held_coordinate_count(rig, body)
-        held_indices = [k for direction in mesh.directions for k in mesh.coordinate_indices_of(direction)[:held_count]]
+        held_indices = [
+            k for direction in mesh.directions for k in mesh.node_coordinate_indices_of(direction)[:held_count]
+        ]
         for coordinate in (0, *held_indices):
             marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node_numbers[0], coordinate=coordinate))
             mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground_marker, marker]))
@@ -170,7 +179,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
         mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
         if not mesh.body.is_mass:
             diagonal = np.zeros(mesh.coordinate_count_per_node)
-            diagonal[mesh.coordinate_indices_of(station.direction)] = displacement_value, slope_value
+            diagonal[mesh.node_coordinate_indices_of(station.direction)] = displacement_value, slope_value
             if matrix_name == "massMatrix" and station.direction == "y":
                 diagonal[0] = displacement_value
             node_number = mesh.node_number_at(station.position_m)
@@ -179,7 +188,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     for direction, plane_rig in plane_rigs(rig).items():
         for point_mass in plane_rig.masses:
             add_matrix("massMatrix", replace(point_mass.station, direction=direction), point_mass.mass_kg)
-        for spring in attached_springs(plane_rig):
+        for spring in springs_including_supports(plane_rig):
             station = replace(spring.station, direction=direction)
             add_matrix("stiffnessMatrix", station, spring.stiffness_n_per_m, spring.rotational_n_m_per_rad)
         for clamp in plane_rig.clamps:
@@ -209,7 +218,7 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
 def free_coordinate_indices(rig: Rig, mesh: Mesh, direction: Direction = "y") -> Int[np.ndarray, " free"]:
     """Indices of the transverse coordinates of a beam's nodes in one direction that no clamp fixes."""
     node_first_indices = mesh.coordinate_count_per_node * np.arange(len(mesh.node_numbers))
-    transverse_indices = (node_first_indices[:, None] + mesh.coordinate_indices_of(direction)).ravel()
+    transverse_indices = (node_first_indices[:, None] + mesh.node_coordinate_indices_of(direction)).ravel()
     return transverse_indices[held_coordinate_count(rig, mesh.body) :]
 
 

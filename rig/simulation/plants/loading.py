@@ -68,7 +68,9 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     return tuple(rms_factor * unscaled_signal for unscaled_signal in unscaled_signals)
 
 
-def base_signals_of(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
+def base_motion_from_rig_or_force(
+    rig: Rig, force_n: Forces, step_s: float
+) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Displacement, velocity and acceleration of the base at multiples of the step.
 
     They are those of `base_motion`, unless the force is on the ground and is not zero: it is then the inertial force
@@ -105,7 +107,7 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     return np.array(limits_m)
 
 
-def check_softening(
+def check_softening_limits(
     limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
 ) -> None:
     """Raise RigError if a softening spring has moved beyond its limit."""
@@ -132,7 +134,7 @@ def has_static_load(rig: Rig) -> bool:
     return bool(rig.loads or rig.gravity_m_per_s2)
 
 
-def law_spans(laws: Sequence[ContactLaw]) -> Iterator[tuple[ContactLaw, slice]]:
+def law_row_spans(laws: Sequence[ContactLaw]) -> Iterator[tuple[ContactLaw, slice]]:
     """Every law with its rows among the connections: one, or two of a law of both directions, which stands twice."""
     first_row = 0
     while first_row < len(laws):
@@ -144,7 +146,7 @@ def connection_forces_n(
     laws: Sequence[ContactLaw], eta_m: ConnectionVector, rate_m_per_s: ConnectionVector, time_s: float = 0.0
 ) -> ConnectionVector:
     """Force of every connection at its relative displacement and rate, N."""
-    forces_n = [law.force_n(eta_m[row_span], rate_m_per_s[row_span], time_s) for law, row_span in law_spans(laws)]
+    forces_n = [law.force_n(eta_m[row_span], rate_m_per_s[row_span], time_s) for law, row_span in law_row_spans(laws)]
     return np.concatenate([np.zeros(0), *forces_n])
 
 
@@ -185,7 +187,7 @@ def _energy_minimum(
 
     def energy_j(trial_q: ModalVector) -> float:
         eta_m = eta_rows @ trial_q
-        contact_energy_j = sum(float(np.sum(law.energy_j(eta_m[row_span]))) for law, row_span in law_spans(laws))
+        contact_energy_j = sum(float(np.sum(law.energy_j(eta_m[row_span]))) for law, row_span in law_row_spans(laws))
         return float(omega_squared @ trial_q**2 / 2 + contact_energy_j - modal_load @ trial_q)
 
     def gradient_and_stiffness(trial_q: ModalVector) -> tuple[ModalVector, ModalMatrix]:
@@ -193,7 +195,7 @@ def _energy_minimum(
         connection_stiffness = np.zeros(len(eta_rows))
         coupling = np.zeros((modal_load.size, modal_load.size))
         connection_forces = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
-        for law, rows in law_spans(laws):
+        for law, rows in law_row_spans(laws):
             law_stiffness = law.by_eta_n_per_m(eta_m[rows])
             connection_stiffness[rows] = np.diag(law_stiffness) if law.spatial else law_stiffness
             if law.spatial:

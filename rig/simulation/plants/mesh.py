@@ -11,7 +11,7 @@ from rig.model.beam import Beam
 from rig.model.description import Direction, Rig, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinate_count, hermite_weights, matrices
 from rig.model.space import plane_rigs
-from rig.model.supports import attached_springs
+from rig.model.supports import springs_including_supports
 from rig.simulation.plants.loading import connections, equilibrium
 
 RIGID_OMEGA_SQUARED_RATIO = 1e-14
@@ -38,16 +38,18 @@ class Mesh:
     ) -> Float[np.ndarray, " transverse"]:
         """Weights of the transverse coordinates in the motion at a position, or a derivative along the body."""
         weights = np.zeros(self.transverse_per_node * len(self.node_numbers))
-        weights[self.transverse_indices_of(direction)] = hermite_weights(self.positions_m, position_m, derivative_order)
+        weights[self.body_transverse_indices_of(direction)] = hermite_weights(
+            self.positions_m, position_m, derivative_order
+        )
         return weights
 
-    def transverse_indices_of(self, direction: Direction) -> Int[np.ndarray, " some"]:
+    def body_transverse_indices_of(self, direction: Direction) -> Int[np.ndarray, " some"]:
         """Places of one direction's coordinates, node by node, among the body's transverse ones."""
         node_count = len(self.node_numbers)
         indices = np.arange(self.transverse_per_node * node_count).reshape(node_count, len(self.directions), -1)
         return indices[:, self.directions.index(direction)].ravel()
 
-    def coordinate_indices_of(self, direction: Direction) -> list[int]:
+    def node_coordinate_indices_of(self, direction: Direction) -> list[int]:
         """Indices of value and slope in one direction among a node's coordinates."""
         displacement_index = 1 + self.directions.index(direction)
         if self.body.is_mass:
@@ -59,9 +61,9 @@ class Mesh:
         return len(self.directions) > 1
 
     @property
-    def transverse_coordinate_indices(self) -> list[int]:
+    def node_transverse_indices(self) -> list[int]:
         """Indices of the transverse motion among a node's coordinates (x, y, z, slope x, slope y, slope z)."""
-        return [index for direction in self.directions for index in self.coordinate_indices_of(direction)]
+        return [index for direction in self.directions for index in self.node_coordinate_indices_of(direction)]
 
     @property
     def transverse_per_node(self) -> int:
@@ -80,7 +82,10 @@ def mesh_positions_m(rig: Rig, beam: Beam, min_element_count: int) -> Float[np.n
     """Node positions, m, of at least `min_element_count` elements, with one wherever something acts or is attached."""
     stations = [station for contact in rig.contacts for station in contact_stations(contact)]
     stations += [*rig.forces, *(mass.station for mass in rig.masses), *(load.station for load in rig.loads)]
-    stations += [*(spring.station for spring in attached_springs(rig)), *(damper.station for damper in rig.dampers)]
+    stations += [
+        *(spring.station for spring in springs_including_supports(rig)),
+        *(damper.station for damper in rig.dampers),
+    ]
     stations += [tone.station for tone in rig.tones]
     station_positions_m = [station.position_m for station in stations if station.body == beam.name]
     max_element_m = beam.length_m / min_element_count * (1 + 1e-9)
@@ -117,7 +122,7 @@ def inertia_against_base(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " ro
     for mesh in meshes:
         body_mass_matrix, _ = matrices(rig, mesh.body, mesh.positions_m)
         body_inertia = np.zeros(mesh.transverse_per_node * len(mesh.node_numbers))
-        body_inertia[mesh.transverse_indices_of("y")] = (
+        body_inertia[mesh.body_transverse_indices_of("y")] = (
             body_mass_matrix @ np.tile([1.0, 0.0], len(mesh.node_numbers))[: len(body_mass_matrix)]
         )
         inertia_by_body.append(body_inertia)
@@ -133,7 +138,7 @@ def vectors_by_body(
         node_count, row_count = len(mesh.node_numbers), mesh.transverse_per_node * len(mesh.node_numbers)
         node_values = np.zeros((node_count, mesh.coordinate_count_per_node))
         body_values = transverse_values[first_row : first_row + row_count]
-        node_values[:, mesh.transverse_coordinate_indices] = body_values.reshape(node_count, -1)
+        node_values[:, mesh.node_transverse_indices] = body_values.reshape(node_count, -1)
         body_vectors.append(node_values.ravel())
         first_row += row_count
     return body_vectors
@@ -162,7 +167,7 @@ def _transverse_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " row
     clamped_rows, first_row, plane_by_direction = [], 0, plane_rigs(rig)
     for mesh in meshes:
         for direction in mesh.directions:
-            row_indices = first_row + mesh.transverse_indices_of(direction)
+            row_indices = first_row + mesh.body_transverse_indices_of(direction)
             block_indices = np.ix_(row_indices, row_indices)
             mass_matrix[block_indices], stiffness_matrix[block_indices] = matrices(
                 plane_by_direction[direction], mesh.body, mesh.positions_m

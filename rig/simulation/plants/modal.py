@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Body, Direction, Rig, Sensor, Station, contact_rows, contact_stations, stations_of
+from rig.model.description import Body, Direction, Rig, Sensor, Station, contact_rows, contact_stations, rig_stations
 from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.model.space import plane_rigs
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, ProjectedSignals, forces_of
 from rig.simulation.plants.loading import (
-    base_signals_of,
-    check_softening,
+    base_motion_from_rig_or_force,
+    check_softening_limits,
     connection_forces_n,
     connections,
     equilibrium,
@@ -79,15 +79,15 @@ def simulate(
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
-    base_signals = base_signals_of(rig, forces_n, step_s)
+    base_signals = base_motion_from_rig_or_force(rig, forces_n, step_s)
     model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [sensor.measures for sensor in rig.sensors]
-    step_constants = constants_of(model, step_s)
-    shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)
+    step_constants = stepping_constants(model, step_s)
+    shapes = np.array([model.station_rows[station] for station in rig_stations(rig)]).reshape(-1, model.omega.size)
     last_state, contact_state = model.start()
     contact_history_n, bend_history_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
     for first_step in range(0, len(force_n), STEPS_PER_BLOCK):
         span = slice(first_step, min(first_step + STEPS_PER_BLOCK, len(force_n)))
-        inputs, input_bends = applied_inputs(rig, forces_n, base_signals, step_s, span)
+        inputs, input_bends = inputs_and_bends(rig, forces_n, base_signals, step_s, span)
         contact_n, contact_bends_n = np.empty((2, len(model.eta_rows), span.stop - first_step))
         # a new array a block: Motion computes from it on demand
         states = np.empty((span.stop - first_step + 1, last_state.size))
@@ -100,7 +100,7 @@ def simulate(
             raise RigError(
                 f"the modal plant diverged near {first_step * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
-        check_softening(limits_m, model.eta_rows @ block_states[:, : model.omega.size].T)
+        check_softening_limits(limits_m, model.eta_rows @ block_states[:, : model.omega.size].T)
         progress(span.stop / len(force_n))
         contact_history_n = np.concatenate([contact_history_n[:, -4:], contact_n], axis=1)
         bend_history_n = np.concatenate([bend_history_n[:, -1:], contact_bends_n], axis=1)
@@ -189,7 +189,7 @@ def model_of(rig: Rig, base_moves: bool, modes_per_beam: int) -> ModalModel:
     omega = 2 * np.pi * np.concatenate([basis.modes.frequencies_hz(basis.mode_count) for basis in body_modes])
     zeta = np.concatenate([basis.modes.damping_ratios(basis.mode_count) for basis in body_modes])
     contacts, laws = connections(rig), tuple(contact.law for contact in connections(rig))
-    stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
+    stations = {*rig_stations(rig), *rig.forces, *(load.station for load in rig.loads)}
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for contact in contacts for station in contact_stations(contact)}
     station_rows = {station: shape_row(body_modes, station) for station in stations}
@@ -224,7 +224,7 @@ def _base_modal_forces(rig: Rig, body_modes: list[BodyModes]) -> Float[np.ndarra
     return -np.concatenate([participation(rig, *basis[:3]) * (basis.direction == "y") for basis in body_modes])
 
 
-def applied_inputs(
+def inputs_and_bends(
     rig: Rig, forces_n: Forces, base_signals: tuple[Float[np.ndarray, " samples"], ...], step_s: float, span: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """Known inputs at the samples of `span` and at the one before, and their bends over the steps.
@@ -243,10 +243,10 @@ def applied_inputs(
     inputs = np.array(input_rows)
     first_column = span.start - padded_span.start - 1 + rest_sample.size
     column_span = slice(first_column, first_column + span.stop - span.start + 1)
-    return np.ascontiguousarray(inputs[:, column_span]), np.ascontiguousarray(_bends(inputs)[:, column_span])
+    return np.ascontiguousarray(inputs[:, column_span]), np.ascontiguousarray(_chord_excess(inputs)[:, column_span])
 
 
-def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
+def stepping_constants(model: ModalModel, step_s: float) -> tuple[Any, ...]:
     """Arrays of a model for `stepping.advance`; raises RigError if a contact is too stiff for the step."""
     from rig.simulation.plants.compiled_laws import law_records
     from rig.simulation.plants.stepping import gauss_points
@@ -289,7 +289,7 @@ def _gain_and_increment_factors(
     return gain, 1 / (1 + self_gain)
 
 
-def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
+def _chord_excess(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
     """Bends of the inputs: mean over each step of a smooth curve less that of the straight line, -F'' h^2 / 12.
 
     F'' is the mean of the second differences at both ends of the step, or that of one end if the other is a corner,

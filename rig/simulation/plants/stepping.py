@@ -82,7 +82,7 @@ def _relax_ring_bends(law, j, previous, current, time_s, step_s, gauss, relaxati
 
 @_compiled
 @no_type_check
-def _ring_increments(law, j, gain, eta, rate, excess):
+def _ring_force_increments(law, j, gain, eta, rate, excess):
     """Changes of an annular contact's force that leave no excess (force of the law less that of before).
 
     The self-response is solved for, with the slopes k and c of the law along its normal n, to which friction adds
@@ -109,7 +109,7 @@ def _ring_increments(law, j, gain, eta, rate, excess):
 
 @_compiled
 @no_type_check
-def _bend(law, j, previous, current, time_s, step_s, gauss):
+def _force_mean_excess_over_chord(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
     eta0, rate0, eta1, rate1 = (previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j])
     start_s = time_s - step_s
@@ -163,7 +163,7 @@ def _sweep_forces(current, eta, rate, gain, increment_factors, laws, time_s, has
             law_force, second_force = vector_force_n(laws[j], (eta_j, second_eta), (rate_j, second_rate), time_s)
             force_increment, second_increment = law_force - current[FORCE, j], second_force - current[FORCE, z_row]
             if law_force != 0.0 or second_force != 0.0:
-                force_increment, second_increment = _ring_increments(
+                force_increment, second_increment = _ring_force_increments(
                     laws[j], j, gain, (eta_j, second_eta), (rate_j, second_rate), (force_increment, second_increment)
                 )
             current[FORCE, j] += force_increment
@@ -194,7 +194,9 @@ def _sweep_forces(current, eta, rate, gain, increment_factors, laws, time_s, has
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, has_annular):
+def _solve_contact_forces(
+    previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, has_annular
+):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_SWEEPS):
         max_change, max_force = _sweep_forces(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
@@ -209,7 +211,9 @@ def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, law
                         relaxation = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _relax_ring_bends(laws[j], j, previous, current, time_s, step_s, gauss, relaxation)
                 elif may_touch[j]:
-                    current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
+                    current[BEND, j] = _force_mean_excess_over_chord(
+                        laws[j], j, previous, current, time_s, step_s, gauss
+                    )
 
 
 @_compiled
@@ -272,7 +276,7 @@ def advance(
                 0.0,
             )
         if any_may_touch:
-            _solve(
+            _solve_contact_forces(
                 contact_state,
                 current,
                 eta,

@@ -6,8 +6,8 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.space import check_plane
-from rig.simulation.plants.loading import check_softening, has_static_load, softening_limits_m
-from rig.simulation.plants.modal import constants_of, model_of, sensed_quantities
+from rig.simulation.plants.loading import check_softening_limits, has_static_load, softening_limits_m
+from rig.simulation.plants.modal import model_of, sensed_quantities, stepping_constants
 
 
 class Stepwise:
@@ -31,7 +31,7 @@ class Stepwise:
         self.rig, self.step_s = rig, step_s
         self._softening_limits_m = softening_limits_m(rig)
         self._model = model_of(rig, False, modes_per_beam)
-        self._constants = constants_of(self._model, step_s)
+        self._constants = stepping_constants(self._model, step_s)
         self._state, self._contact_state = self._model.start()
         self._step_count, self._inputs = 0, self._input_values(0.0, 0)
 
@@ -86,7 +86,7 @@ class Stepwise:
             raise RigError(
                 f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
             )
-        check_softening(self._softening_limits_m, self._model.eta_rows @ states[1:, : self._model.omega.size].T)
+        check_softening_limits(self._softening_limits_m, self._model.eta_rows @ states[1:, : self._model.omega.size].T)
 
     def _input_values(self, force_n: float, step_count: int) -> Float[np.ndarray, " inputs"]:
         """Known inputs after a number of steps, in the order of the model's gains."""

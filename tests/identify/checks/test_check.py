@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.signal import butter, sosfilt
 
-from identify.checks import check_recording, naming_first_finding
+from identify.checks import adding_first_finding_to_error, check_recording
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY
@@ -194,7 +194,7 @@ def test_an_error_names_the_first_finding(sound):
     recording = sound("frame")
     dead = check_recording(with_rows(recording, {"frame_0300": np.zeros(recording.samples)}))
     named = r"no answer \(the check of the record found: frame_0300 stands at 0"
-    with pytest.raises(RigError, match=named), naming_first_finding(dead):
+    with pytest.raises(RigError, match=named), adding_first_finding_to_error(dead):
         raise RigError("no answer")
 
 

@@ -31,15 +31,17 @@ def causes(row, force, other_rows=()):
         waveforms.dead_finding("x", row),
         waveforms.clipped_finding("x", row),
         waveforms.quantised_finding("x", row),
-        waveforms.held_finding("x", row, force),
+        waveforms.held_samples_finding("x", row, force),
         waveforms.spikes_finding(
-            "x", waveforms.neighbour_deviation(row), [waveforms.neighbour_deviation(r) for r in other_rows]
+            "x",
+            waveforms.relative_neighbour_deviation(row),
+            [waveforms.relative_neighbour_deviation(r) for r in other_rows],
         ),
         waveforms.hum_finding("x", RATE, row, force),
         waveforms.noise_finding("x", RATE, row, force),
         waveforms.drift_finding("x", RATE, row),
         waveforms.offset_finding("x", row),
-        waveforms.motion_finding("x", RATE, row, 0.02),
+        waveforms.initial_motion_finding("x", RATE, row, 0.02),
     )
     return [f.cause for f in checks if f is not None]
 

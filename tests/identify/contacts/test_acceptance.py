@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identify.contacts.acceptance import equation_findings, fit_findings, widened_estimate
+from identify.contacts.acceptance import fit_findings, nifo_contradiction_findings, with_errors_widened_by_pulls
 from identify.contacts.joint_fit import JointEstimate
 from identify.linear.modal import ModalEquation
 from identify.linear.nuisance import Nuisance, NuisanceKind
@@ -37,7 +37,7 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
     [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 0.75, 1.25), (2.0, 2.4, 2.6)],
 )
 def test_errors_grow_with_the_pull_of_a_whole_body(pull, mass_pull, factor):
-    widened = widened_estimate(
+    widened = with_errors_widened_by_pulls(
         joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance(NuisanceKind.FREQUENCY, "base")), mass_pull
     )
     np.testing.assert_allclose(widened.errors, factor * joint().errors)
@@ -45,7 +45,7 @@ def test_errors_grow_with_the_pull_of_a_whole_body(pull, mass_pull, factor):
 
 @pytest.mark.parametrize(("pull", "mass_pull", "factor"), [(0.0, 0.0, 1.0), (0.75, 0.0, 1.25), (-2.4, 0.75, 2.6)])
 def test_of_a_rig_of_one_body_any_pull_counts(pull, mass_pull, factor):
-    widened = widened_estimate(joint((pull, 4.0, 4.0)), PARAMETERS, mass_pull)
+    widened = with_errors_widened_by_pulls(joint((pull, 4.0, 4.0)), PARAMETERS, mass_pull)
     np.testing.assert_allclose(widened.errors, factor * joint().errors)
 
 
@@ -56,7 +56,7 @@ def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held,
         Nuisance(NuisanceKind.FREQUENCY, "base"),
         Nuisance(NuisanceKind.HIGH_PASS, "a"),
     )
-    widened = widened_estimate(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
+    widened = with_errors_widened_by_pulls(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
     np.testing.assert_allclose(widened.errors, factor * joint().errors)
 
 
@@ -95,6 +95,6 @@ def test_a_modal_equation_that_is_sure_of_another_stiffness_is_named(mean, sprea
     over_frequency = mean * (1 + spread * np.array([[1.0, -1.0] * 8]))
     lines = np.arange(16.0)
     nifo = Nifo(equation, (0,), lines, lines + 0j, over_frequency + 0j, np.array([50.0]), 10, 1.0)
-    findings = list(equation_findings(["stop"], {"stop": joint()}, [nifo]))
+    findings = list(nifo_contradiction_findings(["stop"], {"stop": joint()}, [nifo]))
     assert [f.of for f in findings] == ["stop"] * named
-    assert list(equation_findings(["stop"], {}, [nifo])) == []
+    assert list(nifo_contradiction_findings(["stop"], {}, [nifo])) == []

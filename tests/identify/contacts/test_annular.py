@@ -19,10 +19,10 @@ from identify.contacts.space_contacts import annular_records
 from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
-from identify.planning.planned_test import drawn_forces_n, planned_test
+from identify.planning.planned_test import planned_test, random_forces_n
 from rig import BarrelCradleAnnular, record
 from rig.errors import RigError
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import PointSpring, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups, plane_recording
@@ -212,7 +212,7 @@ def test_sensors_in_one_direction_are_refused_and_in_both_are_not(found):
 
 def test_weight_on_a_contact_of_one_direction_is_refused():
     recording, _ = recorded(True)
-    plane = replace(recording.rig.contacts[0], law=equal_sides(2e-3, 5e5))
+    plane = replace(recording.rig.contacts[0], law=symmetric_dead_zone(2e-3, 5e5))
     rig = replace(recording.rig, contacts=(plane, *recording.rig.contacts[1:]))
     with pytest.raises(ContactRefusedError, match="contact 'contact_1' in y that is not annular"):
         identify.contact(dataclasses.replace(recording, rig=rig))
@@ -225,7 +225,7 @@ def test_a_contact_of_one_direction_beside_an_annular_one_is_its_plane_rigs():
     """contact_1 as a dead zone in y and one in z in place of the ring: refused or found, but both are answered."""
     recording, _ = recorded(False)
     first, second = recording.rig.contacts
-    law = equal_sides(2e-3, 5e5)
+    law = symmetric_dead_zone(2e-3, 5e5)
     at, against = (replace(station, direction="z") for station in (first.at, first.against))
     in_z = replace(first, name="sideways", law=law, at=at, against=against)
     rig = replace(recording.rig, contacts=(replace(first, law=law), in_z, second))
@@ -256,7 +256,7 @@ def test_a_single_mass_is_not_compared_while_its_ring_is_open(frequency_hz):
     (mass,) = MASS_IN_RING.bodies
     rig = replace(MASS_IN_RING, bodies=(replace(mass, frequency_hz=frequency_hz),), gravity_m_per_s2=0.0)
     test = planned_test(rig, SECONDS, 20.0, (1.0, 50.0))
-    result = identify.contact(modal(rig, rig, drawn_forces_n(test, 1), 1))
+    result = identify.contact(modal(rig, rig, random_forces_n(test, 1), 1))
     assert not result.report.findings
     (ring,) = result.identification.contacts.annular.values()
     assert ring.widening_factor < 1.5  # sqrt(1 + p^2) by the pull p of its mass in the fit
@@ -346,7 +346,7 @@ def spring_held(frequency_hz):
     (mass,) = MASS_IN_RING.bodies
     rig = replace(MASS_IN_RING, bodies=(replace(mass, frequency_hz=frequency_hz, damping_ratio=0.02),))
     test = planned_test(rig, 20.0, 60.0, (1.0, 80.0))
-    (contact,) = identify.contact(modal(rig, rig, drawn_forces_n(test, 1), 1), tolerances="exact").report.contacts
+    (contact,) = identify.contact(modal(rig, rig, random_forces_n(test, 1), 1), tolerances="exact").report.contacts
     spring_n_per_m = mass.mass_kg * (2 * np.pi * frequency_hz) ** 2
     law = rig.contacts[0].law
     weight_n = mass.mass_kg * rig.gravity_m_per_s2

@@ -3,7 +3,7 @@ separated force is no drift of the contact. Machines of the blind check, simulat
 
 import pytest
 
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.pages.wording import COVERED
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
@@ -17,7 +17,7 @@ def identified_and_true(folder, number):
     plan = Planned(folder=str(folder), world="bench", seed=99422, number=number, nulls_only=True, duration_s=30.0)
     case = made(plan)
     recording = read(folder / "recordings" / case.records[0].file)
-    (estimate,) = find_contacts(recording, "acceleration", LABORATORY).outcomes.estimates.values()
+    (estimate,) = estimated_contacts(recording, "acceleration", LABORATORY).outcomes.estimates.values()
     return estimate, case.true.contacts[0].law
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import identify
 from identify.contacts import identify_contact
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.refusals import RefusalCode, RemedyCode
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
@@ -166,7 +166,7 @@ def test_one_mass_with_unequal_stops_and_damping(tmp_path, use):
 def test_gains_are_not_fitted_to_the_noise(tmp_path):
     """A common gain of force and sensor that is too small would make the noise, and so the residual, smaller."""
     recording = short_mass(tmp_path, duration_s=240.0, sensors="acceleration", noise_density=2e-3)
-    fit = find_contacts(recording, "acceleration", LABORATORY).outcomes.estimates["stop"]
+    fit = estimated_contacts(recording, "acceleration", LABORATORY).outcomes.estimates["stop"]
     assert np.abs(fit.pulls).max() < 1
     assert abs(fit.values[0] - recording.rig.contacts[0].law.lower_clearance_m) < 2 * fit.errors[0]
 

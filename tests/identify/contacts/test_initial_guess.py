@@ -4,7 +4,7 @@ motion began from the times at which it is open."""
 import numpy as np
 import pytest
 
-from identify.contacts.initial_guess import initial_pulls, regressed_guess
+from identify.contacts.initial_guess import initial_state_pulls, regressed_guess
 from identify.signals.drift import DriftPrior, spline
 from rig.model.contact_laws import penetration_m
 from tests.identify.contacts.contact_records import contact_record
@@ -50,9 +50,9 @@ def ringing():
 
 def test_a_record_that_begins_in_motion_tells_its_start_beside_sparse_contact_forces(ringing):
     contact_n = np.where(np.arange(4000) % 50 < 12, 80.0, 0.0) * np.random.default_rng(1).uniform(0, 1, 4000)
-    pulls = initial_pulls(ringing_record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
+    pulls = initial_state_pulls(ringing_record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
     np.testing.assert_allclose(pulls, [1.3, -0.4, 0.0], atol=1e-3)
 
 
 def test_tolerances_are_left_to_the_fit(ringing):
-    assert not initial_pulls(ringing_record(ringing[2:], ringing[2])).any()
+    assert not initial_state_pulls(ringing_record(ringing[2:], ringing[2])).any()

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.contacts import identify_contact
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.results import identified_rig
 from rig.model.contact_laws import DeadZone
@@ -64,7 +64,7 @@ def test_what_the_law_leaves_enters_the_intervals(case):
     """Where the record's own law is not among those that are tried; those of a dead zone stay as they are."""
     name, law, recording = case
     by_others = {"power law": ("cannot pull",)}.get(name, ("power law",))
-    estimate = find_contacts(recording, "auto", LABORATORY, by_others).outcomes.estimates["stop_1"]
+    estimate = estimated_contacts(recording, "auto", LABORATORY, by_others).outcomes.estimates["stop_1"]
     assert estimate.form.name == "dead zone"
     without_misfit = replace_case(estimate, covariances={**estimate.covariances, "law": np.zeros((4, 4))})
     widened = estimate.error(STIFFNESS_GRADIENT) / without_misfit.error(STIFFNESS_GRADIENT)

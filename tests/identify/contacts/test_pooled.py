@@ -6,7 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from identify.contacts.pooled import LARGE_FILE_BYTES, identify_long, longest_segment_s, pooled_estimate, pooled_report
+from identify.contacts.pooled import (
+    LARGE_FILE_BYTES,
+    identify_by_segments,
+    pooled_estimate,
+    pooled_report,
+    segment_length_within_memory_s,
+)
 from identify.contacts.results import Estimate
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
@@ -41,7 +47,7 @@ def test_what_scatters_more_than_it_should_is_less_certain():
     ("tolerances", "relative_error"), [pytest.param(EXACT, 1e-5, marks=pytest.mark.study), (LABORATORY, 1e-3)]
 )
 def test_a_long_record_in_segments(one_mass, tolerances, relative_error):
-    report, segments = identify_long(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
+    report, segments = identify_by_segments(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
     assert [round(p.start_s) for p in segments] == [0, 212, 412, 612]
     assert segments[-1].end_s == pytest.approx(825.0)
     (contact,) = report.contacts
@@ -61,7 +67,7 @@ def test_a_long_record_in_segments(one_mass, tolerances, relative_error):
 def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
     settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=58.0, step_s=2.0**-13)
     path = simulate(settings, tmp_path / "long.mcap")
-    report, segments = identify_long(path, segment_s=24.0)
+    report, segments = identify_by_segments(path, segment_s=24.0)
     assert len(segments) == 2
     for each_report in (*(s.report for s in segments), report):
         for contact in each_report.contacts:
@@ -72,7 +78,7 @@ def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
 
 def test_a_contact_that_one_segment_tells_is_answered(simulate, tmp_path):
     path = simulate(Sdof(duration_s=30.0, step_s=2.0**-12), tmp_path / "short.mcap")
-    determined, _ = identify_long(path, segment_s=40.0)
+    determined, _ = identify_by_segments(path, segment_s=40.0)
     silent = msgspec.structs.replace(determined, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
     silent = msgspec.convert(msgspec.to_builtins(silent), type(determined))
     both = pooled_report([silent, determined])
@@ -84,9 +90,9 @@ def test_a_contact_that_one_segment_tells_is_answered(simulate, tmp_path):
 def test_bad_segments_are_refused(one_mass, tmp_path):
     for length in (-1.0, 0.0, np.nan, np.inf):
         with pytest.raises(RigError, match="10 s or more"):
-            identify_long(one_mass, segment_s=length)
+            identify_by_segments(one_mass, segment_s=length)
     with pytest.raises(RigError, match="cannot be opened"):
-        identify_long(tmp_path / "none.mcap", segment_s=10.0)
+        identify_by_segments(tmp_path / "none.mcap", segment_s=10.0)
 
 
 @pytest.mark.parametrize(
@@ -101,6 +107,6 @@ def test_segments_take_no_more_memory_than_their_file_may(tmp_path, rate_hz, len
     os.truncate(path, 2 * LARGE_FILE_BYTES)  # as a long record: what is asked for stands in front
     if length_s is None:
         with pytest.raises(RigError, match="MB a second, of which 22 s at once take more memory than 1374 MB; sample"):
-            longest_segment_s(path)
+            segment_length_within_memory_s(path)
     else:
-        assert longest_segment_s(path) == pytest.approx(length_s, rel=1e-2)
+        assert segment_length_within_memory_s(path) == pytest.approx(length_s, rel=1e-2)

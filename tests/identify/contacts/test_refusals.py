@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from identify import contacts
-from identify.checks import naming_first_finding
+from identify.checks import adding_first_finding_to_error
 from identify.checks.findings import Finding
 from identify.contacts.outcomes import length_ratio
 from identify.contacts.refusals import CAUSES, REMEDIES, ContactRefusedError, RefusalCode, RemedyCode, refused
@@ -68,7 +68,7 @@ def test_a_finding_beside_does_not_lose_the_code():
     finding = Finding(cause="dead", channels=("a",), evidence="a is dead", mend="mend it")
     with (
         pytest.raises(ContactRefusedError, match=r"\(the check of the record found: a is dead: mend it\.\)$") as raised,
-        naming_first_finding((finding,)),
+        adding_first_finding_to_error((finding,)),
     ):
         raise refused(RefusalCode.ALL_ZERO)
     assert raised.value.refusal.code == RefusalCode.ALL_ZERO

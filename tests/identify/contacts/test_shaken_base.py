@@ -12,7 +12,7 @@ from scipy.signal import resample_poly
 
 import identify
 from identify.checks import check_recording
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.separation import separate
 from identify.linear.model import ResponseCache, accelerances, responses_of
 from identify.linear.nuisance import NuisanceKind
@@ -169,7 +169,7 @@ def test_the_sides_of_a_sprung_mass_are_told_apart(motions):
 
 def test_displacements_in_space_tell_the_same_as_accelerations(motions):
     rig = described((MASS,), STOPS, "displacement")
-    (estimate,) = find_contacts(record(rig, motions["mass"][0]), "auto", LABORATORY).outcomes.estimates.values()
+    (estimate,) = estimated_contacts(record(rig, motions["mass"][0]), "auto", LABORATORY).outcomes.estimates.values()
     assert estimate.values[:3] == pytest.approx([4e-4, 6e-4, STIFFNESS], rel=0.01)
 
 
@@ -178,7 +178,7 @@ def test_without_a_force_stiffness_is_known_as_well_as_mass(motions):
     rig, rows = CASES["mass"][0], motions["mass"][2]
     heavy = replace(rig, bodies=(replace(MASS, mass_kg=2.02),))
     (light_estimate,), (heavy_estimate,) = (
-        find_contacts(record(r, rows), "auto", LABORATORY).outcomes.estimates.values() for r in (rig, heavy)
+        estimated_contacts(record(r, rows), "auto", LABORATORY).outcomes.estimates.values() for r in (rig, heavy)
     )
     assert heavy_estimate.values[2] / light_estimate.values[2] == pytest.approx(1.01, rel=5e-4)
     assert light_estimate.errors[2] > LABORATORY.mass * STIFFNESS
@@ -241,7 +241,7 @@ def test_a_base_motion_without_a_sensor_is_refused_and_one_with_a_sensor_is_not(
     rig, _, _ = CASES["mass"]
     base = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=4.0, high_hz=40.0)
     measured = replace(rig, base_motion=base)
-    assert find_contacts(record(measured, motions["mass"][2]), "auto", LABORATORY).outcomes.estimates
+    assert estimated_contacts(record(measured, motions["mass"][2]), "auto", LABORATORY).outcomes.estimates
     blind = replace(measured, sensors=rig.sensors[1:], force_at=Station("mass"))
     with pytest.raises(RigError, match="no sensor on the ground measures it; measure how the base shakes by a sensor"):
         identify.contact(record(blind, motions["mass"][2][1:]))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.contacts.gauges import gauges_of
+from identify.contacts.gauges import gauges_and_motion_of
 from identify.contacts.identification import identify_contact
 from identify.contacts.separation import separate
 from identify.contacts.slow_motion import low_pass
@@ -16,7 +16,7 @@ from identify.pages.wording import COVERED
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import decimated
 from rig.model.beam import Beam
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import Contact, ForceSensor, Rig, Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import channel_groups, read, read_truth, truth_path
@@ -38,7 +38,7 @@ def beam(ends="clamped-free"):
 
 def cantilever(lower_clearance_m=CLEARANCE_M):
     """A clamped beam with AC-coupled accelerometers, strain gauges, and stops at its tip."""
-    law = replace(equal_sides(CLEARANCE_M, STIFFNESS_N_PER_M, 5.0), lower_clearance_m=lower_clearance_m)
+    law = replace(symmetric_dead_zone(CLEARANCE_M, STIFFNESS_N_PER_M, 5.0), lower_clearance_m=lower_clearance_m)
 
     def sensor(letter, x, **fields):
         return Sensor(name=f"{letter}{1000 * x:04.0f}", station=Station("beam", x), **fields)
@@ -260,7 +260,7 @@ def test_a_record_in_motion_uses_no_gauges(slow):
     first = 512 * 5
     signals = {name: with_fields(s, values=s.values[:, first:]) for name, s in slow.signals.items()}
     late = with_fields(slow, signals=signals)
-    gauges, motion = gauges_of(late, "auto", kinematics(late))
+    gauges, motion = gauges_and_motion_of(late, "auto", kinematics(late))
     assert not gauges.sensors
     assert not {"e0050", "e0300", "e0600"} & {*motion.channels}
 

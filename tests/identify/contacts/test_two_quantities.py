@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.separation import separate
 from identify.linear.nuisance import NuisanceKind
 from identify.pages.wording import COVERED
@@ -73,7 +73,7 @@ def test_the_force_on_a_single_mass_has_the_errors_of_its_accelerometer(tmp_path
 
 
 def test_a_clearance_is_found_by_both_sensors_and_no_worse_than_by_displacements(recording):
-    both, displacements = (find_contacts(recording, use, LABORATORY) for use in ("auto", "displacement"))
+    both, displacements = (estimated_contacts(recording, use, LABORATORY) for use in ("auto", "displacement"))
     assert_answered(both)
     errors_m = [contacts.outcomes.estimates["tip"].clearance_error_m for contacts in (both, displacements)]
     assert errors_m[0] < 1.1 * errors_m[1]
@@ -87,7 +87,7 @@ def test_displacements_at_the_contact_alone_tell_its_sides(recording):
     tip_alone = replace_fields(displacements, channels=channels, values=displacements.values[[row]])
     signals = {**recording.signals, "displacement": tip_alone}
     fewer = replace_fields(recording, rig=replace(recording.rig, sensors=sensors), signals=signals)
-    assert_answered(find_contacts(fewer, "auto", LABORATORY))
+    assert_answered(estimated_contacts(fewer, "auto", LABORATORY))
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

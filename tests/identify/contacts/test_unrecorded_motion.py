@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.contacts.acceptance import find_contacts
+from identify.contacts.acceptance import estimated_contacts
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.structure import structure_of
@@ -33,5 +33,5 @@ def test_a_mode_that_rings_beyond_the_band_is_a_finding(rate_hz, is_found, tmp_p
         sensors=sensors,
         sample_rate_hz=rate_hz,
     )
-    findings = find_contacts(made(described)(tmp_path), "auto", LABORATORY).findings
+    findings = estimated_contacts(made(described)(tmp_path), "auto", LABORATORY).findings
     assert any("beyond the recorded band" in finding.evidence for finding in findings) == is_found

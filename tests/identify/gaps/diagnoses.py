@@ -22,7 +22,7 @@ from identify.gaps.results import (
     ResidualMap,
     Share,
     UnexplainedShares,
-    labels_of,
+    unique_effect_labels,
 )
 from identify.gaps.rollout.results import PredictionErrors, PredictionExample, Rollout
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
@@ -77,7 +77,7 @@ def cause(effects, words, probability, explained, interval, left, parameters, in
     """Of every effect the first of its parameters is the strength, neutral at 0; all are as probable as the cause."""
     values = {name: Value(*value) for name, value in parameters.items()}
     strengths = []
-    for kind, label in zip(effects, labels_of(effects), strict=True):
+    for kind, label in zip(effects, unique_effect_labels(effects), strict=True):
         first = next(v for name, v in values.items() if name.startswith(f"{label}."))
         half = 1.96 * first.standard_error
         place = next((p for name, p in places.items() if name.startswith(label)), "all")

@@ -10,12 +10,12 @@ from scipy.signal import butter, sosfiltfilt
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.search.base_spectrum import fit_base_spectrum
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import MIN_GAIN
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects.base_motion import ShakingBase
 from rig.model.components import Contact, Station
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
 from rig.simulation.plants import modal
@@ -29,7 +29,7 @@ BAND_HZ = (70.0, 110.0)
 def fitted_base(recording):
     record = prepare_recording(recording, LABORATORY).record
     linearization, residual = fit_nuisance(record, recording.rig)
-    effects = candidates(scale_of(record, recording.rig), [s.name for s in recording.rig.sensors], False)
+    effects = candidates(effect_range_scale(record, recording.rig), [s.name for s in recording.rig.sensors], False)
     (base,) = [candidate for candidate in effects if candidate.kind.stochastic]
     return fit_base_spectrum(linearization, residual, base, MIN_GAIN)
 
@@ -54,7 +54,7 @@ def test_lateral_motion_that_the_sensors_show_is_no_base_motion(recorded_machine
 def test_a_stop_on_the_ground_moves_with_an_unmeasured_base(tmp_path):
     """The displacement of the base, a tenth of the clearance, makes up a fifth of the force of the stop."""
     beams = SETTINGS.rig()
-    stop = Contact(name="tip", at=Station("cradle", 1.0), law=equal_sides(1e-3, 5e4))
+    stop = Contact(name="tip", at=Station("cradle", 1.0), law=symmetric_dead_zone(1e-3, 5e4))
     nominal = msgspec.structs.replace(
         beams,
         bodies=(beams.body("cradle"),),

@@ -5,7 +5,7 @@ import pytest
 
 from identify.gaps.residual.residual import linearized, residual_decrease, residual_of
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import attached_column
+from identify.gaps.search.candidates import attachment_residual_decrease
 from rig.effects import effect_named
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
@@ -38,7 +38,7 @@ def test_its_column_is_that_of_the_model(believed, effect, body):
     linearization, at = believed
     moved = effect_named(f"{effect},relative_position=0.7,body={body}").applied_to(RIG)
     (linear, contacts), (expected, laws) = (
-        attached_column(linearization, moved, at),
+        attachment_residual_decrease(linearization, moved, at),
         residual_decrease(linearization, moved, at),
     )
     assert np.linalg.norm(linear - expected) < 0.05 * np.linalg.norm(expected)
@@ -47,5 +47,7 @@ def test_its_column_is_that_of_the_model(believed, effect, body):
 
 def test_of_any_other_rig_there_is_none(believed):
     linearization, at = believed
-    assert attached_column(linearization, RIG, at) is None
-    assert attached_column(linearization, effect_named("force_gain:factor=1.1").applied_to(RIG), at) is None
+    assert attachment_residual_decrease(linearization, RIG, at) is None
+    assert (
+        attachment_residual_decrease(linearization, effect_named("force_gain:factor=1.1").applied_to(RIG), at) is None
+    )

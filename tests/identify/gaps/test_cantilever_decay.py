@@ -6,11 +6,11 @@ from scipy.linalg import eigh
 from scipy.signal import decimate, lsim
 
 import identify
-from identify.gaps.decision.recordings import check_decay
+from identify.gaps.decision.recordings import check_free_decay
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_briefly, fit_effects, refined
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.screening import mode_screening
@@ -113,7 +113,7 @@ def recording(quantity, force_n, moved, seed, rate_hz=RATE_HZ):
 def fitted(record, effect=None):
     """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
     reference = nominal_variances_of(linearized(record, record.rig))
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
+    known = candidates(effect_range_scale(record, record.rig), (), record.zero_known, has_force=False)
     context = Search(reference, *fit_nuisance(record, record.rig), tuple(known))
     if effect is None:
         return context.nominal_fit().hypothesis
@@ -125,7 +125,7 @@ def fitted(record, effect=None):
 def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
     for quantity in NOISE:
         nothing = fitted(record_of(decay(quantity, 3.0)))
-        assert not nothing.is_incomplete
+        assert not nothing.has_unexplained_misfit
         assert nothing.misfit.unexplained_share < 5e-3
 
 
@@ -137,7 +137,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     record = record_of(hit(quantity, (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.003))
     nothing = fitted(record)
     assert record.has_force
-    assert not nothing.is_incomplete
+    assert not nothing.has_unexplained_misfit
     assert nothing.misfit.unexplained_share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
@@ -146,12 +146,12 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     record = record_of(hit("displacement", (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.26**2))
     reference = nominal_variances_of(linearized(record, record.rig))
     context = Search(reference, *fit_nuisance(record, record.rig), ())
-    known = candidates(scale_of(record, record.rig), (), record.zero_known)
+    known = candidates(effect_range_scale(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
     found = fit_effects(context, (modulus,), modulus.typical_values, context.nominal_residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
     assert context.nominal_fit().hypothesis.misfit.unexplained_share > 0.3
-    assert not found.is_incomplete
+    assert not found.has_unexplained_misfit
 
 
 @pytest.mark.study
@@ -163,7 +163,7 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
     assert np.all(errors < [0.01, 0.02])
     assert before.misfit.unexplained_share > 0.3
-    assert not found.is_incomplete
+    assert not found.has_unexplained_misfit
 
 
 def rubbed_decay(friction_n, position_m, duration_s):
@@ -188,7 +188,7 @@ def rubbed_decay(friction_n, position_m, duration_s):
 def test_friction_is_found_from_a_decay_by_accelerometers_that_miss_its_first_velocity():
     record = record_of(rubbed_decay(0.6, 0.8, 4.0))
     context = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
+    known = candidates(effect_range_scale(record, record.rig), (), record.zero_known, has_force=False)
     friction = next(one for one in known if one.kind.name == "ground_friction")
     estimate = fit_effects(context, (friction,), friction.typical_values, context.nominal_residual).hypothesis
     assert estimate.values == pytest.approx([0.6, 0.8], rel=0.02)
@@ -202,7 +202,7 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
     assert abs(found.values[0] - 1.26**2) < 3 * error
     assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
     assert before.misfit.unexplained_share > 0.3
-    assert not found.is_incomplete
+    assert not found.has_unexplained_misfit
 
 
 def test_the_record_tells_every_mode_from_its_first_sample_on():
@@ -214,7 +214,7 @@ def test_the_record_tells_every_mode_from_its_first_sample_on():
 
 @pytest.mark.parametrize("quantity", NOISE)
 def test_a_decay_that_ends_in_noise_is_a_decay(quantity):
-    check_decay(decay(quantity, 30.0))
+    check_free_decay(decay(quantity, 30.0))
 
 
 def test_a_decay_below_a_second_is_refused():

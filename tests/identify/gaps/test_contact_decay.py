@@ -6,7 +6,7 @@ import pytest
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.sparse import ranked_hypotheses
@@ -43,7 +43,7 @@ def recorded(folder, machine, seed, *effects):
 
 def likeliest(record):
     """Likeliest hypothesis of a search among effects of several kinds."""
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
+    known = candidates(effect_range_scale(record, record.rig), (), record.zero_known, has_force=False)
     known = [candidate for candidate in known if candidate.kind.name in TRIED]
     search = Search(
         nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), tuple(known)

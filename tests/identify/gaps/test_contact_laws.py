@@ -10,7 +10,7 @@ from identify.gaps.decision.contact_evidence import contact_minus_two_log
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.residual import linearized, residual_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.contact_laws import LawEstimate, with_contact_fit
 from identify.gaps.search.hypothesis import Hypothesis
 from rig.effects import effect_named
@@ -29,7 +29,9 @@ MASS = AddedMass(mass_kg=0.15, relative_position=0.7)
 def hypothesis_of(recording, *effects):
     """Effects of the library at typical values, as a search may hand them over."""
     observation = prepare_recording(recording, LABORATORY)
-    known = candidates(scale_of(observation.record, recording.rig), [s.name for s in recording.rig.sensors], False)
+    known = candidates(
+        effect_range_scale(observation.record, recording.rig), [s.name for s in recording.rig.sensors], False
+    )
     parts = []
     for effect in effects:
         place = getattr(effect, "contact", None) or getattr(effect, "body", None) or "barrel"

@@ -11,10 +11,10 @@ from msgspec.structs import replace
 import identify
 from identify.gaps.decision import answer
 from identify.gaps.decision.answer import Simulator, diagnose
-from identify.gaps.decision.null_reference import null_key, null_reference_of
-from identify.gaps.decision.recordings import cut_recording, fault_of
+from identify.gaps.decision.null_reference import null_reference_key, null_reference_of
+from identify.gaps.decision.recordings import channel_fault, cut_recording
 from identify.gaps.decision_table import Verdict
-from identify.gaps.residual.record import CountedPart
+from identify.gaps.residual.record import CountedBandAndEnd
 from identify.gaps.results import Matters
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
@@ -184,19 +184,19 @@ def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_pat
 
 def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
     _, validation = records(RIG, RIG)
-    force, counted = with_values(validation, "force", 1.5 * validation.forces_n), CountedPart(8, 9.0)
+    force, counted = with_values(validation, "force", 1.5 * validation.forces_n), CountedBandAndEnd(8, 9.0)
     keys = [
-        null_key(validation, counted, LABORATORY, "modal"),
-        null_key(validation, counted, EXACT, "modal"),
-        null_key(validation, counted, LABORATORY, "ancf"),
-        null_key(validation, counted, LABORATORY, "modal", simulation_count=5),
-        null_key(with_fields(validation, rig=replace(RIG, name="other")), counted, LABORATORY, "modal"),
-        null_key(force, counted, LABORATORY, "modal"),
-        null_key(validation, CountedPart(8, 6.0), LABORATORY, "modal"),
-        null_key(validation, CountedPart(4, 9.0), LABORATORY, "modal"),
+        null_reference_key(validation, counted, LABORATORY, "modal"),
+        null_reference_key(validation, counted, EXACT, "modal"),
+        null_reference_key(validation, counted, LABORATORY, "ancf"),
+        null_reference_key(validation, counted, LABORATORY, "modal", simulation_count=5),
+        null_reference_key(with_fields(validation, rig=replace(RIG, name="other")), counted, LABORATORY, "modal"),
+        null_reference_key(force, counted, LABORATORY, "modal"),
+        null_reference_key(validation, CountedBandAndEnd(8, 6.0), LABORATORY, "modal"),
+        null_reference_key(validation, CountedBandAndEnd(4, 9.0), LABORATORY, "modal"),
     ]
     monkeypatch.setattr("importlib.metadata.version", lambda _: "another version")
-    keys.append(null_key(validation, counted, LABORATORY, "modal"))
+    keys.append(null_reference_key(validation, counted, LABORATORY, "modal"))
     assert len(set(keys)) == len(keys)
 
 
@@ -223,7 +223,7 @@ def test_a_short_record_is_refused(null_reference):
     ("change", "fault"), [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)]
 )
 def test_dead_and_clipped_channels_are_what_they_are(change, fault):
-    assert fault_of(change(np.random.default_rng(1).standard_normal(10_000))) == fault
+    assert channel_fault(change(np.random.default_rng(1).standard_normal(10_000))) == fault
 
 
 def test_a_record_of_dead_channels_is_refused(null_reference):

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized, residual_decrease, residual_of
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.screening import peak_frequencies_hz
@@ -36,7 +36,7 @@ NEW = {  # true values beside the typical ones
 def case(name):
     """The candidate, its true values, and the record of a rig that has them."""
     null = record_of(modal(RIG, RIG, FORCE_N, 1))
-    scale = scale_of(null, RIG)
+    scale = effect_range_scale(null, RIG)
     found = next(c for c in candidates(scale, ["mass"], null.zero_known) if c.name == name)
     truth = np.array([NEW[name].get(p, v) for p, v in zip(found.parameters.names, found.typical_values, strict=True)])
     low, high = found.parameters.bounds

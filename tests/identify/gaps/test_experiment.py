@@ -8,9 +8,9 @@ from msgspec.structs import replace
 
 from identify.gaps.decision import experiment
 from identify.gaps.decision.experiment import (
+    common_fit_start,
     disagreement_cost,
     experiments,
-    initial_search,
     next_experiments,
     refit_hypothesis,
 )
@@ -18,7 +18,7 @@ from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import SAME_EXPERIMENT
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
@@ -43,7 +43,7 @@ def cause(believed):
     record, _ = believed
     search = Search(nominal_variances_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ())
     nothing = search.nominal_fit().hypothesis
-    library = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
+    library = candidates(effect_range_scale(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
 
     def hypothesis(name, value, error):
         candidate = next(c for c in library if c.kind.name == name)
@@ -113,7 +113,7 @@ def test_refitted_finds_the_value_and_two_values_disagree_by_their_errors(believ
     _, force_n = believed
     actual = effect_named("contact_stiffness:factor=1.1").applied_to(RIG)
     record = record_of(modal(RIG, actual, force_n, 2))
-    start = initial_search(record, RIG)
+    start = common_fit_start(record, RIG)
     refit = refit_hypothesis(start, cause("contact_stiffness", 0.9, 0.1))
     assert refit.values[0] == pytest.approx(1.1, abs=0.02)
     first, second = cause("contact_stiffness", 1.0, 0.03), cause("contact_stiffness", 1.1, 0.04)

@@ -4,8 +4,8 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.prepare import prepare_recording
-from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.far_sets import far_fits
+from identify.gaps.search.candidates import candidates, effect_range_scale
+from identify.gaps.search.far_sets import large_effect_fits
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
@@ -25,7 +25,7 @@ def search_of(rig, actual, duration_s=20.0):
     recording = modal(rig, actual, force_history(settings.force(), duration_s, 1 / rig.sample_rate_hz), 1)
     observation = prepare_recording(recording, LABORATORY)
     linearization, residual = fit_nuisance(observation.record, rig)
-    library = candidates(scale_of(observation.record, rig), (), False)
+    library = candidates(effect_range_scale(observation.record, rig), (), False)
     offered = tuple(c for c in library if c.kind.name in KINDS)
     return Search(observation.nominal_variances, linearization, residual, offered)
 
@@ -47,7 +47,7 @@ def test_two_large_effects_are_found_together():
     actual = effect_named("clamp_compliance:compliance=0.04").applied_to(rig)
     actual = effect_named("added_mass:mass_kg=0.3,relative_position=0.8").applied_to(actual)
     search = search_of(rig, actual)
-    likeliest = far_fits(search)[0].hypothesis
+    likeliest = large_effect_fits(search)[0].hypothesis
     values_by_effect = dict(zip(likeliest.effects, likeliest.values_by_candidate(), strict=True))
     assert set(values_by_effect) == {"clamp_compliance", "added_mass"}
     assert values_by_effect["clamp_compliance"] == pytest.approx([0.04], rel=0.03)
@@ -57,4 +57,4 @@ def test_two_large_effects_are_found_together():
 
 def test_rigs_with_contacts_are_not_searched_from_afar():
     rig = BarrelCradle(sensors="acceleration").rig()
-    assert far_fits(search_of(rig, rig, 12.0)) == []
+    assert large_effect_fits(search_of(rig, rig, 12.0)) == []

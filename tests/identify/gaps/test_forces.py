@@ -10,7 +10,7 @@ import identify
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.unmeasured_force.whitened_record import force_noise_variance, record_without_nuisance
+from identify.gaps.unmeasured_force.whitened_record import force_noise_variance, whitened_record_without_nuisance
 from rig.effects import effect_named
 from rig.model.description import Station
 from rig.recording import Recording, Signals, channel_groups
@@ -59,7 +59,7 @@ def test_forces_at_one_place_are_their_sum():
 
 def test_the_noise_of_every_force_is_whitened():
     record = record_of(noise(replace(BEAMS, force_at=(BEAMS.force_at, Station("cradle", 0.6)))))
-    bare = record_without_nuisance(record, record.rig)
+    bare = whitened_record_without_nuisance(record, record.rig)
     standard = bare.model.sensor_response / bare.model.error_deviation
     by_force = [bare.projected_rows((standard * bare.accelerance(at))[:, bare.line_slice]) for at in record.rig.forces]
     pushed = np.stack(by_force, axis=2) * np.sqrt(force_noise_variance(record))

@@ -5,11 +5,11 @@ import pytest
 
 import identify
 from identify.gaps.decision.null_simulations import REPRODUCED_MOTION_S, null_simulator
-from identify.gaps.decision.recordings import check_decay
+from identify.gaps.decision.recordings import check_free_decay
 from identify.gaps.decision.sentence import UNSCALED
 from identify.gaps.residual.extent import OMITTED_EDGE_S
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from rig.errors import RigError
 from rig.simulation.replay import modal
 from tests.campaigns.laboratory_tests import STIFFER, TESTS, VALIDATES, recorded
@@ -53,7 +53,7 @@ def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
         assert simulation.samples == measured.samples
         assert not np.any(simulation.forces_n)
         assert np.std(row(simulation)[scaled]) == pytest.approx(np.std(row(measured)[scaled]), rel=0.1)
-        check_decay(simulation)
+        check_free_decay(simulation)
         assert record_of(simulation).residual_times_s[0] == pytest.approx(start_s, abs=0.1)
     first, second = (row(simulation)[scaled] for simulation in simulations)
     assert np.std(first - second) > 0.1 * np.std(first)
@@ -66,12 +66,12 @@ def test_null_simulations_of_beams_move_as_far_as_the_record(tmp_path):
     counted = slice(round(record.residual_times_s[0] * measured.rig.sample_rate_hz), None)
     rms_m = [np.std(row(recording)[counted]) for recording in (measured, simulation)]
     assert rms_m[1] == pytest.approx(rms_m[0], rel=0.25)  # 13 % less on one processor: which stop is struck is chance
-    check_decay(measured)
+    check_free_decay(measured)
 
 
 def test_effects_of_the_force_and_its_channel_need_a_force(tmp_path):
     record = record_of(decay(ACCELEROMETER, tmp_path))
-    arguments = scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known
+    arguments = effect_range_scale(record, record.rig), [s.name for s in record.sensors], record.zero_known
     names, unforced = ({c.kind.name for c in candidates(*arguments, has_force=forced)} for forced in (True, False))
     assert not record.has_force
     channels = {"force_gain", "force_shift", "sensor_gain", "sensor_delay"}
@@ -84,4 +84,4 @@ def test_a_motion_that_is_kept_up_is_no_free_decay(tmp_path):
     recording = decay(DISPLACEMENT, tmp_path)
     row(recording)[-recording.samples // 4 :] *= 5.0
     with pytest.raises(RigError, match="no free decay"):
-        check_decay(recording)
+        check_free_decay(recording)

@@ -8,10 +8,10 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.differences import _trend_of
-from identify.gaps.decision.modal_changes import differ_in_level, identifiable_change_words, level_dependence
+from identify.gaps.decision.modal_changes import has_several_force_levels, identifiable_change_words, level_dependence
 from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.wording import difference_words, interval, level_words
+from identify.gaps.wording import interval, level_dependence_sentence, parameter_trend_words
 from rig.effects import effect_named, effects
 from rig.effects.base import Scale
 from rig.model.description import Rig, Sensor, Station
@@ -118,7 +118,7 @@ def test_a_mode_that_follows_the_level_is_told_from_the_lowest_to_the_highest():
     assert dependence.frequency_change == pytest.approx(np.sqrt(stiffness[1] / stiffness[0]) - 1, rel=1e-6)
     ratio = np.sqrt(stiffness[0] / stiffness[1]) if highest.damping_n_s_per_m != lowest.damping_n_s_per_m else 1.0
     assert dependence.damping_change == pytest.approx(1.9 * ratio - 1, rel=0.05)
-    words = level_words(dependence)
+    words = level_dependence_sentence(dependence)
     assert words.startswith("The machine softens with the motion")
     assert "from 12 to 61 N rms" in words
 
@@ -136,7 +136,7 @@ def test_the_changes_are_as_certain_as_the_springs_and_dampers_of_both_levels():
     assert dependence.damping_change_standard_error == pytest.approx(
         (1 + dependence.damping_change) * of_damping, rel=0.05
     )
-    words = level_words(dependence)
+    words = level_dependence_sentence(dependence)
     assert re.search(r"changes by -\d+\.\d+ ± \d+\.\d+ % and its damping by \+\d+ ± \d+ %", words)
 
 
@@ -149,14 +149,14 @@ def test_what_does_not_follow_the_level_is_not_told_as_its(trend):
 def test_what_follows_the_level_is_told_so():
     values = "(-20.00 ± 0.20 N/m, -10.00 ± 0.20 N/m, -40.00 ± 0.20 N/m)"
     name = "linear_spring.stiffness_n_per_m (mass)"
-    assert difference_words(compared("falls")) == f"{name} falls with the level {values}"
-    assert difference_words(compared("differs")) == f"{name} differs {values}"
+    assert parameter_trend_words(compared("falls")) == f"{name} falls with the level {values}"
+    assert parameter_trend_words(compared("differs")) == f"{name} differs {values}"
 
 
 def test_forces_within_a_quarter_are_one_level():
-    assert differ_in_level(LEVELS_N)
-    assert not differ_in_level((12.0, 13.0, 14.0))
-    assert not differ_in_level((0.0, 13.0))
+    assert has_several_force_levels(LEVELS_N)
+    assert not has_several_force_levels((12.0, 13.0, 14.0))
+    assert not has_several_force_levels((0.0, 13.0))
 
 
 def test_a_trend_is_one_of_the_levels_in_their_order():
@@ -179,6 +179,6 @@ def test_the_words_are_those_of_the_changes(shift, damping, kind, cause):
     dependence = LevelDependence(
         lowest_n=12.0, highest_n=61.0, body="wing", frequency_hz=7.3, frequency_change=shift, damping_change=damping
     )
-    words = level_words(dependence)
+    words = level_dependence_sentence(dependence)
     assert words.startswith(f"The machine {kind} with the motion: from 12 to 61 N rms")
     assert cause in words

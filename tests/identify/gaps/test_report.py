@@ -22,9 +22,9 @@ from identify.gaps.page.report import CAPTION_BY_FIGURE, captioned_drawing, curv
 from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, FailedAnalysis, Gap
 from identify.gaps.wording import (
-    findings_heading,
+    check_findings_introduction,
     interval,
-    look_alikes_of,
+    named_effects_with_look_alikes,
     probability,
     removed_share_words,
     unexplained_words,
@@ -115,7 +115,9 @@ def test_every_number_is_on_the_page(written):
     divisions = (where.channels, where.parts, where.modal_equations, where.contact_state, *where.positions_m.values())
     said |= {percent(s) for shares in divisions for s in shares.values()}
     said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
-    said |= {" / ".join([words, *others]) for words, others in look_alikes_of(gap)} | set(next_steps(gap))
+    said |= {" / ".join([words, *others]) for words, others in named_effects_with_look_alikes(gap)} | set(
+        next_steps(gap)
+    )
     said |= {percent(x) for q in gap.evidence.quantities for x in (q.value, q.upper) if q.upper is not None}
     said |= {words for cause in gap.causes[:1] for words in cause.words}
     if gap.rollout:
@@ -210,14 +212,14 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
 
 
 def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
-    assert findings_heading(gaps["consistent"]) == "The check of the recordings says:"
+    assert check_findings_introduction(gaps["consistent"]) == "The check of the recordings says:"
     cause_words = "perhaps because of the difference above (mend no channel before that is explained)"
     hum = "an unmeasured tone of 12.2 Hz on the frame at 0.30 m"
     frequency = {"tone.frequency_hz": (12.2, 0.1, "Hz")}
     tone = diagnoses.cause(("tone",), (hum,), 0.99, 0.9, (0.8, 0.95), diagnoses.SMALL, frequency)
-    heading = findings_heading(replace(gaps["explained"], causes=(tone,)))
+    heading = check_findings_introduction(replace(gaps["explained"], causes=(tone,)))
     assert heading == f"The check of the recordings, which does not know {hum}, says, {cause_words}:"
-    heading = findings_heading(gaps["unexplained"])
+    heading = check_findings_introduction(gaps["unexplained"])
     unknown_words = "which does not know the unmeasured force described above"
     assert heading == f"The check of the recordings, {unknown_words}, says, {cause_words}:"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.bounds import contact_bound
+from identify.gaps.decision.bounds import contact_force_share_bound
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision_table import Bounded, Strength
 from identify.gaps.page.advice import next_steps, place, unexplained_ranges_hz
@@ -122,12 +122,12 @@ def test_a_longer_record_is_asked_for_by_the_length_that_settles_the_matter(gaps
     """As many seconds that scatter as these do bound the force below what matters."""
     squares = scatter * np.sqrt(np.arange(1, 9) / 8)
     squares += 4e-4 - squares.mean()
-    bound = contact_bound("force of contact_1", squares, 0.0, limit)
+    bound = contact_force_share_bound("force of contact_1", squares, 0.0, limit)
     assert bound.not_seen
     evidence = replace(gaps["cannot_tell"].evidence, quantities=(bound,))
     unsure = replace(gaps["cannot_tell"], evidence=evidence, not_seen=(bound,))
     times = re.search("Record about (twice|[0-9]+ times) as long", " ".join(next_steps(unsure)))[1].split()[0]
-    assert contact_bound(
+    assert contact_force_share_bound(
         "force of contact_1", np.tile(squares, 2 if times == "twice" else int(times)), 0.0, limit
     ).holds
     hidden = replace(evidence, quantities=(replace(bound, upper=None, why="noise hides it"),))

@@ -14,10 +14,10 @@ from identify.gaps.decision.null_reference import null_reference_of
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.pooled import fitted_together
+from identify.gaps.search.pooled import fitted_to_all_records
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY
@@ -47,7 +47,7 @@ def with_effect(text):
 
 
 def library(record):
-    return candidates(scale_of(record, RIG), [s.name for s in record.sensors], record.zero_known)
+    return candidates(effect_range_scale(record, RIG), [s.name for s in record.sensors], record.zero_known)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,8 @@ def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     (candidate,) = [c for c in candidates if c.kind.name == "added_mass"]
     context = Search(variances[0], *fit_nuisance(records[0], RIG), tuple(candidates))
     first_record = fit_effects(context, (candidate,), np.array([0.5 * mass_kg]), context.nominal_residual).hypothesis
-    first_pooled = fitted_together(records[:1], variances[:1], first_record)
-    both_records = fitted_together(records, variances, first_record)
+    first_pooled = fitted_to_all_records(records[:1], variances[:1], first_record)
+    both_records = fitted_to_all_records(records, variances, first_record)
     errors = [float(np.sqrt(item.covariance[0, 0])) for item in (first_record, first_pooled, both_records)]
     assert first_pooled.values == pytest.approx(first_record.values, abs=0.5 * errors[0])
     assert errors[0] / 1.5 < errors[1] < 1.5 * errors[0]

@@ -15,7 +15,7 @@ import identify
 from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.residual import residual_of
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import attached_column
+from identify.gaps.search.candidates import attachment_residual_decrease
 from identify.gaps.search.nominal import fit_nuisance
 from identify.linear.nuisance import NuisanceKind
 from identify.pages.wording import COVERED
@@ -243,7 +243,7 @@ def test_the_slope_of_an_attached_mass_is_a_difference_of_residuals(beam_motions
     rig = cantilever_rig()
     linearization, residual = fitted(rig, beam_motions[0.0][0])
     heavier_rig = replace(rig, masses=(PointMass(station=Station("beam", 0.6), mass_kg=1e-4),))
-    slope, _ = attached_column(linearization, heavier_rig, residual)
+    slope, _ = attachment_residual_decrease(linearization, heavier_rig, residual)
     difference = (
         residual.linear_residual - residual_of(linearization, heavier_rig, residual.nuisance_pulls).linear_residual
     )

@@ -9,12 +9,17 @@ from msgspec.structs import replace
 
 import identify
 from identify.gaps.decision.prepare import prepare_recording
-from identify.gaps.decision.rings import RingFit, linear_candidates, ring_candidates, ring_distances
+from identify.gaps.decision.rings import (
+    RingFit,
+    candidates_in_linear_residual,
+    ring_contact_candidates,
+    ring_parameter_distances,
+)
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.nuisance import nuisance_columns_of
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.unfolding import IN_Z, Unfolding, check_unfolds, free_contact_tolerances
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.nominal import fit_nuisance
 from identify.linear.nuisance import NuisanceKind
 from identify.pages.wording import COVERED
@@ -61,8 +66,10 @@ def recorded(mass_kg, clearance_factor, seed, crossing=0.0):
 
 
 def unfolded_candidates(record):
-    library = candidates(scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force)
-    return linear_candidates(library, record.rig), ring_candidates(library, record.rig)
+    library = candidates(
+        effect_range_scale(record, record.rig), record.channel_names, record.zero_known, record.has_force
+    )
+    return candidates_in_linear_residual(library, record.rig), ring_contact_candidates(library, record.rig)
 
 
 def test_a_rig_folds_back_to_itself():
@@ -156,7 +163,7 @@ def test_the_mass_shows_in_the_motion_and_the_clearance_in_the_fit_of_the_rings_
 
     assert cost(heavier) < cost(rig) - 100
     assert cost(wider) == pytest.approx(cost(rig), abs=0.5)
-    distances = ring_distances([prepared], heavier, RingFit(unfolding, LABORATORY))
+    distances = ring_parameter_distances([prepared], heavier, RingFit(unfolding, LABORATORY))
     off = {bound.name: (bound.value, bound.upper) for bound in distances.parameter_bounds}
     value, upper = off["clearance of contact_1"]
     assert abs(value - 0.2e-3) < upper - value < 0.02e-3

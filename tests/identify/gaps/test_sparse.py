@@ -7,11 +7,11 @@ import pytest
 
 from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Hypothesis, Search, fit_briefly
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.sparse import best_selection, ranked_hypotheses, reduced_sets
+from identify.gaps.search.sparse import best_selection, ranked_hypotheses, reduced_and_variants
 from rig.effects.added_mass import AddedMass
 from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
@@ -30,7 +30,7 @@ def search_of(recording):
     observation = prepare_recording(recording, LABORATORY)
     linearization, residual = fit_nuisance(observation.record, recording.rig)
     names = [s.name for s in recording.rig.sensors]
-    known = candidates(scale_of(observation.record, recording.rig), names, False)
+    known = candidates(effect_range_scale(observation.record, recording.rig), names, False)
     return Search(observation.nominal_variances, linearization, residual, tuple(known))
 
 
@@ -85,7 +85,7 @@ def test_a_set_of_which_a_part_cannot_stand_alone_loses_that_part(pair):
     springs, values = (spring, spring), np.array([300.0, 0.853, -200.0, 0.5])
     joint_fit = fit_briefly(pair, springs, np.array([300.0, 0.853, 1.0, 0.5]), pair.nominal_residual)
     hypothesis = Hypothesis(springs, values, np.eye(4) * 1e-12, joint_fit.hypothesis.misfit)
-    remaining_fit, _ = reduced_sets(pair, replace(joint_fit, hypothesis=hypothesis))
+    remaining_fit, _ = reduced_and_variants(pair, replace(joint_fit, hypothesis=hypothesis))
     assert remaining_fit.hypothesis.effect_names in ((), ("linear_spring:barrel",))
 
 

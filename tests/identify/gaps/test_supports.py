@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 import identify
 from identify.gaps.decision.prepare import prepare_recording
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.sparse import ranked_hypotheses
@@ -53,7 +53,7 @@ def test_a_tone_is_found_beside_a_damper_that_hides_it(supported_rig):
     observation = prepare_recording(recording, LABORATORY)
     linearization, residual = fit_nuisance(observation.record, supported_rig)
     names = [sensor.name for sensor in supported_rig.sensors]
-    library = candidates(scale_of(observation.record, supported_rig), names, False)
+    library = candidates(effect_range_scale(observation.record, supported_rig), names, False)
     likeliest = ranked_hypotheses(Search(observation.nominal_variances, linearization, residual, tuple(library)))[0]
     assert likeliest.effects == ("ground_damper", "tone")
     damper_values, tone_values = likeliest.values_by_candidate()

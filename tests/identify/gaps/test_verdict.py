@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from identify.gaps.decision.bounds import NominalDifference, contact_bound
-from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value, with_rival_spread
-from identify.gaps.decision.judge import may_hide_force, with_lasting_error
+from identify.gaps.decision.bounds import NominalDifference, contact_force_share_bound
+from identify.gaps.decision.comparison import (
+    TEMPERATURE,
+    ValidatedHypothesis,
+    split_likelihood_ratio_p_value,
+    with_model_averaged_covariance,
+)
+from identify.gaps.decision.judge import is_unmeasured_force_possible, with_birge_ratio_errors
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
-from identify.gaps.decision.predicted import predicted_decision
-from identify.gaps.decision.verdict import acts_at_effects
+from identify.gaps.decision.predicted import prediction_checked_decision
 from identify.gaps.decision.verdict import decide as decide_verdict
+from identify.gaps.decision.verdict import is_force_at_effects
 from identify.gaps.decision_table import Bounded, Evidence, Strength
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.results import Matters
@@ -45,14 +50,14 @@ def test_a_force_at_the_place_of_an_effect_is_its_rival(effect, force, is_rival)
     rig = effect_named(effect.format(sensor=sensor)).applied_to(RIG)
     if force.sensor_name:
         force = ForcePlace("sensor", sensor_name=sensor)
-    assert acts_at_effects(force, RIG, rig) is is_rival
+    assert is_force_at_effects(force, RIG, rig) is is_rival
 
 
 def test_a_pair_of_forces_at_a_contact_is_the_rival_of_another_law():
     rig = effect_named("contact_clearance:factor=1.1,contact=contact_1").applied_to(RIG)
     first, second = RIG.contacts
-    assert acts_at_effects(ForcePlace("pair", (first.at, first.against)), RIG, rig)
-    assert not acts_at_effects(ForcePlace("pair", (second.at, second.against)), RIG, rig)
+    assert is_force_at_effects(ForcePlace("pair", (first.at, first.against)), RIG, rig)
+    assert not is_force_at_effects(ForcePlace("pair", (second.at, second.against)), RIG, rig)
 
 
 ONES = np.ones((40, 6))
@@ -115,7 +120,7 @@ def test_what_a_set_leaves_in_most_of_the_motion_enters_its_standard_errors(band
     level_by_band = np.where(np.arange(40) < bands_left, 5.0, 1.0)
     misfit = replace(mass.misfit, variance_by_second=np.tile(level_by_band[None, :, None], (20, 1, 6)))
     nulls = null_reference(tuple(mass.misfit.share_by_band))
-    grown = with_lasting_error(replace(mass, misfit=misfit), nulls).hypothesis.covariance
+    grown = with_birge_ratio_errors(replace(mass, misfit=misfit), nulls).hypothesis.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(grown) / np.diag(mass.hypothesis.covariance)), growth, rtol=1e-6)
 
 
@@ -126,7 +131,7 @@ def test_intervals_hold_what_rivals_of_some_probability_say():
     unlikely = replace(moved, log_prior=moved.log_prior - 60.0)
 
     def variances(*rivals):
-        spread, *_ = with_rival_spread([mass, other, validated_hypothesis(1.0), *rivals])
+        spread, *_ = with_model_averaged_covariance([mass, other, validated_hypothesis(1.0), *rivals])
         return np.diag(spread.hypothesis.covariance) - np.diag(mass.hypothesis.covariance)
 
     np.testing.assert_allclose(variances(), 0.0)
@@ -138,7 +143,7 @@ def test_a_value_at_its_limit_has_the_spread_of_its_rivals_too():
     mass = validated_hypothesis(1.0, "added_mass")
     at_limit = replace(mass, hypothesis=replace(mass.hypothesis, covariance=np.diag([1.0, 0.0])))
     moved = replace(mass, hypothesis=replace(mass.hypothesis, values=np.add(mass.hypothesis.values, [0.3, 0.1])))
-    spread, _ = with_rival_spread([at_limit, moved])
+    spread, _ = with_model_averaged_covariance([at_limit, moved])
     np.testing.assert_allclose(np.diag(spread.hypothesis.covariance), [1.045, 0.005])
 
 
@@ -151,16 +156,16 @@ def test_two_effects_of_one_name_are_paired_with_the_nearest():
         values=np.concatenate([np.add(values, [0.5, 0.4]), np.add(values, [0.02, 0.0])]),
         covariance=np.eye(4),
     )
-    spread, _ = with_rival_spread([mass, replace(mass, hypothesis=both)])
+    spread, _ = with_model_averaged_covariance([mass, replace(mass, hypothesis=both)])
     increase = spread.hypothesis.covariance - mass.hypothesis.covariance
     np.testing.assert_allclose(increase, [[0.5 * 0.02**2, 0.0], [0.0, 0.0]], atol=1e-15)
-    _, spread_of_both = with_rival_spread([mass, replace(mass, hypothesis=both)])
+    _, spread_of_both = with_model_averaged_covariance([mass, replace(mass, hypothesis=both)])
     np.testing.assert_allclose(np.diag(spread_of_both.hypothesis.covariance), [1.0, 1.0, 1 + 0.5 * 0.02**2, 1.0])
 
 
 @pytest.mark.parametrize(("squared_share", "value"), [(0.25, 0.5), (4.0, None)])
 def test_a_share_above_the_whole_force_is_not_seen(squared_share, value):
-    bound = contact_bound("force of contact_1", np.full(20, squared_share), 1e-6, 0.03)
+    bound = contact_force_share_bound("force of contact_1", np.full(20, squared_share), 1e-6, 0.03)
     assert (bound.value, bound.not_seen) == (value, value is None)
 
 
@@ -170,10 +175,10 @@ def ruling_out(*worse):
 
 def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
     ranked = [MASS, SPRING, NOMINAL]
-    unvetoed = predicted_decision(ranked, decide, ruling_out())
+    unvetoed = prediction_checked_decision(ranked, decide, ruling_out())
     assert unvetoed.decision.named_hypothesis is MASS
     assert not unvetoed.ruled_out
-    without_mass = predicted_decision(ranked, decide, ruling_out(MASS))
+    without_mass = prediction_checked_decision(ranked, decide, ruling_out(MASS))
     assert without_mass.decision.named_hypothesis is SPRING
     assert without_mass.decision.corrects_rig
     assert without_mass.ruled_out == (MASS,)
@@ -187,7 +192,7 @@ def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_fa
     def predict(named_set):
         return Attempt(Rollout(code="not_vetoed", falls_short=any(named_set is short for short in short_sets)))
 
-    outcome = predicted_decision([MASS, SPRING, NOMINAL], decide, predict)
+    outcome = prediction_checked_decision([MASS, SPRING, NOMINAL], decide, predict)
     assert outcome.decision.named_hypothesis is named
     assert outcome.decision.corrects_rig
     assert outcome.ruled_out == ruled_out
@@ -200,7 +205,7 @@ def test_a_veto_stays_where_no_other_effect_was_likely():
         ([MASS, validated_hypothesis(5.0, "linear_spring"), NOMINAL], (MASS,)),
         ([MASS, nothing_told, NOMINAL], (MASS,)),
     ):
-        outcome = predicted_decision(ranked, decide, ruling_out(*worse))
+        outcome = prediction_checked_decision(ranked, decide, ruling_out(*worse))
         assert outcome.is_vetoed
         assert outcome.decision.named_hypothesis is MASS
         assert not outcome.decision.corrects_rig
@@ -242,12 +247,12 @@ def test_the_split_p_value_is_that_of_the_mixture_by_the_fitted_record():
     nominal, right, wrong = validated_hypothesis(1.2), weighted(1.0, 0.0), weighted(1.2, 600.0, "linear_spring")
     gain = nominal.misfit.minus_two_log - right.misfit.minus_two_log
     assert gain > 20
-    alone = split_p_value([nominal, right])
+    alone = split_likelihood_ratio_p_value([nominal, right])
     assert alone == pytest.approx(np.exp(-gain / (2 * TEMPERATURE)))
-    assert split_p_value([nominal, right, wrong, wrong]) == pytest.approx(alone, rel=1e-6)
+    assert split_likelihood_ratio_p_value([nominal, right, wrong, wrong]) == pytest.approx(alone, rel=1e-6)
     preferred_wrongly = [nominal, weighted(1.0, 600.0), weighted(1.2, 0.0, "linear_spring")]
-    assert split_p_value(preferred_wrongly) == pytest.approx(1.0, rel=1e-6)
-    assert split_p_value([nominal]) == 1.0
+    assert split_likelihood_ratio_p_value(preferred_wrongly) == pytest.approx(1.0, rel=1e-6)
+    assert split_likelihood_ratio_p_value([nominal]) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -274,4 +279,4 @@ def test_a_small_effect_that_leaves_more_than_noise_has_an_unmeasured_force_as_r
         quantities_after=(motion,),
         removed=0.4,
     )
-    assert may_hide_force(evidence) is looks
+    assert is_unmeasured_force_possible(evidence) is looks

@@ -13,7 +13,7 @@ import identify
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
 from identify.history.changes import SIGNIFICANCE_LEVEL, Observation, history_of
 from identify.history.observations import sources_in
-from identify.history.page import csv_of, history_figure, sentence, write_page
+from identify.history.page import history_csv, history_figure, sentence, write_page
 from rig.effects.contact_clearance import ContactClearance
 from rig.errors import RigError
 from rig.files import write_json
@@ -108,7 +108,7 @@ def test_what_a_recording_does_not_tell_is_left_out():
     )
     second = [q for q in result.quantities if q.of == "contact_2"]
     assert all(q.values[1] is None and None not in (q.values[0], q.values[2]) for q in second)
-    lines = list(csv.DictReader(io.StringIO(csv_of(result).decode())))
+    lines = list(csv.DictReader(io.StringIO(history_csv(result).decode())))
     assert [row["recording"] for row in lines if (row["of"], row["quantity"]) == ("contact_2", "clearance_m")] == [
         "a",
         "c",
@@ -146,7 +146,7 @@ def test_dates_stand_on_the_axis_where_they_ascend(days, label, tmp_path):
     np.testing.assert_allclose(middle, positions, atol=1e-9)
     write_page(result, figure, tmp_path / "history.html")
     text = (tmp_path / "history.html").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(io.StringIO(csv_of(result).decode())))
+    rows = list(csv.DictReader(io.StringIO(history_csv(result).decode())))
     for date in dates:
         if date:
             assert f"{date:%Y-%m-%d %H:%M}" in text

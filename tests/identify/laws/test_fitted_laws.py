@@ -7,10 +7,10 @@ from identify.laws import SLIDING, identify_law
 from identify.laws.fitted_laws import (
     ForceSamples,
     SlidingFriction,
+    fitted_piecewise_linear,
+    fitted_sliding_friction,
     force_without_low_pass,
     law_knees_m,
-    sliding_friction,
-    straight_pieces,
 )
 from identify.signals.spectra import at_force_rate, decimated
 from tests.identify.laws.test_identification import LOWER_M, SECONDS, STIFFNESS, UPPER_M, gap, mass_with, motion_m
@@ -34,7 +34,7 @@ INNER = slice(64, -64)
 
 def test_straight_pieces_are_found_from_too_many_knees_in_the_wrong_places():
     samples = observed(gap)
-    law = straight_pieces(samples, INNER, np.array([-2e-3, -0.3e-3, 0.3e-3, 2e-3]))
+    law = fitted_piecewise_linear(samples, INNER, np.array([-2e-3, -0.3e-3, 0.3e-3, 2e-3]))
     assert np.allclose(law.knees_m, [-LOWER_M, UPPER_M], rtol=1e-5)
     assert np.allclose(law.slopes_n_per_m, [STIFFNESS, 0, STIFFNESS], atol=1e-5 * STIFFNESS)
     assert np.allclose(law_knees_m(law, -3e-3, 3e-3), law.knees_m, atol=6e-3 / 4000)
@@ -54,7 +54,7 @@ def test_standard_errors_of_straight_pieces_are_those_of_the_noise():
     """Over many noises the errors are about as large as the standard errors say: chi2 of 2 knees and 3 slopes."""
     scores = []
     for seed in range(12):
-        law = straight_pieces(observed(gap, noise_n=0.3, seed=seed), INNER, np.array([-LOWER_M, UPPER_M]))
+        law = fitted_piecewise_linear(observed(gap, noise_n=0.3, seed=seed), INNER, np.array([-LOWER_M, UPPER_M]))
         scores += [
             *((law.knees_m - [-LOWER_M, UPPER_M]) / law.knee_errors_m),
             *((law.slopes_n_per_m - [STIFFNESS, 0, STIFFNESS]) / law.slope_errors_n_per_m),
@@ -98,7 +98,7 @@ def test_its_standard_errors_are_those_of_the_noise():
     clean = at_force_rate(decimated(LAW(eta), fine), 16)
     for seed in range(4):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(clean.size)
-        friction = sliding_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
+        friction = fitted_sliding_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
         scores += [
             (getattr(friction, n) - getattr(LAW, n)) / e for n, e in zip(NAMES, friction.standard_errors, strict=True)
         ]

@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from identify.linear.joined import contact_groups, group_laws, group_rig_of
+from identify.linear.joined import contact_groups, group_laws, rig_with_joined_contacts
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 from tests.campaigns.topologies import chain
@@ -23,7 +23,7 @@ RIG = replace(
 
 def test_contacts_of_one_pair_of_places_are_one():
     assert [(j.contact_indices, j.signs) for j in contact_groups(RIG)] == [((0, 2), (1, -1)), ((1,), (1,))]
-    assert [(c.name, c.at, c.against) for c in group_rig_of(RIG).contacts] == [
+    assert [(c.name, c.at, c.against) for c in rig_with_joined_contacts(RIG).contacts] == [
         ("soft + hard", ONE, OTHER),
         ("wall", OTHER, None),
     ]

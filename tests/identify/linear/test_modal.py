@@ -7,7 +7,7 @@ import pytest
 from identify.linear.modal import (
     NEARLY_INVISIBLE_SHARE,
     contact_shapes,
-    correctable_samples,
+    correctable_sample_count,
     equivalent_force_n,
     modal_equations,
     signals_across_contacts,
@@ -180,7 +180,7 @@ def test_the_higher_modes_are_taken_off(stations):
     force_n, *contact_n = np.cos(phases + shifts).sum(axis=1)  # periodic, up to 300 Hz
     contact_n = np.stack(contact_n)
     motion = motion_at_sensors(rig, lambda body: forced(rig, body, MAX_MODES, force_n, contact_n), force_n)
-    samples = correctable_samples(motion)
+    samples = correctable_sample_count(motion)
     assert samples == SAMPLES - RATE_HZ / 4
     for body in rig.bodies:
         true = forced(rig, body, stations, force_n, contact_n)
@@ -200,7 +200,7 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
     contact_n = read_truth(truth_path(barrel_cradle)).signals["contact_force"].values
     rig, motion = recording.rig, kinematics(recording, "displacement")
     contact_n = contact_n[:, : motion.force_n.size]
-    samples = correctable_samples(motion)
+    samples = correctable_sample_count(motion)
     in_band = np.fft.rfftfreq(samples, 1 / RATE_HZ) < 200.0
     hann = np.hanning(samples)
 

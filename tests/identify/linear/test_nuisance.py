@@ -7,7 +7,14 @@ import pytest
 from msgspec.structs import replace
 
 from identify.linear.model import ResponseCache, real_product, response_of
-from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of, crosstalk_of, elastic_modes
+from identify.linear.nuisance import (
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    changes_of,
+    crosstalk_changes,
+    elastic_mode_indices,
+)
 from identify.linear.observed_motion import BodyMotion
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -30,7 +37,7 @@ def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> Obs
         inverse = np.zeros((count, len(sensors)))
         inverse[:, rows] = np.linalg.pinv(response.shapes([sensors[i].station for i in rows])[:, :count])
         motion = real_product(inverse, accelerations)
-        bodies.append(BodyMotion(response, motion, elastic_modes(response, count), inverse if read else None))
+        bodies.append(BodyMotion(response, motion, elastic_mode_indices(response, count), inverse if read else None))
     return ObservedSignals(
         sensors=sensors,
         displacement_sensors=sensors,
@@ -118,7 +125,7 @@ def test_of_two_sensors_at_a_station_each_changes_the_lines_that_it_gives(beams)
 
 def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
     signals = observed(beams)
-    changes = list(crosstalk_of(signals))
+    changes = list(crosstalk_changes(signals))
     assert len(changes) == 2 * (len(beams.sensors) - 1)
     names = [s.name for s in beams.sensors]
     for change in changes:
@@ -130,9 +137,9 @@ def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
         np.testing.assert_allclose(
             change.sensor_pattern.pattern * (change.sensor_pattern.weights @ accelerations), change.signals, rtol=1e-9
         )
-    assert not list(crosstalk_of(observed(beams, EXACT)))
+    assert not list(crosstalk_changes(observed(beams, EXACT)))
     mixed = replace(beams, sensors=(replace(beams.sensors[0], quantity="displacement"), *beams.sensors[1:]))
-    assert len(list(crosstalk_of(observed(mixed)))) == len(changes) - 2
+    assert len(list(crosstalk_changes(observed(mixed)))) == len(changes) - 2
 
 
 @pytest.mark.parametrize("settings", [BarrelCradle(sensors="acceleration"), Sdof(sensors="acceleration")])
@@ -152,7 +159,7 @@ def test_a_reading_gives_the_change_from_the_accelerations(settings):
 def test_a_single_mass_bends_in_no_mode():
     rig = Sdof().rig()
     response = response_of(rig, rig.bodies[0], ResponseCache(OMEGA))
-    assert elastic_modes(response, 5).size == 0
+    assert elastic_mode_indices(response, 5).size == 0
 
 
 def test_what_some_sensors_deliver_stands_in_the_rows_of_these(beams):

@@ -5,12 +5,12 @@ import pytest
 from scipy.linalg import lstsq, null_space, solve_triangular
 
 from identify.linear.projection import (
-    estimated_inputs,
+    estimated_inputs_and_log_det,
+    free_input_estimator_and_condition,
     input_complement,
     input_residual,
     projection,
-    to_free_inputs,
-    without_free_inputs,
+    residuals_without_free_inputs,
 )
 
 INPUTS, SENSORS, LINES = 3, 7, 5
@@ -40,7 +40,7 @@ def test_inputs_are_those_of_least_squares_with_a_row_more_for_each_prior(rng, f
     measured = drawn(rng, SENSORS, LINES)
     projected = projection(by_input / deviation, deviation, free)
     rows, inputs = projected.applied_to(measured)
-    single, _ = estimated_inputs(by_input / deviation, measured / deviation, free)
+    single, _ = estimated_inputs_and_log_det(by_input / deviation, measured / deviation, free)
     for line in range(LINES):
         weighted = np.concatenate([(by_input[..., line] / deviation[:, line]).T, np.eye(INPUTS)[free:]])
         expected = lstsq(weighted, np.append(measured[:, line] / deviation[:, line], np.zeros(INPUTS - free)))[0]
@@ -76,16 +76,18 @@ def test_the_determinant_is_that_of_the_likelihood_with_the_inputs_integrated_ou
         outside = null_space(by_input[:free, :, line].conj()) if free else np.eye(SENSORS)
         reached = outside.conj().T @ by_input[free:, :, line].T
         expected += np.linalg.slogdet(np.eye(len(reached)) + reached @ reached.conj().T)[1]
-    _, log_determinant = estimated_inputs(by_input, drawn(rng, SENSORS, LINES), free)
+    _, log_determinant = estimated_inputs_and_log_det(by_input, drawn(rng, SENSORS, LINES), free)
     assert log_determinant == pytest.approx(expected, rel=1e-9)
 
 
 def test_with_a_covariance_the_inputs_are_those_of_whitened_sensors(rng):
     by_input, covariance = drawn(rng, INPUTS, SENSORS, LINES), covariances(rng)
     measured, columns = drawn(rng, SENSORS, LINES), drawn(rng, 2, SENSORS, LINES)
-    to_inputs, condition = to_free_inputs(by_input, batches(covariance))
+    to_inputs, condition = free_input_estimator_and_condition(by_input, batches(covariance))
     assert 1 <= condition < 1e4
-    residuals = np.concatenate(list(without_free_inputs([columns, measured[None]], by_input, batches(covariance))))
+    residuals = np.concatenate(
+        list(residuals_without_free_inputs([columns, measured[None]], by_input, batches(covariance)))
+    )
     for line in range(LINES):
         root = np.linalg.cholesky(covariance[line])
         white = [
@@ -103,7 +105,7 @@ def test_with_a_covariance_the_inputs_are_those_of_whitened_sensors(rng):
 
 def test_inputs_that_the_sensors_do_not_tell_apart_are_said_to_be_so_and_share_what_they_make(rng):
     by_input = drawn(rng, 1, SENSORS, LINES) * np.array([1.0, 2.0])[:, None, None]
-    _, condition = to_free_inputs(by_input, batches(covariances(rng)))
+    _, condition = free_input_estimator_and_condition(by_input, batches(covariances(rng)))
     assert condition > 1e12
     inputs = np.array([[3.0], [-1.0]]) * np.ones(LINES)
     measured = -input_residual(by_input, inputs.astype(complex), np.zeros((SENSORS, LINES), dtype=complex))
@@ -115,7 +117,7 @@ def test_inputs_that_no_sensor_feels_are_zero_or_their_prior(rng):
     by_input = drawn(rng, 2, SENSORS, LINES)
     by_input[1] = 0
     for free in (1, 2):
-        inputs, log_determinant = estimated_inputs(by_input, drawn(rng, SENSORS, LINES), free)
+        inputs, log_determinant = estimated_inputs_and_log_det(by_input, drawn(rng, SENSORS, LINES), free)
         assert not np.any(inputs[1])
         assert log_determinant == 0
 

@@ -19,7 +19,7 @@ from identify.pages.drawing_texts import (
     TextSpans,
     mark_texts,
 )
-from identify.pages.machine import DrawnMark, rig_drawing
+from identify.pages.machine import DrawnMark, rig_drawing_svg
 from rig.model.description import Station, Support
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
@@ -30,7 +30,7 @@ WORDS = "5.003 ± 0.024 mm", "100100 ± 1000 N/m"
 
 
 def drawing(rig, *marks, width_px=WIDTH):
-    return ElementTree.fromstring(rig_drawing(rig, {c.name: WORDS for c in rig.contacts}, marks, width_px))
+    return ElementTree.fromstring(rig_drawing_svg(rig, {c.name: WORDS for c in rig.contacts}, marks, width_px))
 
 
 def boxes(svg):

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from identify.pages.wording import length_words, p_value_words
+from identify.pages.wording import p_value_words, record_length_words
 
 
 @pytest.mark.parametrize(
@@ -27,11 +27,11 @@ def test_the_words_beside_a_p_value_hold_for_it(p_value):
 
 @pytest.mark.parametrize("ratio", [1.01, 1.5, 1.51, 2.0, 2.3, 5.0, 9.7, 14.0, 99.0])
 def test_a_longer_record_is_long_enough_and_not_much_longer(ratio):
-    words = length_words(ratio).replace("half as long again", "1.5 times").replace("twice", "2 times")
+    words = record_length_words(ratio).replace("half as long again", "1.5 times").replace("twice", "2 times")
     times = float(re.match("about ([0-9.]+) times", words)[1])
     assert 0.96 * ratio < times < 2 * ratio
 
 
 @pytest.mark.parametrize("ratio", [None, 0.0, 0.9, 300.0, float("inf"), float("nan")])
 def test_no_factor_is_said_that_is_unknown_or_cannot_be_done(ratio):
-    assert length_words(ratio) == "longer"
+    assert record_length_words(ratio) == "longer"

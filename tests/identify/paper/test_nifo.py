@@ -8,7 +8,7 @@ import pytest
 
 from identify.linear.modal import ModalEquation, modal_equations, receptance
 from identify.paper.nifo import Nifo, fit_mode, nifo, weights_by_line
-from identify.paper.surface import clearance_from_occurrence, fit_surface
+from identify.paper.surface import fit_surface, stops_from_eta_density
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
 from identify.signals.spectra import Averaging, blocks
@@ -62,7 +62,7 @@ def cut_of(samples, band_hz=(2.0, 35.0), window="sin4", averages=20):
 
 def frf_error(result):
     """Total squared error over the band, as a share."""
-    true = result.described_frf()
+    true = result.nominal_frf()
     return float(np.sum(np.abs(result.frf - true) ** 2) / np.sum(np.abs(true) ** 2))
 
 
@@ -97,7 +97,7 @@ def test_without_contacts_there_remains_the_linear_frf():
     result = nifo(equation, force, depth, cut_of(force.size))
     assert result.contact_indices == ()
     assert result.stiffness_n_per_m.shape == (0, result.frequency_hz.size)
-    np.testing.assert_allclose(result.frf, result.described_frf(), rtol=1e-3)
+    np.testing.assert_allclose(result.frf, result.nominal_frf(), rtol=1e-3)
 
 
 @pytest.mark.parametrize(("form", "unknowns"), [("weak", 4), ("paper", 3)])
@@ -156,7 +156,7 @@ def test_one_mass_as_in_the_paper(measured):
     """
     equation, force, eta = measured
     rate_hz = TRUE.sample_rate_hz
-    started = clearance_from_occurrence(eta[0])
+    started = stops_from_eta_density(eta[0])
     (stops,) = fit_surface(equation, force, eta, 1, (started,)).stops
     assert stops.clearance_m == pytest.approx(TRUE.clearance_m, rel=1e-3)
     depth = penetration(eta[0], stops.lower_m, stops.upper_m, rate_hz)[None]

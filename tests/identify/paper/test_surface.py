@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from identify.linear.modal import ModalEquation
-from identify.paper.surface import MIN_CONTACT_SHARE, Stops, clearance_from_occurrence, fit_surface, restoring_force
+from identify.paper.surface import MIN_CONTACT_SHARE, Stops, fit_surface, restoring_force, stops_from_eta_density
 from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import concatenated
@@ -144,7 +144,7 @@ def boltzmann(lower, upper, slope, stiffness, samples, rng):
 @pytest.mark.parametrize(("lower", "upper"), [(0.8, 0.8), (0.6, 1.0)])
 def test_stops_from_the_density_that_the_method_assumes(lower, upper):
     rng = np.random.default_rng(1)
-    stops = clearance_from_occurrence(1e-3 * boltzmann(lower, upper, 0.5, 20.0, 200_000, rng))
+    stops = stops_from_eta_density(1e-3 * boltzmann(lower, upper, 0.5, 20.0, 200_000, rng))
     assert stops.lower_m == pytest.approx(1e-3 * lower, abs=4 * stops.lower_error_m)
     assert stops.upper_m == pytest.approx(1e-3 * upper, abs=4 * stops.upper_error_m)
     assert stops.clearance_m == pytest.approx(1e-3 * (lower + upper) / 2, abs=4 * stops.clearance_error_m)
@@ -162,7 +162,7 @@ def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
         settings = Sdof(high_hz=200.0, rms_n=1.8, seed=seed)
         force_n = force_history(settings.force(), duration_s, step_s)
         eta = concatenated(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
-        estimates.append(clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8]))
+        estimates.append(stops_from_eta_density(eta[round((QUIET_S + 1) / step_s) :: 8]))
     values, errors = (np.array(x) for x in zip(*((f.clearance_m, f.clearance_error_m) for f in estimates), strict=True))
     assert np.abs((values - settings.clearance_m) / errors).max() < 3
     assert values.mean() == pytest.approx(settings.clearance_m, rel=0.15)
@@ -170,7 +170,7 @@ def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
 
 def test_a_mirrored_displacement_swaps_the_stops():
     eta = 1e-3 * boltzmann(0.6, 1.0, 0.5, 20.0, 100_000, np.random.default_rng(2))
-    stops, mirrored = clearance_from_occurrence(eta), clearance_from_occurrence(-eta)
+    stops, mirrored = stops_from_eta_density(eta), stops_from_eta_density(-eta)
     assert stops.upper_m > stops.lower_m
     assert mirrored.lower_m == pytest.approx(stops.upper_m, rel=1e-2)
     assert mirrored.upper_m == pytest.approx(stops.lower_m, rel=1e-2)

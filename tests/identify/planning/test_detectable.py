@@ -6,7 +6,7 @@ from msgspec.structs import replace
 import identify
 from identify.planning import page, ranking
 from identify.planning.detectable import DetectableEffect, detectable_effects
-from identify.planning.planned_test import drawn_forces_n, planned_test, simulated_recording
+from identify.planning.planned_test import planned_test, random_forces_n, simulated_recording
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
 from rig.simulation.reference import Sdof
@@ -65,7 +65,7 @@ def test_what_is_hidden_at_some_places_is_said_so():
         DetectableEffect(effect="one_stop", place="a", unit="1", size=0.2, least=0.2, greatest=0.2, alike=("b",)),
         DetectableEffect(effect="one_stop", place="b", unit="1", size=0.5, least=0.5, greatest=0.5, alike=("a",)),
     )
-    assert list(page.kind_rows(effects)) == [
+    assert list(page.effect_kind_rows(effects)) == [
         ("added_mass", "0.010 kg, at some places none"),
         ("preload", "none of its range"),
         ("one_stop", "0.20 to 0.50"),
@@ -103,5 +103,5 @@ def test_what_is_large_enough_is_named(usual, name, times, named):
     value = (1.0 if strength == "factor" else 0.0) + times * usual[name].size
     test = planned_test(RIG, 20.0, 0.5, None, LABORATORY)
     actual = effect_named(f"{name}:{strength}={value}").applied_to(RIG)
-    gap = identify.gap(*(modal(RIG, actual, drawn_forces_n(test, seed), seed) for seed in (5, 6))).report
+    gap = identify.gap(*(modal(RIG, actual, random_forces_n(test, seed), seed) for seed in (5, 6))).report
     assert (gap.causes[0].effects == (name,) and gap.causes[0].probability > 0.95 if gap.causes else False) == named

@@ -24,11 +24,11 @@ def test_friction_and_centre_of_a_ring_are_told_in_a_sentence(plan):
     friction = quantity(0.1, 0.001)
     ring = replace(plan.contacts[0], friction_coefficient=friction)
     centred = replace(ring, center_y_m=quantity(2e-3, 1e-5), center_z_m=quantity(0.0, 1e-6))
-    assert list(page.ring_sentences(replace(plan, contacts=(ring, centred)))) == [
+    assert list(page.annular_contact_sentences(replace(plan, contacts=(ring, centred)))) == [
         "contact_1: friction coefficient 0.1000 ± 0.0020; its centre will not be told",
         "contact_1: friction coefficient 0.1000 ± 0.0020; centre in y 2.000 ± 0.020 mm; centre in z 0.0000 ± 0.0020 mm",
     ]
-    assert not list(page.ring_sentences(plan))
+    assert not list(page.annular_contact_sentences(plan))
 
 
 @pytest.fixture
@@ -81,8 +81,8 @@ def test_rows_have_values_and_half_intervals_in_the_units_of_the_heading(plan):
 def test_advice_and_idle_sensors(plan):
     assert [c.kind for c in plan.advice] == ["force"]
     assert plan.idle_sensors == ("spare",)
-    assert "spare" in page.idle_sentence(plan)
-    assert "needed" not in page.idle_sentence(plan)
+    assert "spare" in page.idle_sensor_sentence(plan)
+    assert "needed" not in page.idle_sensor_sentence(plan)
 
 
 def test_the_page_needs_no_other_file_and_writes_words_as_words(plan, tmp_path):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.planning.planned_test import QUIET_S, drawn_forces_n, planned_test, simulated_recording
+from identify.planning.planned_test import QUIET_S, planned_test, random_forces_n, simulated_recording
 from rig.errors import RigError
 from rig.model.description import BaseMotion, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
-from rig.simulation.own import own_rig
+from rig.simulation.own import user_rig
 from rig.simulation.reference import BarrelCradle, Sdof
 from rig.simulation.replay import modal
 from tests.identify.small_rigs import MASS_ON_TABLE
@@ -17,7 +17,7 @@ from tests.identify.small_rigs import MASS_ON_TABLE
 
 @pytest.mark.parametrize("rig", [Sdof().rig(), BarrelCradle().rig()])
 def test_level_and_band_are_those_that_rig_record_chooses(rig):
-    test, force = planned_test(rig), own_rig(rig, {}).force()
+    test, force = planned_test(rig), user_rig(rig, {}).force()
     assert test.band_hz == (force.low_hz, force.high_hz)
     assert test.force_rms_n == (force.rms_n,)
     assert (test.duration_s, test.tolerances) == (60.0, LABORATORY)
@@ -26,7 +26,7 @@ def test_level_and_band_are_those_that_rig_record_chooses(rig):
 def test_the_force_has_its_level_band_and_quiet_start():
     rig = replace(Sdof().rig(), force_at=(Station("mass"), Station("mass")))
     test = planned_test(rig, duration_s=33.0, force_rms_n=2.0, band_hz=(2.0, 20.0))
-    forces_n, quiet = drawn_forces_n(test, 1), round(QUIET_S * rig.sample_rate_hz)
+    forces_n, quiet = random_forces_n(test, 1), round(QUIET_S * rig.sample_rate_hz)
     assert not forces_n[:, :quiet].any()
     np.testing.assert_allclose(np.sqrt(np.mean(forces_n[:, quiet:] ** 2, axis=1)), 2.0)
     assert abs(np.corrcoef(forces_n)[0, 1]) < 0.15  # of 2 x 18 Hz x 32 s independent numbers
@@ -36,13 +36,13 @@ def test_the_force_has_its_level_band_and_quiet_start():
     assert power[~in_band].sum() < 2e-3 * power.sum()
     below_middle = power[frequency_hz < 11.0].sum() / power.sum()
     assert below_middle == pytest.approx(0.5, abs=0.15)  # flat: 0.5 within four deviations of 288 lines
-    assert np.any(drawn_forces_n(test, 2) != forces_n)
+    assert np.any(random_forces_n(test, 2) != forces_n)
 
 
 def test_a_recording_gives_duration_level_and_band():
     rig = Sdof(sensors="acceleration").rig()
     planned = planned_test(rig, duration_s=40.0, force_rms_n=3.0, band_hz=(4.0, 30.0))
-    force_n = drawn_forces_n(planned, 5)
+    force_n = random_forces_n(planned, 5)
     groups = channel_groups(rig)
     signals = {name: Signals(groups[name], 0.0, force_n) for name in ("force", "acceleration")}
     test = planned_test(Recording(rig, signals, {}))

@@ -9,7 +9,7 @@ import pytest
 import rig
 from identify.signals.beginning import force_onset
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, kinematics
-from identify.signals.noise import acceleration_noise
+from identify.signals.noise import acceleration_noise_m_per_s2
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station
@@ -198,7 +198,7 @@ def test_noise_is_heard_before_the_force_or_else_described(quiet_s):
     density = 2e-3
     noisy = sensor("acceleration", noise_density=density)
     recording = recorded(noisy, rng=np.random.default_rng(1), quiet_s=quiet_s)
-    (noise,) = acceleration_noise(kinematics(recording), recording.rig)
+    (noise,) = acceleration_noise_m_per_s2(kinematics(recording), recording.rig)
     quiet_samples = max(1.0, (quiet_s - 0.05) * RATE_HZ)
     tolerance = 4 / np.sqrt(2 * quiet_samples) if quiet_s else 1e-12
     assert noise == pytest.approx(density * np.sqrt(RATE_HZ / 2), rel=tolerance)

@@ -6,7 +6,7 @@ import pytest
 from identify.signals.law_evaluation import evaluated_law, interpolated, oversampling, penetration
 from identify.signals.law_evaluation import low_passed as low_passed_again
 from rig.model.contact_laws import penetration_m
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 
 RATE_HZ = 1000.0
 
@@ -83,12 +83,12 @@ def test_stiffness_and_clearance_are_not_biased():
         return np.stack([eta, rate_of(eta, times * rate_hz)])
 
     def force(clearance_error, stiffness_error):
-        law = equal_sides(gap_m * (1 + clearance_error), stiffness * (1 + stiffness_error), 20.0)
+        law = symmetric_dead_zone(gap_m * (1 + clearance_error), stiffness * (1 + stiffness_error), 20.0)
         return evaluated_law(law.force_n, signals(1), rate_hz, factor)[INSIDE]
 
     step = 1e-4
     columns = np.stack([force(step, 0) - force(-step, 0), force(0, step) - force(0, -step)], axis=1) / (2 * step)
-    exact = low_passed(equal_sides(gap_m, stiffness, 20.0).force_n(*signals(fine)), fine * factor)[INSIDE]
+    exact = low_passed(symmetric_dead_zone(gap_m, stiffness, 20.0).force_n(*signals(fine)), fine * factor)[INSIDE]
     of_clearance, of_stiffness = np.linalg.lstsq(columns, exact - force(0, 0), rcond=None)[0]
     assert abs(of_clearance) < 0.1 * 2e-4
     assert abs(of_stiffness) < 0.1 * 5e-4

@@ -8,7 +8,7 @@ from msgspec.structs import replace as changed
 
 from identify.signals.kinematics import kinematics
 from identify.signals.noise import (
-    acceleration_noise,
+    acceleration_noise_m_per_s2,
     displacement_noise,
     noise_density_and_certainty,
     noise_source,
@@ -33,7 +33,7 @@ def test_the_description_or_the_highest_frequencies_tell_the_noise(simulate, tmp
     ):
         motion = kinematics(replace(recording, rig=rig, signals=signals))
         assert noise_source(motion, rig) == source
-        assert acceleration_noise(motion, rig) == pytest.approx(true, rel=tolerance)
+        assert acceleration_noise_m_per_s2(motion, rig) == pytest.approx(true, rel=tolerance)
 
 
 def test_the_noise_of_a_displacement_sensor_is_white_in_its_unit(simulate, tmp_path):

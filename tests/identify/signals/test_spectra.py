@@ -5,7 +5,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identify.signals.spectra import WINDOW_EXPONENTS, Averaging, at_force_rate, blocks, force_band, window_derivatives
+from identify.signals.spectra import (
+    WINDOW_EXPONENTS,
+    Averaging,
+    at_force_rate,
+    blocks,
+    force_band_hz,
+    window_derivatives,
+)
 from rig.errors import RigError
 
 RATE_HZ = 1000.0
@@ -148,7 +155,7 @@ def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
     lines = np.arange(int(low * duration_s), int(high * duration_s) + 1)
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[lines] = np.exp(2j * np.pi * np.random.default_rng(1).uniform(size=lines.size))  # equal power
-    band_hz = force_band(np.fft.irfft(spectrum, samples), RATE_HZ, share)
+    band_hz = force_band_hz(np.fft.irfft(spectrum, samples), RATE_HZ, share)
     lines_out = share * lines.size
     assert band_hz[0] == pytest.approx(low + lines_out / duration_s, abs=1 / duration_s)
     assert band_hz[1] == pytest.approx(high - lines_out / duration_s, abs=1 / duration_s)
@@ -156,10 +163,10 @@ def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
 
 def test_the_band_of_several_forces_holds_that_of_each_that_acts():
     tones = [np.sin(2 * np.pi * hz * np.arange(2000) / RATE_HZ) for hz in (40.0, 5.0)]
-    assert force_band(np.stack([tones[0], 1e-3 * tones[1], 0 * tones[0]]), RATE_HZ) == pytest.approx((5.0, 40.0))
+    assert force_band_hz(np.stack([tones[0], 1e-3 * tones[1], 0 * tones[0]]), RATE_HZ) == pytest.approx((5.0, 40.0))
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.0, "zero throughout"), (2.0, "constant")])
 def test_no_force_has_no_band(value, said):
     with pytest.raises(RigError, match=f"the exciting force is {said}"):
-        force_band(np.full(100, value), RATE_HZ)
+        force_band_hz(np.full(100, value), RATE_HZ)

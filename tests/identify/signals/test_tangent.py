@@ -79,7 +79,7 @@ def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     curve = spline(
         SAMPLES // FACTOR + 1, RATE_HZ / FACTOR, DriftPrior(np.zeros(SAMPLES // FACTOR + 1), 1e-3, 1e-3, 0.0)
     )
-    columns = tangent.spline_columns(curve.value)
+    columns = tangent.force_change_by_coefficient(curve.value)
     assert columns.shape == curve.value.shape
     coefficients = np.random.default_rng(3).standard_normal(curve.knot_count)
     drift_m = curve.value @ coefficients

@@ -5,7 +5,7 @@ import sys
 import pytest
 import typer
 
-from rig.commands.command_line import StoppedError, fitted, help_filled_by, progress_bar, run, say, working
+from rig.commands.command_line import StoppedError, fitted, help_filled_by, progress_bar, progress_spinner, run, say
 from rig.errors import RigError
 from tests.running import environment, exit_status
 
@@ -47,13 +47,13 @@ def test_progress_is_for_terminals(capsys, terminal):
 
 
 def test_a_sign_of_life_is_silent_when_piped(capsys):
-    with environment(), working("weighing"):
+    with environment(), progress_spinner("weighing"):
         pass
     assert capsys.readouterr() == ("", "")
 
 
 def test_a_sign_of_life_is_shown_on_a_terminal(capsys):
-    with environment(FORCE_COLOR="1"), working("weighing"):
+    with environment(FORCE_COLOR="1"), progress_spinner("weighing"):
         pass
     assert "weighing" in capsys.readouterr().err
 

@@ -37,13 +37,13 @@ def single_package(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("single_package")
 def test_a_package_of_the_same_name_is_found():
-    assert [sentence[:57] for sentence in doctor.taken_packages()] == [
+    assert [sentence[:57] for sentence in doctor.package_conflict_sentences()] == [
         "the Python package identify is also that of identify (pre"
     ]
 
 
 def test_a_sound_installation_has_no_finding():
-    assert list(doctor.taken_packages()) == []
+    assert list(doctor.package_conflict_sentences()) == []
 
 
 def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
@@ -52,11 +52,11 @@ def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
     program.chmod(0o755)
     monkeypatch.setattr(doctor.sysconfig, "get_path", lambda _: str(SCRIPTS))
     with environment(PATH=f"{tmp_path}{os.pathsep}{SCRIPTS}"):
-        (said,) = doctor.taken_commands()
+        (said,) = doctor.command_conflict_sentences()
     assert said.startswith(f"the command identify is {program}, another program")
     assert said.endswith("or say rig-identify identify")
     with environment(PATH=f"{SCRIPTS}{os.pathsep}{tmp_path}"):
-        assert list(doctor.taken_commands()) == []
+        assert list(doctor.command_conflict_sentences()) == []
 
 
 def test_extras_are_those_of_the_installation():

@@ -6,8 +6,8 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.lab.exporting import export
-from rig.lab.modal import Choice, structure_from_uff
-from rig.lab.mode_shapes import MAX_MODES_PER_BEAM, nodes_of
+from rig.lab.modal import UffSelection, structure_from_uff
+from rig.lab.mode_shapes import MAX_MODES_PER_BEAM, node_number_by_station
 from rig.model.description import PointMass, Station
 from rig.model.modes import modes_of
 from rig.model.structure import structure_of
@@ -50,10 +50,10 @@ def test_each_body_of_two_beams_comes_back_by_its_nodes(exported, mass_kg):
     rig = BarrelCradle(stations=4).rig()
     if mass_kg:
         rig = replace(rig, masses=(PointMass(station=Station("cradle", 1.0), mass_kg=mass_kg),))
-    path, nodes = exported(rig), nodes_of(rig)
+    path, nodes = exported(rig), node_number_by_station(rig)
     for body in rig.bodies:
         node_at = {s.position_m: n for s, n in nodes.items() if s.body == body.name}
-        structure, _, _ = structure_from_uff(path, Choice(nodes=tuple(node_at.values())))
+        structure, _, _ = structure_from_uff(path, UffSelection(nodes=tuple(node_at.values())))
         assert structure.length_m == pytest.approx(body.length_m)
         check_modes(structure, modes_of(rig, body), np.array([*node_at]), MAX_MODES_PER_BEAM)
 
@@ -61,17 +61,17 @@ def test_each_body_of_two_beams_comes_back_by_its_nodes(exported, mass_kg):
 def test_a_modal_basis_comes_back_at_its_places(exported):
     rig = BarrelCradle(stations=4).rig()
     cradle, barrel = rig.bodies
-    places = np.unique([0.0, *(s.position_m for s in nodes_of(rig) if s.body == "barrel"), 1.0])
+    places = np.unique([0.0, *(s.position_m for s in node_number_by_station(rig) if s.body == "barrel"), 1.0])
     basis = structure_of("barrel", 1.0, barrel.frequencies_hz(6), np.full(6, 0.01), places, barrel.shapes(places, 6))
     rig = replace(rig, bodies=(cradle, basis))
-    node_numbers = tuple(n for s, n in nodes_of(rig).items() if s.body == "barrel")
-    structure, _, _ = structure_from_uff(exported(rig), Choice(nodes=node_numbers))
+    node_numbers = tuple(n for s, n in node_number_by_station(rig).items() if s.body == "barrel")
+    structure, _, _ = structure_from_uff(exported(rig), UffSelection(nodes=node_numbers))
     check_modes(structure, basis, places, 6)
 
 
 def test_two_bodies_without_nodes_are_refused(exported):
     with pytest.raises(RigError, match="as of several bodies; name those of one by nodes"):
-        structure_from_uff(exported(BarrelCradle(stations=4).rig()), Choice())
+        structure_from_uff(exported(BarrelCradle(stations=4).rig()), UffSelection())
 
 
 def test_a_mass_is_exported_too(exported):

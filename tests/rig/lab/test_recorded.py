@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from rig.lab.recorded import date_in, rate_in
+from rig.lab.recorded import date_and_ambiguous_text, stated_sampling_rate_hz
 
 DATE = datetime(2024, 3, 1, 14, 5, 6)
 
@@ -28,12 +28,12 @@ DATE = datetime(2024, 3, 1, 14, 5, 6)
     ],
 )
 def test_the_date_of_a_header(lines, date):
-    assert date_in(lines) == (date, "")
+    assert date_and_ambiguous_text(lines) == (date, "")
 
 
 def test_a_date_of_two_readings_is_none():
-    assert date_in(["Date: 3/1/2024 14:05:06"]) == (None, "3/1/2024")
-    assert date_in(["Date: 3/3/2024 14:05:06"])[0] == datetime(2024, 3, 3, 14, 5, 6)
+    assert date_and_ambiguous_text(["Date: 3/1/2024 14:05:06"]) == (None, "3/1/2024")
+    assert date_and_ambiguous_text(["Date: 3/3/2024 14:05:06"])[0] == datetime(2024, 3, 3, 14, 5, 6)
 
 
 @pytest.mark.parametrize(
@@ -52,4 +52,4 @@ def test_a_date_of_two_readings_is_none():
     ],
 )
 def test_the_rate_of_a_header(rows, rate_hz):
-    assert rate_in(rows, ",") == rate_hz
+    assert stated_sampling_rate_hz(rows, ",") == rate_hz

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.model.contact_laws import PLANE_LAWS, DeadZone, walls_m
+from rig.model.contact_laws import PLANE_LAWS, DeadZone, stop_positions_m_and_sides
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
@@ -96,7 +96,7 @@ def test_a_stop_that_is_not_there_gives_no_force_and_the_other_one_its_own(kind,
     assert float(law.force_n(eta, rate)) == expected
     assert force_n(law_records([law])[0], eta, rate, 0.0) == pytest.approx(expected, rel=1e-9)
     assert law.clearance_m == clearance
-    assert [side for _, side in walls_m(law)] == [-1 if is_lower else 1]
+    assert [side for _, side in stop_positions_m_and_sides(law)] == [-1 if is_lower else 1]
 
 
 def test_a_law_without_any_stop_is_refused_unless_it_rubs():

@@ -8,11 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from rig.errors import RigError, is_plain
+from rig.errors import RigError, has_no_control_characters
 from rig.model.beam import Beam
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
-from rig.model.description import ON_GROUND, Contact, Rig, Sensor, Station, from_json, stations_of, to_json
+from rig.model.description import (
+    ON_GROUND,
+    Contact,
+    Rig,
+    Sensor,
+    Station,
+    from_json,
+    rig_stations,
+    to_json,
+)
 from rig.model.oscillator import Oscillator
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -35,7 +44,7 @@ def small_rig(**changes):
 
 
 positive = st.floats(1e-6, 1e6)
-names = st.text(min_size=1, max_size=8).filter(is_plain)
+names = st.text(min_size=1, max_size=8).filter(has_no_control_characters)
 sensors = st.builds(
     Sensor,
     name=names,
@@ -179,7 +188,7 @@ def test_a_sensor_that_passes_nothing_below_half_its_rate_is_refused():
 
 def test_stations_are_distinct_and_ordered_along_each_body():
     rig = BarrelCradle(stations=4).rig()
-    stations = stations_of(rig)
+    stations = rig_stations(rig)
     assert len(set(stations)) == len(stations)
     assert set(stations) == {s.station for s in rig.sensors}  # its contacts stand among its sensors
     for body in rig.bodies:
@@ -263,7 +272,7 @@ def test_a_sensor_on_the_ground_measures_how_the_base_shakes(force_at):
     assert [s.name for s in rig.base_sensors] == ["table"]
     assert rig.forces == rig.inputs == (ON_GROUND,)
     assert rig.force_names == ("force",)
-    assert ON_GROUND not in stations_of(rig)
+    assert ON_GROUND not in rig_stations(rig)
     assert from_json(to_json(rig), "x") == rig
 
 

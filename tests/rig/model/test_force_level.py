@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.force_level import RMS_TO_CLEARANCE, rattling_level
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -25,7 +25,7 @@ def test_the_papers_forces_are_near(start):
 
 def test_two_equal_forces_at_one_place_may_be_weaker_by_root_two():
     rig = Sdof().rig()
-    rig = replace(rig, contacts=tuple(replace(c, law=equal_sides(1e-3, 1e4)) for c in rig.contacts))
+    rig = replace(rig, contacts=tuple(replace(c, law=symmetric_dead_zone(1e-3, 1e4)) for c in rig.contacts))
     single_n, each_of_two_n = (
         rattling_level(replace(rig, force_at=stations), 0.5, 15.0).rms_n
         for stations in (rig.force_at, (rig.force_at,) * 2)

@@ -21,7 +21,7 @@ from rig.model.description import (
     Station,
     contact_rows,
     from_json,
-    stations_of,
+    rig_stations,
     to_json,
 )
 from rig.model.force_level import rattling_level
@@ -98,7 +98,7 @@ def test_a_plane_contact_spring_and_flat_beam_belong_to_their_direction():
 def test_a_contact_has_a_row_in_each_direction_it_acts_in():
     assert [c.name for c in contact_rows(RIG)] == ["contact_1_y", "contact_1_z", "contact_2_y", "contact_2_z"]
     assert contact_rows(BarrelCradle().rig()) == BarrelCradle().rig().contacts
-    labels = [s.label for s in stations_of(RIG)]
+    labels = [s.label for s in rig_stations(RIG)]
     assert labels[:2] == ["cradle_0250mm", "cradle_0250mm_z"]
     assert len(labels) == 16
 

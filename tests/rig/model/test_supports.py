@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import PointSpring, Rig, Sensor, Station, Support, from_json, to_json
-from rig.model.modes import condensed, modes_of, participation
+from rig.model.modes import modes_of, participation, with_attachments_merged
 from rig.model.oscillator import Oscillator
 from rig.model.schema import rig_schema
 from rig.viewer.schematic import draw
@@ -67,7 +67,7 @@ def test_a_support_that_gives_is_a_spring():
 def test_a_condensed_body_follows_its_base_as_beam_theory_says():
     """The first modes of a cantilever carry 61.31, 18.83 and 6.47 % of its mass (Blevins, Formulas for Natural
     Frequency and Mode Shape, 1979); a spring of nothing makes it a body with an attachment."""
-    (body,) = condensed(held(BEAM, at(0.7, stiffness_n_per_m=1e-3))).bodies
+    (body,) = with_attachments_merged(held(BEAM, at(0.7, stiffness_n_per_m=1e-3))).bodies
     shares = np.square(participation(held(body), body, body, 3)) / BEAM.mass_kg
     np.testing.assert_allclose(shares, [0.6131, 0.1883, 0.0647], atol=2e-4)
     assert from_json(to_json(held(body)), "rig.json").bodies == (body,)
@@ -75,14 +75,14 @@ def test_a_condensed_body_follows_its_base_as_beam_theory_says():
 
 def test_a_condensed_body_has_the_modes_of_the_supported_one():
     rig = held(BEAM, at(0.7))
-    (body,), places = condensed(rig).bodies, np.array([0.313, 0.5, 0.9])
+    (body,), places = with_attachments_merged(rig).bodies, np.array([0.313, 0.5, 0.9])
     modes = modes_of(rig, BEAM)
-    assert condensed(rig).supports == ()
+    assert with_attachments_merged(rig).supports == ()
     np.testing.assert_array_equal(body.frequencies_hz(6), modes.frequencies_hz(6))
     for order, share in ((0, 1e-5), (1, 1e-3)):
         shapes = modes.shapes(places, 6, order)
         np.testing.assert_allclose(body.shapes(places, 6, order), shapes, atol=share * np.abs(shapes).max())
-    assert condensed(held()) == held()
+    assert with_attachments_merged(held()) == held()
 
 
 @pytest.mark.parametrize(

@@ -203,6 +203,6 @@ def test_a_file_that_is_cut_while_it_is_read_is_refused(tmp_path, monkeypatch):
         return channel.topic.endswith("/block")
 
     monkeypatch.setattr(container, "_WINDOW_BYTES", 1000)
-    monkeypatch.setattr("rig.recording.file.holds_blocks", cut)
+    monkeypatch.setattr("rig.recording.file.has_sample_blocks", cut)
     with pytest.raises(RigError, match="is cut off"):
         read(path)

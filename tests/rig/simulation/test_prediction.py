@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import BaseMotion, Station
 from rig.model.modes import modes_of
 from rig.simulation.excitation import force_history
@@ -91,6 +91,6 @@ def test_a_base_motion_is_left_out_and_a_stiff_contact_refused():
     on_moving_base = replace(rig, base_motion=BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=2.0, high_hz=9.0))
     runs = [modal(machine, still(rig, 900), np.array([10]), 500, stations, states) for machine in (rig, on_moving_base)]
     np.testing.assert_array_equal(*runs)
-    stiff = replace(rig, contacts=(replace(rig.contacts[0], law=equal_sides(1e-3, 1e10, 0.0)),))
+    stiff = replace(rig, contacts=(replace(rig.contacts[0], law=symmetric_dead_zone(1e-3, 1e10, 0.0)),))
     with pytest.raises(RigError, match="too stiff"):
         modal(stiff, still(rig, 900), np.array([10]), 500, stations, states)

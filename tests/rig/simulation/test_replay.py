@@ -10,14 +10,14 @@ from scipy.signal import upfirdn
 from scipy.signal.windows import kaiser
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from rig.model.description import BaseMotion, StaticLoad, Station, stations_of
+from rig.model.description import BaseMotion, StaticLoad, Station, rig_stations
 from rig.simulation import replay
 from rig.simulation.excitation import force_history
 from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.sensors import digitise, needed_duration_s
+from rig.simulation.sensors import digitise, plant_run_duration_s
 
 SETTINGS = BarrelCradle(rms_n=40.0, stations=4)
 RIG = SETTINGS.rig()
@@ -50,7 +50,7 @@ def sampled(row, delay_s, step_s, samples):
 def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkeypatch):
     monkeypatch.setattr(modal, "STEPS_PER_BLOCK", 5003)  # which no sampling interval divides
     duration_s = 1.5
-    force_n = force_history(SETTINGS.force(), needed_duration_s(rig, duration_s), STEP_S)
+    force_n = force_history(SETTINGS.force(), plant_run_duration_s(rig, duration_s), STEP_S)
     motion = concatenated(modal.simulate(rig, force_n, STEP_S, lambda _: None))
     assert motion.contact_force_n.any()
     segments = list(digitise(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
@@ -61,7 +61,7 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
             sensor = rig.sensors[k]
             expected = sensor.gain * sampled(motion.sensed[k], sensor.delay_s, STEP_S, row.size)
             np.testing.assert_allclose(row, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-    stations = stations_of(rig)
+    stations = rig_stations(rig)
     for sensor, row in zip(rig.sensors, motion.sensed, strict=True):
         if sensor.quantity == "displacement":
             at_station = motion.displacement_m[stations.index(sensor.station)]
@@ -79,7 +79,7 @@ def test_a_replay_holds_what_the_sensors_make_of_the_plant_under_that_force():
     np.testing.assert_array_equal(made.signals["force"].values, force_n[None])
     assert made.rig == RIG
     step_s = 2.0**-15
-    time_s = np.arange(round(needed_duration_s(BURDENED, 1.5) / step_s)) * step_s
+    time_s = np.arange(round(plant_run_duration_s(BURDENED, 1.5) / step_s)) * step_s
     fine = CubicSpline(np.arange(force_n.size) / RATE_HZ, force_n)(np.minimum(time_s, (force_n.size - 1) / RATE_HZ))
     motion = concatenated(modal.simulate(BURDENED, fine, step_s, lambda _: None, modes_per_beam=24))
     for quantity in ("displacement", "acceleration"):

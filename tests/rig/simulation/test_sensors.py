@@ -15,7 +15,7 @@ from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND
 from rig.simulation.motion import Motion
-from rig.simulation.sensors import decimate, decimator, digitise, needed_duration_s
+from rig.simulation.sensors import decimate, decimator, digitise, plant_run_duration_s
 
 RATE_HZ = 1000.0
 FACTOR = 4
@@ -164,7 +164,7 @@ def test_blocks_do_not_show(sizes, factor):
 @pytest.mark.parametrize("duration_s", [0.5, 1.234])
 def test_the_needed_duration_is_enough_for_the_record(duration_s, delay_s):
     late = msgspec.structs.replace(PERFECT, delay_s=delay_s)
-    signal = np.zeros(round(needed_duration_s(rig_with(late), duration_s) / STEP_S))
+    signal = np.zeros(round(plant_run_duration_s(rig_with(late), duration_s) / STEP_S))
     assert deliver(signal, late).shape[1] >= round(duration_s * RATE_HZ)
 
 

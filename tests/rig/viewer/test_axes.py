@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.viewer.axes import HEIGHT, MAX_TICK_COUNT, WIDTH, Axes, decades, tick_values
-from rig.viewer.blueprint import axis_reach
+from rig.viewer.blueprint import labelled_axis_end
 
 
 @pytest.mark.parametrize(
@@ -41,4 +41,4 @@ def test_places_go_up_and_are_kept_within_the_frame():
 
 @pytest.mark.parametrize(("reach", "expected"), [(3.0, 3.0), (8.5, 10.5), (10.2, 10.2), (0.5, 1.05), (10.0, 10.5)])
 def test_a_displacement_axis_ends_where_there_are_figures(reach, expected):
-    assert axis_reach(reach) == pytest.approx(expected)
+    assert labelled_axis_end(reach) == pytest.approx(expected)

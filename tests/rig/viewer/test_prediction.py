@@ -14,7 +14,7 @@ from rig.simulation.prediction import modal as modal_predictor
 from rig.simulation.record import record
 from rig.simulation.reference import Sdof
 from rig.viewer.deflection import Deflection, deflection
-from rig.viewer.gap import read_corrected
+from rig.viewer.gap import read_corrected_rig
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE
 from rig.viewer.prediction import predicted_motion
 from rig.viewer.prediction_view import summary_text
@@ -98,13 +98,13 @@ def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(change
 
 def test_a_corrected_rig_is_read_beside_gap_json_if_it_is_of_this_rig(changed, tmp_path):
     recording, _, true = changed
-    assert read_corrected(tmp_path, recording.rig) is None
+    assert read_corrected_rig(tmp_path, recording.rig) is None
     (tmp_path / "rig.json").write_bytes(to_json(true))
-    assert read_corrected(tmp_path / "gap.json", recording.rig) == true
+    assert read_corrected_rig(tmp_path / "gap.json", recording.rig) == true
     other = replace(true, contacts=(replace(true.contacts[0], name="other"),))
     (tmp_path / "rig.json").write_bytes(to_json(other))
     with pytest.raises(RigError, match=r"rig.json: is of another rig"):
-        read_corrected(tmp_path, recording.rig)
+        read_corrected_rig(tmp_path, recording.rig)
 
 
 def test_a_station_without_a_sensor_is_refused_and_a_short_record_has_no_prediction(changed):

@@ -199,7 +199,9 @@ def test_the_beams_pass_through_their_stations_and_between_them_follow_the_modes
         displacement_m=(coordinates @ body.shapes(places, 4).T).T,
     )
     x = np.linspace(0, body.length_m, 23)
-    np.testing.assert_allclose(deformed.of_body(body, x)[:, 0], (coordinates @ body.shapes(x, 4).T)[0], atol=1e-12)
+    np.testing.assert_allclose(
+        deformed.body_displacement_m(body, x)[:, 0], (coordinates @ body.shapes(x, 4).T)[0], atol=1e-12
+    )
 
 
 def test_the_bodies_lie_over_each_other_at_their_contacts_and_move_magnified(beams, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.kinematics import CORNER_HZ
@@ -55,7 +55,7 @@ def test_a_softening_spring_is_found_from_accelerations():
     cubic = -2e7
     record = recorded("acceleration", f"hardening_spring:cubic_n_per_m3={cubic},relative_position=0.75,body=beam")
     search = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
-    known = candidates(scale_of(record, record.rig), (), record.zero_known)
+    known = candidates(effect_range_scale(record, record.rig), (), record.zero_known)
     spring = next(candidate for candidate in known if candidate.kind.name == "hardening_spring")
     hypothesis = fit_effects(search, (spring,), np.array([cubic / 3, 0.9]), search.nominal_residual).hypothesis
     errors = np.sqrt(np.diag(hypothesis.covariance))

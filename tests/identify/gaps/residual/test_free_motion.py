@@ -8,7 +8,7 @@ from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.linear.sampled_motion import free_motion
@@ -62,7 +62,7 @@ def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_a
 def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_path):
     """Estimate on the decay of a rig that differs within the tolerances."""
     record = decay(tmp_path, f"{effect.split(':')[0]}:{strength}={true}", jitter=1)
-    every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
+    every_candidate = candidates(effect_range_scale(record, record.rig), (), record.zero_known, has_force=False)
     (candidate,) = [c for c in every_candidate if c.name == effect]
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, (candidate,))

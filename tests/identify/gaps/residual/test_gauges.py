@@ -41,7 +41,7 @@ def test_gauges_of_a_machine_within_its_tolerances_are_explained_down_to_the_slo
     record = record_of(modal(RIG, machine, FORCE_N, 1))
     assert [s.name for s in record.sensors[-len(GAUGES) :]] == [s.name for s in GAUGES]
     variances = nominal_variances_of(linearized(record, RIG))
-    beyond_noise = misfit(record, variances, fit_nuisance(record, RIG)[1]).variance_beyond_noise
+    beyond_noise = misfit(record, variances, fit_nuisance(record, RIG)[1]).residual_variance_beyond_noise
     squared_shares = (beyond_noise / variances.acceleration_power)[:, -len(GAUGES) :]
     assert np.all(squared_shares < 0.01**2)
 

@@ -5,9 +5,9 @@ import pytest
 
 from identify.gaps.residual.fit import contact_jacobian
 from identify.gaps.residual.nuisance import with_nuisance
-from identify.gaps.residual.residual import linearized, residual_decrease, residual_of, same_but_laws
-from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.nominal import fitted_nuisance
+from identify.gaps.residual.residual import linearized, residual_decrease, residual_of, same_except_laws
+from identify.gaps.search.candidates import candidates, effect_range_scale
+from identify.gaps.search.nominal import nuisance_fit
 from rig.simulation.reference import BarrelCradle
 from tests.identify.gaps.residual.simulated_records import simulated_record
 
@@ -21,7 +21,7 @@ EXACT = 5e-3
 def believed():
     """A recording of the rig that is believed, its slow motion fitted: where that is wrong, stops are met elsewhere."""
     linearization = linearized(simulated_record(SETTINGS, RIG), RIG)
-    return linearization, fitted_nuisance(linearization).residual
+    return linearization, nuisance_fit(linearization).residual
 
 
 def unknowns_of(residual):
@@ -44,8 +44,8 @@ def test_effects_by_differences(believed):
     linearization, residual = believed
     unknowns, errors = unknowns_of(residual), {}
     names = [s.name for s in linearization.record.sensors]
-    for candidate in candidates(scale_of(linearization.record, RIG), names, linearization.record.zero_known):
-        if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.typical_values)):
+    for candidate in candidates(effect_range_scale(linearization.record, RIG), names, linearization.record.zero_known):
+        if candidate.kind.stochastic or same_except_laws(RIG, candidate.applied(RIG, candidate.typical_values)):
             continue
         neutral = np.append(candidate.neutral_strength, candidate.typical_values[1:])
         step = np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))

@@ -13,11 +13,21 @@ from identify.gaps.decision.comparison import (
     probabilities,
     removed_share,
 )
-from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value, with_bound
+from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value, p_value_combined_with_bound
 from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
-from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
-from identify.gaps.residual.scales import estimated_scales, levels_by_band, posterior_variance, prior_scales
+from identify.gaps.residual.lines import (
+    outstanding_line_cost,
+    outstanding_line_frequencies,
+    sharpest_line_frequencies,
+    without_lines,
+)
+from identify.gaps.residual.scales import (
+    estimated_scales,
+    posterior_variance,
+    prior_scales,
+    residual_mean_squares_by_band,
+)
 from identify.gaps.results import Matters
 from rig.simulation.reference import BarrelCradle
 from tests.identify.gaps.residual.simulated_records import simulated_record
@@ -168,9 +178,9 @@ def test_p_values_of_nulls_are_uniform(squares):
 
 def test_a_bound_that_says_nothing_leaves_a_p_value_alone_and_a_small_one_decides():
     for value in (0.004, 0.3, 0.9):
-        assert value <= with_bound(value, 1.0) <= 1.06 * value
-    assert with_bound(0.99, 1.0) == 1.0
-    assert with_bound(0.6, 1e-9) == pytest.approx(2e-8)
+        assert value <= p_value_combined_with_bound(value, 1.0) <= 1.06 * value
+    assert p_value_combined_with_bound(0.99, 1.0) == 1.0
+    assert p_value_combined_with_bound(0.6, 1e-9) == pytest.approx(2e-8)
 
 
 def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
@@ -186,12 +196,14 @@ def test_a_line_is_no_error_of_a_model():
     time = np.arange(8000) / 300.0
     noise = rng.standard_normal((12, 8000))
     resonance = lfilter([1.0], [1.0, -2 * 0.9995 * np.cos(2 * np.pi * 20 / 300), 0.9995**2], rng.standard_normal(8000))
-    assert cost_of_lines(noise, 10) < 5.0
-    assert cost_of_lines(noise + resonance / resonance.std(), 10) < 5.0
+    assert outstanding_line_cost(noise, 10) < 5.0
+    assert outstanding_line_cost(noise + resonance / resonance.std(), 10) < 5.0
     toned = noise + np.cos(2 * np.pi * 42.263 * time)
-    assert cost_of_lines(toned, 10) > 20.0
-    assert np.linalg.norm(without_lines(toned, outstanding_frequencies(toned)) - noise) < 0.03 * np.linalg.norm(noise)
-    assert not outstanding_frequencies(noise)
+    assert outstanding_line_cost(toned, 10) > 20.0
+    assert np.linalg.norm(without_lines(toned, outstanding_line_frequencies(toned)) - noise) < 0.03 * np.linalg.norm(
+        noise
+    )
+    assert not outstanding_line_frequencies(noise)
 
 
 def test_the_lines_of_a_force_that_repeats_are_no_tones():
@@ -199,14 +211,14 @@ def test_the_lines_of_a_force_that_repeats_are_no_tones():
     rng = np.random.default_rng(7)
     repeated = np.tile(rng.standard_normal((3, 200)), 20) + 0.01 * rng.standard_normal((3, 4000))
     repeats = 1 / 200
-    assert outstanding_frequencies(repeated)
-    assert cost_of_lines(repeated, 3) > 1000
-    assert not outstanding_frequencies(repeated, repeats)
-    assert cost_of_lines(repeated, 3, repeats) == 0.0
+    assert outstanding_line_frequencies(repeated)
+    assert outstanding_line_cost(repeated, 3) > 1000
+    assert not outstanding_line_frequencies(repeated, repeats)
+    assert outstanding_line_cost(repeated, 3, repeats) == 0.0
     tone = 20.5 * repeats
     toned = repeated + np.sin(2 * np.pi * tone * np.arange(4000))
-    np.testing.assert_allclose(outstanding_frequencies(toned, repeats), [tone], rtol=1e-4)
-    np.testing.assert_allclose(sharpest_frequencies(toned, 1, 0.05, repeats), [tone], rtol=1e-4)
+    np.testing.assert_allclose(outstanding_line_frequencies(toned, repeats), [tone], rtol=1e-4)
+    np.testing.assert_allclose(sharpest_line_frequencies(toned, 1, 0.05, repeats), [tone], rtol=1e-4)
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
@@ -237,4 +249,4 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     middle = scales.unmodelled_shares[:, record.omega.size // 4 : record.omega.size // 2]
     assert np.median(middle) == pytest.approx(true_share, rel=0.2)
     assert scales.contact_variances == (float(posterior_variance(np.array(0.2))), 2.0)
-    assert levels_by_band(record, residual).min() > 0
+    assert residual_mean_squares_by_band(record, residual).min() > 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.residual.nuisance import apply_nuisance
+from identify.gaps.residual.nuisance import with_nonlinear_nuisance
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
@@ -27,7 +27,7 @@ def linearization():
 
 def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(linearization):
     values = np.arange(1.0, 1.0 + len(linearization.columns.parameters))
-    rig, applied = apply_nuisance(RIG, linearization.columns.parameters, values, LABORATORY)
+    rig, applied = with_nonlinear_nuisance(RIG, linearization.columns.parameters, values, LABORATORY)
     by_name = {p.name: v for p, v in zip(linearization.columns.parameters, values, strict=True)}
     is_applied = [p.kind in ("frequency", "damping", "gain") for p in linearization.columns.parameters]
     np.testing.assert_array_equal(applied, np.where(is_applied, values, 0.0))

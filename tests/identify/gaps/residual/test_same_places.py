@@ -8,7 +8,7 @@ from identify.gaps.residual.fit import fit
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.hypothesis import reset_saturated_nuisance
-from identify.gaps.search.nominal import fitted_nuisance
+from identify.gaps.search.nominal import nuisance_fit
 from rig.effects.contact_clearance import ContactClearance
 from rig.recording import read
 from tests.campaigns.topologies import Topology, chain, progressive_stop, recorded
@@ -32,7 +32,7 @@ def fitted_record(tmp_path_factory):
     path = tmp_path_factory.mktemp("stops") / "r.mcap"
     recorded(Topology(rig, 12.0, ""), path, duration_s=12.0, actual=hidden(FACTOR).applied_to(rig))
     linearization = linearized(record_of(read(path)), rig)
-    return linearization, fitted_nuisance(linearization).residual
+    return linearization, nuisance_fit(linearization).residual
 
 
 def test_an_effect_on_one_of_them_is_fitted(fitted_record):

@@ -12,7 +12,7 @@ from identify.gaps.residual.extent import OMITTED_EDGE_S, OMITTED_FADES
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.candidates import candidates, effect_range_scale
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
@@ -60,7 +60,9 @@ def simulated(friction_n: float, load_n: float, seed: int = 401) -> Recording:
 
 def fitted_effects(record, *names):
     """Values and standard errors of effects fitted together, and the share of the acceleration before and after."""
-    every_candidate = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    every_candidate = candidates(
+        effect_range_scale(record, record.rig), [s.name for s in record.sensors], record.zero_known
+    )
     effects = tuple(next(c for c in every_candidate if c.kind.name == name) for name in names)
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, effects)

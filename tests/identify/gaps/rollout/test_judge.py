@@ -5,15 +5,15 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.rollout.judge import (
-    BlockRatios,
-    block_ratios,
+    BlockLogRatios,
     compared_modes,
-    confirm_by_simulations,
+    error_log_ratios_by_block,
     falls_short,
     judge_correction,
-    shrunk_share,
+    removed_mismatch_share,
     standard_error_of_mean,
     veto_code,
+    with_simulation_veto,
 )
 from identify.gaps.rollout.results import NullErrors, Rollout
 from identify.signals.ringing import RingingMode, modes_of_decay
@@ -30,7 +30,7 @@ MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 def test_a_right_correction_shrinks_the_gap_and_is_not_vetoed(damped, nulls):
     rollout = damped.judged(nulls, DAMPING)
     assert rollout.code == "not_vetoed"
-    assert not rollout.whole.at_floor
+    assert not rollout.whole.is_within_null_errors
     assert 0.7 < rollout.whole.shrunk <= 1
     assert rollout.shrunk_95[0] < rollout.whole.shrunk <= rollout.shrunk_95[1] + 1e-9
     assert rollout.log_ratio < -3 * rollout.log_ratio_error
@@ -48,7 +48,7 @@ def test_a_clearance_that_tolerances_take_up_is_a_gap_of_the_rig_as_it_stands(wi
 def test_a_null_is_at_the_floor_and_not_vetoed(null, nulls):
     rollout = null.judged(nulls)
     assert rollout.code == "not_vetoed"
-    assert rollout.whole.at_floor
+    assert rollout.whole.is_within_null_errors
     assert rollout.shrunk_95 is None
     assert rollout.log_ratio == 0.0
 
@@ -77,7 +77,7 @@ def test_without_a_horizon_or_a_predictor_nothing_is_judged(null, nulls):
 
 def test_vetoes_by_chance_are_as_rare_as_stated():
     rng = np.random.default_rng(1)
-    codes = [veto_code(BlockRatios(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
+    codes = [veto_code(BlockLogRatios(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
     assert 0.006 < np.mean([code == "worse" for code in codes]) < 0.014  # 1 %, three standard errors
 
 
@@ -104,17 +104,17 @@ def paired_errors():
 
 def test_errors_of_a_right_correction_fall_as_expected():
     first, e, change = paired_errors()
-    right = block_ratios(e - change, e, first, 1000.0)
+    right = error_log_ratios_by_block(e - change, e, first, 1000.0)
     assert right.log_ratios.mean() == pytest.approx(right.expected_log_ratios.mean(), rel=0.05)
     assert right.expected_log_ratios.mean() == pytest.approx(-np.log(2) / 2, rel=0.05)
     assert veto_code(right) == "not_vetoed"
     assert not falls_short(right)
-    assert veto_code(block_ratios(e, e - change, first, 1000.0)) == "worse"
+    assert veto_code(error_log_ratios_by_block(e, e - change, first, 1000.0)) == "worse"
 
 
 def test_a_correction_that_changes_much_and_gains_nothing_falls_short():
     first, e, change = paired_errors()
-    half = block_ratios(e - change / 2, e + change / 2, first, 1000.0)
+    half = error_log_ratios_by_block(e - change / 2, e + change / 2, first, 1000.0)
     assert half.log_ratios.mean() == pytest.approx(0.0, abs=0.02)
     assert veto_code(half) == "not_vetoed"
     assert falls_short(half)
@@ -131,20 +131,20 @@ def test_a_correction_that_changes_much_and_gains_nothing_falls_short():
 )
 def test_simulations_decide_whether_prediction_had_to_improve(simulated, code):
     rollout = Rollout(code="not_vetoed", log_ratio=-0.01, log_ratio_error=0.02, falls_short=True)
-    assert confirm_by_simulations(rollout, simulated).code == code
-    assert confirm_by_simulations(replace(rollout, falls_short=False), simulated).code == "not_vetoed"
+    assert with_simulation_veto(rollout, simulated).code == code
+    assert with_simulation_veto(replace(rollout, falls_short=False), simulated).code == "not_vetoed"
 
 
 def test_long_windows_are_cut_into_blocks():
     errors = np.ones((1, 2, 5000))
     errors[:, :, 2000:3000] = 2.0
-    paired = block_ratios(np.ones((1, 2, 5000)), errors, np.array([0]), 1000.0)
+    paired = error_log_ratios_by_block(np.ones((1, 2, 5000)), errors, np.array([0]), 1000.0)
     np.testing.assert_allclose(paired.log_ratios, np.log([1, 1, 2, 1, 1]), atol=1e-9)
 
 
 @pytest.mark.parametrize(("corrected", "share"), [(0.1, 1.0), (0.3, 0.0), (0.2, (9 - 4) / (9 - 1)), (0.05, 1.0)])
 def test_how_far_a_gap_shrinks(corrected, share):
-    assert shrunk_share(0.3, corrected, 0.1) == pytest.approx(share)
+    assert removed_mismatch_share(0.3, corrected, 0.1) == pytest.approx(share)
 
 
 @pytest.fixture

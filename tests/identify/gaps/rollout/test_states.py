@@ -5,7 +5,7 @@ import pytest
 
 from identify.gaps.rollout.states import measured_motion
 from identify.signals.kinematics import kinematics
-from rig.model.description import stations_of
+from rig.model.description import rig_stations
 from rig.model.modes import modes_of
 from rig.simulation import prediction
 from rig.simulation.motion import concatenated
@@ -24,7 +24,7 @@ def exact():
     fine = forces_at_steps(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
     blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes_per_beam=24))
     coordinates_m = np.concatenate([b.displacement_m.modal_coordinates for b in blocks])[::factor].T
-    rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
+    rows = [rig_stations(BELIEVED).index(s.station) for s in BELIEVED.sensors]
     return case, concatenated(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
 
 

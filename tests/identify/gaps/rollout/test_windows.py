@@ -5,7 +5,13 @@ import pytest
 
 from identify.gaps.rollout.results import NullErrors
 from identify.gaps.rollout.states import measured_motion
-from identify.gaps.rollout.windows import disjoint_starts, horizon_ladder, horizon_of, prediction_errors, rms_by_window
+from identify.gaps.rollout.windows import (
+    disjoint_starts,
+    horizon_ladder,
+    predictable_horizon_samples,
+    prediction_errors,
+    rms_by_window,
+)
 from rig.simulation import prediction
 from tests.identify.gaps.rollout.conftest import BELIEVED, CLEARANCE, DAMPING
 
@@ -39,8 +45,8 @@ def test_the_horizon_is_the_longest_that_the_median_null_is_predicted_over():
         null_errors_of((16, 23, 32), (0.02, 0.3, 0.4)),
         null_errors_of((16, 23), (0.01, 0.09)),
     ]
-    assert horizon_of(nulls) == 23
-    assert horizon_of([null_errors_of((16,), (0.3,))]) is None
+    assert predictable_horizon_samples(nulls) == 23
+    assert predictable_horizon_samples([null_errors_of((16,), (0.3,))]) is None
 
 
 def errors(case, rig, residual):

@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from rig.errors import RigError
 from rig.lab.importing import import_file
-from rig.lab.looking import look_at
+from rig.lab.looking import proposed_import_map
 from rig.model.description import ON_GROUND, Sensor, to_json
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -71,7 +71,7 @@ def test_the_proposed_map_imports_what_the_logger_wrote(folder, name):
     ending, write = LOGGERS[name]
     source, map_path = folder / f"run{ending}", folder / "map.toml"
     source.write_bytes(write())
-    proposal = look_at(source, RIG)
+    proposal = proposed_import_map(source, RIG)
     text = filled(proposal.text, *OWNER.get(name, ()))
     map_path.write_text(text, encoding="utf-8")
     if proposal.placeholder_count:
@@ -131,7 +131,7 @@ def test_without_a_place_to_write_it_the_map_is_printed(folder, capsys):
 def test_the_map_in_the_readme_is_the_one_proposed(tmp_path):
     (tmp_path / "run7.csv").write_bytes(LOGGERS["excel_german"][1]())
     readme = (Path(__file__).parents[4] / "rig" / "lab" / "README.md").read_text(encoding="utf-8")
-    assert f"```\n{look_at(tmp_path / 'run7.csv', None).text}```\n" in readme
+    assert f"```\n{proposed_import_map(tmp_path / 'run7.csv', None).text}```\n" in readme
 
 
 def test_of_several_bodies_the_owner_gives_the_place_and_known_names_need_none(tmp_path):
@@ -142,7 +142,7 @@ def test_of_several_bodies_the_owner_gives_the_place_and_known_names_need_none(t
     names = f"time_s,F [N],{known.name} [m/s^2],tip [m/s^2]\n"
     table = np.column_stack([TABLE[:, 1:], TABLE[:, 2] * 2])
     source.write_text(names + rows(np.column_stack([np.arange(SAMPLES) / rig.sample_rate_hz, table]), digits="%.12g"))
-    proposal = look_at(source, rig)
+    proposal = proposed_import_map(source, rig)
     assert proposal.placeholder_count == 2
     text = proposal.text.replace('body = "?", position_m = "?"', 'body = "barrel", position_m = 0.75')
     map_path.write_text(text)
@@ -163,7 +163,7 @@ def test_the_map_of_a_rig_on_a_shaking_base_asks_for_no_force(tmp_path):
     (tmp_path / "rig.json").write_bytes(to_json(rig))
     table_text = rows(np.column_stack([TIME_S, TABLE[:, 2], TABLE[:, 2]]), digits="%.12g")
     (tmp_path / "run.csv").write_text(f"time_s,table [m/s^2],mass [m/s^2]\n{table_text}")
-    proposal = look_at(tmp_path / "run.csv", rig)
+    proposal = proposed_import_map(tmp_path / "run.csv", rig)
     assert proposal.placeholder_count == 0
     (tmp_path / "map.toml").write_text(proposal.text)
     import_file(tmp_path / "run.csv", tmp_path / "map.toml", tmp_path / "r.mcap")
@@ -184,7 +184,7 @@ def test_the_map_of_a_rig_on_a_shaking_base_asks_for_no_force(tmp_path):
 def test_what_no_map_can_import_is_refused_in_one_sentence(tmp_path, content, sentence):
     (tmp_path / "run.csv").write_bytes(content)
     with pytest.raises(RigError, match=sentence) as caught:
-        look_at(tmp_path / "run.csv", None)
+        proposed_import_map(tmp_path / "run.csv", None)
     assert "\n" not in str(caught.value)
 
 
@@ -192,7 +192,7 @@ def test_a_hole_in_a_channel_leaves_that_one_out_and_uneven_stamps_are_resampled
     lines = rows(np.column_stack([TIME_S + 2e-4 * (np.arange(SAMPLES) % 2), TABLE[:, 1:]])).splitlines()
     lines[40] = lines[40].rpartition(",")[0] + ","
     (tmp_path / "run.csv").write_text("\n".join(["t [s],F [N],a [g]", *lines, ""]))
-    text = look_at(tmp_path / "run.csv", RIG).text
+    text = proposed_import_map(tmp_path / "run.csv", RIG).text
     assert "left out: column 3 'a [g]' (it has no number in line 42)" in text
     assert "resample = true  # its time stamps are uneven" in text
 
@@ -228,7 +228,7 @@ def written(folder, form):
 @pytest.mark.parametrize("form", ["mat", "tdms", "h5", "uff"])
 def test_other_formats_are_looked_at_too(folder, form):
     source, words = written(folder, form)
-    proposal = look_at(source, RIG)
+    proposal = proposed_import_map(source, RIG)
     (folder / "map.toml").write_text(filled(proposal.text, (), words))
     import_file(source, folder / "map.toml", folder / "r.mcap")
     recording = read(folder / "r.mcap")
@@ -251,4 +251,4 @@ def test_measured_files_are_seen_as_they_are(folder_variable, name, seen):
     path = Path(os.environ.get(folder_variable, folder_variable.lower())) / name
     if not path.exists():
         pytest.skip(f"no {name}: let the environment variable {folder_variable} name its folder")
-    assert seen in look_at(path, None).text
+    assert seen in proposed_import_map(path, None).text

@@ -5,7 +5,7 @@ import pytest
 import pyuff
 
 from rig.errors import RigError
-from rig.lab.modal import Choice, structure_from_uff
+from rig.lab.modal import UffSelection, structure_from_uff
 from rig.model.beam import Beam
 from rig.model.structure import structure_of
 from rig.model.tolerances import Tolerances
@@ -74,7 +74,7 @@ def read(tmp_path, datasets, **choice):
     path = tmp_path / "arm.uff"
     path.unlink(missing_ok=True)
     pyuff.UFF(str(path)).write_sets(datasets, mode="add")
-    return structure_from_uff(path, Choice(**choice))[:2]
+    return structure_from_uff(path, UffSelection(**choice))[:2]
 
 
 def check_shapes(body, expected, error):
@@ -173,7 +173,7 @@ def test_frfs_are_fitted(tmp_path, order, roving, noise):
         measured = -dataset["data"] * (1j * omega) ** (2 - order)
         error = np.sqrt(np.mean(np.abs(measured + omega**2 * modes) ** 2) / np.mean(np.abs(measured) ** 2))
         assert said[NODES[place]] == f"{error:.2%}"
-    assert structure_from_uff(tmp_path / "arm.uff", Choice())[2] == Tolerances(
+    assert structure_from_uff(tmp_path / "arm.uff", UffSelection())[2] == Tolerances(
         unmodelled=float(f"{np.median([float(x[:-1]) for x in said.values()]) / 100:.2g}"), highest_hz=1200.0
     )
 
@@ -248,11 +248,11 @@ def test_what_is_no_uff_file_is_refused(tmp_path, content, capfd):
         assert content != complete
     path.write_bytes(content)
     with pytest.raises(RigError, match=r"arm\.uff: ") as caught:
-        structure_from_uff(path, Choice())
+        structure_from_uff(path, UffSelection())
     assert "\n" not in str(caught.value)
     path.unlink()
     with pytest.raises(RigError, match="cannot be opened"):
-        structure_from_uff(path, Choice())
+        structure_from_uff(path, UffSelection())
     assert capfd.readouterr() == ("", "")
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.lab.starting import write_start
+from rig.lab.starting import write_rig_and_map
 from rig.lab.starting.analytic import BeamsRig, CantileverRig, MassRig
 from rig.lab.starting.base import spread_positions
 from rig.lab.starting.masses import ChainRig, TwoMassesRig
@@ -120,12 +120,12 @@ def test_what_is_no_structure_is_said(tmp_path, content):
 def test_the_written_rig_is_the_rig(tmp_path):
     start = structure_rig(tmp_path)
     rig = start.rig()
-    rig_path, _ = write_start(rig, start.map_text(rig), tmp_path / "new" / "lab")
+    rig_path, _ = write_rig_and_map(rig, start.map_text(rig), tmp_path / "new" / "lab")
     assert read_rig(rig_path) == rig
     assert sorted(p.name for p in rig_path.parent.iterdir()) == ["map.toml", "rig.json"]
     (tmp_path / "file").write_text("")
     with pytest.raises(RigError, match="cannot be made a folder"):
-        write_start(rig, start.map_text(rig), tmp_path / "file" / "lab")
+        write_rig_and_map(rig, start.map_text(rig), tmp_path / "file" / "lab")
 
 
 def test_a_chain_has_the_frequencies_of_theory():
