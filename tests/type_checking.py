@@ -11,7 +11,7 @@ from beartype import beartype
 
 Checked = TypeVar("Checked", bound=Callable[..., object])
 
-CALLS_PER_TEST = 100
+CALLS_PER_TEST = 10
 
 _calls: Counter[Callable[..., object]] = Counter()
 _released: list[Any] = []

@@ -63,7 +63,7 @@ def regressed_guess(record: ContactRecord, sides: StopSides | None = None) -> La
     """
     touched_sides = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance_m, compliance_m_per_n = closed_samples_regression(record, with_drift, sides=touched_sides)
+        *knots, clearance_m, compliance_m_per_n = compliance_regression(record, with_drift, sides=touched_sides)
         if np.isfinite(clearance_m) and compliance_m_per_n > 0:
             untouched_m = UNTOUCHED_CLEARANCE_RATIO * float(np.max(np.abs(record.eta_m)))
             lower_m, upper_m = (max(clearance_m, 0.0) if is_touched else untouched_m for is_touched in touched_sides)
@@ -103,7 +103,7 @@ def drift_knots_by_open_contact(
     return robust_regression(force_n[is_open], ground_matrix[is_open], no_law_columns, drift_spline)[0]
 
 
-def closed_samples_regression(
+def compliance_regression(
     record: ContactRecord,
     with_drift: bool,
     force_share: float = CLOSED_FORCE_SHARE,
@@ -277,7 +277,7 @@ def _knee_guesses(record: ContactRecord, nominal_laws: NominalLaws, touched: Tou
     for knees_n in combinations(knee_forces_n, int(touched_counts.max()) - 1):
         excess_n = [np.maximum(force_size_n - knee_n, 0.0) * (stop_counts > k) for k, knee_n in enumerate(knees_n, 1)]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            coefficients = closed_samples_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
+            coefficients = compliance_regression(record, with_drift, SOFT_STOP_SHARE, excess_n)
             knots, (clearance, compliance, *decreases) = coefficients[:knot_count], coefficients[knot_count:].tolist()
             summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *decreases]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):

@@ -194,7 +194,7 @@ def with_slow_modes(
     for body in observed.bodies:
         response, accelerations = body.response, body.acceleration.copy()
         held_indices = np.flatnonzero(response.dynamics.natural_hz[: len(accelerations)]).tolist()
-        held_indices = [mode for mode in held_indices if mode not in response.dynamics.high_passed_modes]
+        held_indices = [mode for mode in held_indices if mode not in response.dynamics.slowly_free_modes]
         modal_force = input_shapes(rig, response, rig.forces)[:, held_indices].T @ input_spectra[:, slow_lines]
         accelerations[held_indices, slow_lines] = response.accelerance[held_indices, slow_lines] * modal_force
         bodies.append(replace(body, acceleration=accelerations))

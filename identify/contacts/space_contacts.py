@@ -139,14 +139,14 @@ def annular_records(
     (y_parameters, z_parameters) = (separation.forces.nuisances.parameters for separation in separations)
     records, quiet_count = {}, separations[0].motion.quiet_sample_count
     for name in (contact.name for contact in rig.contacts if contact.law.spatial):
-        y_record, z_record = (_plane_record_of_contact(name, separation, tolerances) for separation in separations)
+        y_record, z_record = (_contact_record_in_direction(name, separation, tolerances) for separation in separations)
         records[name] = annular_record(
             (y_record, z_record), (y_parameters, z_parameters), (y_names, z_names), quiet_count
         )
     return records
 
 
-def _plane_record_of_contact(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
+def _contact_record_in_direction(contact_name: str, separation: Separation, tolerances: Tolerances) -> ContactRecord:
     """Record of a contact of that name in one direction."""
     contacts = separation.rig.contacts
     (record,) = (

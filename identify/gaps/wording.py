@@ -94,14 +94,14 @@ def bound_words(bound: Bounded) -> str:
     """Quantity that is not bounded, in words: its value, upper bound and limit, or the reason why there are none."""
     if bound.why or bound.value is None:
         return f"the {bound.name} ({bound.why})"
-    value, upper, limit = bound_number_texts(bound)
+    value, upper, limit = value_bound_and_limit_texts(bound)
     at_most = "with no upper bound" if bound.upper is None else f"at most {upper}"
     if bound.unit == "1":
         return f"the {bound.name} ({value} unexplained, {at_most}; {limit} matters)"
     return f"the {bound.name} ({value} off, {at_most}; three tolerances are {limit})"
 
 
-def bound_number_texts(bound: Bounded) -> list[str]:
+def value_bound_and_limit_texts(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm; more digits where a bound would else read as
     the limit that it exceeds."""
     unit_scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)

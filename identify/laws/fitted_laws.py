@@ -85,7 +85,7 @@ class ForceSamples:
         self, law: LawFunction, *arguments: Float[np.ndarray, " more"]
     ) -> Float[np.ndarray, "*rows samples"]:
         """Force law(eta, *arguments), evaluated without aliasing and low-passed as the measured force is."""
-        if isinstance(law, SlidingFriction):
+        if isinstance(law, BacklashFriction):
             force_n = low_passed(law.force_n(self.course), self.sample_rate_hz, self.decimation)
         else:
             force_n = evaluated_law(law, np.stack([self.eta_m, *arguments]), self.sample_rate_hz, self.decimation)
@@ -256,7 +256,7 @@ def hysteresis_share(
 
 
 @dataclass(frozen=True)
-class SlidingFriction:
+class BacklashFriction:
     """Dry friction reached through a backlash B by a spring k, which depends on the course of eta::
 
         s' = eta' while -B/2 - F_lower / k <= s <= B/2 + F_upper / k, which s never leaves
@@ -288,7 +288,7 @@ class SlidingFriction:
         return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
 
 
-def fitted_sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
+def fitted_backlash_friction(samples: ForceSamples, rows: Rows) -> BacklashFriction:
     """Friction fitted to the rows under the low-pass; standard errors are sandwich estimates as of straight pieces."""
     force_n = samples.force_n[rows]
     upper_n, lower_n = (
@@ -297,8 +297,8 @@ def fitted_sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFrictio
     eta_span_m, force_span_n = float(np.ptp(samples.eta_m)), upper_n + lower_n
     log_scales = np.log([upper_n, lower_n, eta_span_m, force_span_n / eta_span_m])
 
-    def law_of_logarithms(logarithms: Float[np.ndarray, " parameters"]) -> SlidingFriction:
-        return SlidingFriction(*np.exp(log_scales + logarithms).tolist())
+    def law_of_logarithms(logarithms: Float[np.ndarray, " parameters"]) -> BacklashFriction:
+        return BacklashFriction(*np.exp(log_scales + logarithms).tolist())
 
     def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
         return (force_n - samples.low_passed(law_of_logarithms(logarithms))[rows]) / force_span_n

@@ -15,12 +15,12 @@ from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate, unanswered
 from identify.laws.fitted_laws import (
     ERROR_RESOLUTION,
+    BacklashFriction,
     ForceSamples,
     PiecewiseLinear,
     Signal,
-    SlidingFriction,
+    fitted_backlash_friction,
     fitted_piecewise_linear,
-    fitted_sliding_friction,
     force_without_low_pass,
     hysteresis_share,
     law_knees_m,
@@ -70,7 +70,7 @@ class ContactLawFit:
     searched_force_n: Float[np.ndarray, " points"]
     formula: Formula
     pieces: PiecewiseLinear
-    sliding: SlidingFriction | None
+    sliding: BacklashFriction | None
     record: ForceSamples
     time_s: Float[np.ndarray, " samples"]
     """Times of the force's samples."""
@@ -194,14 +194,14 @@ def _contact_law_fit(
     law_by_name: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
         law_by_name[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
-    law_by_name[SLIDING] = fitted_sliding_friction(record, samples.training_rows)
+    law_by_name[SLIDING] = fitted_backlash_friction(record, samples.training_rows)
     law_by_name |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
     tried_laws = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in law_by_name.items())
     held_out_errors_n = [tried.held_out_error_n for tried in tried_laws]
     best_tried = tried_laws[_simplest_equivalent_index(held_out_errors_n, samples.error_resolution_n)]
     # the final fit takes all excited rows
     pieces = fitted_piecewise_linear(record, samples.excited_rows, pieces.knees_m)
-    friction = fitted_sliding_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
+    friction = fitted_backlash_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     estimate = ContactLawEstimate(
         contact=group.joined_contact.name,

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from identify.checks.findings import Finding
 from identify.contacts.results import Estimate, Unanswered
-from identify.laws.fitted_laws import PiecewiseLinear, SlidingFriction
+from identify.laws.fitted_laws import BacklashFriction, PiecewiseLinear
 from identify.pages.wording import interval
 
 PIECEWISE = "piecewise-linear law"
@@ -79,7 +79,7 @@ def verdict_sentence(
     candidates: tuple[TriedLaw, ...],
     best: TriedLaw,
     sides_known: bool,
-    sliding: SlidingFriction | None,
+    sliding: BacklashFriction | None,
 ) -> str:
     """Sentence on the law of one contact: its kind and values, or which law is better than straight pieces."""
     if sliding is not None:
@@ -108,7 +108,7 @@ def verdict_sentence(
     return f"{kind_words} with knees at {knees_text} mm and slopes {slopes_text} N/m{origin_note}"
 
 
-def sliding_estimates(friction: SlidingFriction) -> SlidingLaw:
+def sliding_estimates(friction: BacklashFriction) -> SlidingLaw:
     """Values of the friction with their standard errors."""
     fields_and_errors = zip(SlidingLaw.__struct_fields__, friction.standard_errors, strict=True)
     return SlidingLaw(**{field: Estimate(getattr(friction, field), error) for field, error in fields_and_errors})

@@ -79,7 +79,7 @@ def free_motions_and_priors(
             largest_shape = float(np.max(np.abs(shapes[station_rows, mode_index])))
             omega = 2 * np.pi * max(hz[mode_index], MIN_FREQUENCY_HZ)
             amplitude_m = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
-            is_held = mode_index not in response.dynamics.high_passed_modes
+            is_held = mode_index not in response.dynamics.slowly_free_modes
             for initial_order in range(2):
                 derivatives = free_motion(float(hz[mode_index]), float(zeta[mode_index]), initial_order, time_s)
                 motions.append(FreeMotion(derivatives, shapes[:, mode_index], is_held))

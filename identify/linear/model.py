@@ -41,13 +41,13 @@ Place = Station | Sensor | None
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes of one cache.
 
-    The springs of the high_passed_modes act on the high-passed displacement alone.
+    The springs of the slowly_free_modes act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
     damping_ratios: Float[np.ndarray, " modes"]
     omega: Float[np.ndarray, " lines"]
-    high_passed_modes: tuple[int, ...]
+    slowly_free_modes: tuple[int, ...]
 
 
 class ResponseCache:
@@ -67,10 +67,10 @@ class ResponseCache:
         self,
         natural_hz: Float[np.ndarray, " modes"],
         damping_ratios: Float[np.ndarray, " modes"],
-        high_passed_modes: tuple[int, ...] = (),
+        slowly_free_modes: tuple[int, ...] = (),
     ) -> Dynamics:
-        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed_modes)
-        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed_modes))
+        key = (*natural_hz.tolist(), *damping_ratios.tolist(), slowly_free_modes)
+        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, slowly_free_modes))
 
     def accelerance(self, dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
         return self._accelerances.get(dynamics, lambda: _accelerance(dynamics))
@@ -208,9 +208,9 @@ class Response:
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
         hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
-        return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed_modes))
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.slowly_free_modes))
 
-    def with_slow_springs(self, mode_indices: tuple[int, ...]) -> "Response":
+    def with_slowly_free_modes(self, mode_indices: tuple[int, ...]) -> "Response":
         """Response in which the springs of these modes act on the high-passed displacement alone."""
         hz, zeta = self.dynamics.natural_hz, self.dynamics.damping_ratios
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, mode_indices))
@@ -244,7 +244,7 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     """Accelerance A_m of each mode."""
     hz, zeta, omega = dynamics.natural_hz, dynamics.damping_ratios, dynamics.omega
     accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
-    for mode in dynamics.high_passed_modes:
+    for mode in dynamics.slowly_free_modes:
         natural_omega = 2 * np.pi * hz[mode]
         spring_term = natural_omega**2 * omega_power(omega, -2, CORNER_HZ)
         accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * omega_power(omega, -1, CORNER_HZ))
@@ -311,13 +311,14 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         )
     if zero_known or not rig.contacts:
         return responses
-    passed_modes = _high_passed_modes(responses, eta_shapes)
+    free_body_modes = _slowly_free_modes(responses, eta_shapes)
     return tuple(
-        r.with_slow_springs(tuple(sorted(m for body, m in passed_modes if body == k))) for k, r in enumerate(responses)
+        r.with_slowly_free_modes(tuple(sorted(m for body, m in free_body_modes if body == k)))
+        for k, r in enumerate(responses)
     )
 
 
-def _high_passed_modes(
+def _slowly_free_modes(
     responses: Sequence[Response], eta_shapes: Float[np.ndarray, "contacts modes"]
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""

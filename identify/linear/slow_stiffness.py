@@ -42,7 +42,7 @@ def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray,
 
 def has_high_passed_springs(responses: Sequence[Response]) -> bool:
     """True if the spring of some mode acts on the high-passed displacement alone."""
-    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed_modes)]) for r in responses)
+    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.slowly_free_modes)]) for r in responses)
 
 
 def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

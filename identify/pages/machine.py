@@ -105,7 +105,7 @@ class _Layout:
         """Stations of the forces, those on the ground apart."""
         return tuple(dict.fromkeys(station for station in self.rig.forces if not self.rig.is_on_ground(station)))
 
-    def force_span_px(self, station: Station) -> tuple[float, float]:
+    def force_left_right_px(self, station: Station) -> tuple[float, float]:
         """Left and right end of the arrow of a force and its letter."""
         x_px = self.corner_x_px(station, -0.35)
         return x_px - 6, x_px + 20
@@ -126,7 +126,7 @@ def rig_drawing_svg(
     layout = _Layout(rig, width_px, left_ends_m, px_per_m)
     spans_below, spans_above = ({body.name: TextSpans() for body in rig.bodies} for _ in range(2))
     for station in layout.drawn_forces:
-        spans_below[station.body].first_free_line(*layout.force_span_px(station))
+        spans_below[station.body].first_free_line(*layout.force_left_right_px(station))
     for body in filter(has_spring, rig.bodies):
         ground_px = _spring_x_px(layout, body)
         spans_below[body.name].first_free_line(ground_px - GROUND_HALF_WIDTH, ground_px + GROUND_HALF_WIDTH)

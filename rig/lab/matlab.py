@@ -103,7 +103,7 @@ class _Version5File:
     def blocks(self) -> Iterator[ColumnBlock]:
         offset = _HEADER_BYTES
         while offset < len(self._content):
-            self._count_elements("at its top", (1,))
+            self._add_to_element_total("at its top", (1,))
             element_type, element_bytes, offset = self._element(self._content, offset)
             if element_type == _COMPRESSED:
                 yield from self._compressed_blocks(element_bytes)
@@ -140,7 +140,7 @@ class _Version5File:
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
             )
         if head.array_class == _CELL:
-            cell_names = (f"{name}{{{k}}}" for k in range(1, self._count_elements(name, head.shape) + 1))
+            cell_names = (f"{name}{{{k}}}" for k in range(1, self._add_to_element_total(name, head.shape) + 1))
             yield from self._element_blocks(content, head.data_offset, cell_names, nesting_depth + 1)
         elif head.array_class == _STRUCT:
             yield from self._struct_blocks(content, head, name, nesting_depth + 1)
@@ -157,7 +157,7 @@ class _Version5File:
         struct_fields = [
             utf8_or_latin1_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0]) for k in name_starts
         ]
-        struct_count = self._count_elements(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
+        struct_count = self._add_to_element_total(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
         struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
         field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
         yield from self._element_blocks(content, offset, field_names, nesting_depth)
@@ -211,7 +211,7 @@ class _Version5File:
             raise UnreadableError(f"an element of {data_length} bytes is cut off")
         return element_type, content[data_start : data_start + data_length], next_offset
 
-    def _count_elements(self, name: str, shape: tuple[int, ...]) -> int:
+    def _add_to_element_total(self, name: str, shape: tuple[int, ...]) -> int:
         """Number of elements of a struct or cell array, added to those of the file (at most MAX_ITEMS)."""
         element_count = math.prod(shape)
         self._element_count += element_count

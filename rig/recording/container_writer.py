@@ -146,7 +146,7 @@ class Chunk:
         self._bytes[offset : self._end_offset] = appended_bytes
 
     def _reserve(self, byte_count: int) -> int:
-        """Extend the buffer by `length` bytes and return the offset at which they start."""
+        """Extend the buffer by `byte_count` bytes and return the offset at which they start."""
         offset, self._end_offset = self._end_offset, self._end_offset + byte_count
         if self._end_offset > len(self._bytes):
             self._bytes = self._bytes[:offset] + bytearray(2 * self._end_offset - offset)

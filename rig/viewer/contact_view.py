@@ -89,7 +89,7 @@ class ContactMotion:
         return 1.2e3 * max([max_eta_m, *reachable_m]) or 1.0
 
     @property
-    def range_mm(self) -> tuple[float, float]:
+    def axis_range_mm(self) -> tuple[float, float]:
         """Range of the axes of the relative displacement, mm; a distance from the centre begins at zero."""
         return (-self.reach_mm if self.orbit is None else 0.0, self.reach_mm)
 

@@ -26,7 +26,7 @@ def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     entity_path = entity("phase", motion.contact.name)
     largest_force_n = 1.1 * float(np.abs(motion.force_n).max()) or 1.0
     lowest_force_n, eta_name = (-largest_force_n, DISPLACEMENT) if motion.orbit is None else (0.0, DISTANCE)
-    axes = Axes(motion.range_mm, (lowest_force_n, largest_force_n), f"{eta_name}, mm", "force, N")
+    axes = Axes(motion.axis_range_mm, (lowest_force_n, largest_force_n), f"{eta_name}, mm", "force, N")
     law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
     axes.send(stream, entity_path, {"force": FORCE} | {f"{source} law": SOURCES[source] for source in law_by_source})
     eta_m = np.linspace(motion.eta_m.min(), motion.eta_m.max(), 401)
@@ -47,7 +47,7 @@ def send_histogram(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
     distance_from_start_m = np.abs(motion.eta_m - motion.eta_m[0])
     eta_in_motion_m = motion.eta_m[int(np.argmax(distance_from_start_m > MIN_MOVING_SHARE * np.ptp(motion.eta_m))) :]
-    bin_counts, bin_edges_mm = np.histogram(1e3 * eta_in_motion_m, HISTOGRAM_BIN_COUNT, range=motion.range_mm)
+    bin_counts, bin_edges_mm = np.histogram(1e3 * eta_in_motion_m, HISTOGRAM_BIN_COUNT, range=motion.axis_range_mm)
     time_percent = 100 * bin_counts / eta_in_motion_m.size
     bar_chart = rr.BarChart(time_percent, abscissa=bin_edges_mm[:-1], widths=np.diff(bin_edges_mm), color=motion.colour)
     send_static(stream, entity("histogram", motion.contact.name), bar_chart)

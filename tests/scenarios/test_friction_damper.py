@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import identify
 from identify.laws import SLIDING
-from identify.laws.fitted_laws import SlidingFriction
+from identify.laws.fitted_laws import BacklashFriction
 from scenarios.friction_damper import SAMPLE_RATE_HZ, DamperLaw, app, damper_recording
 
 DATA = Path(os.environ.get("FRICTION_DAMPER", "friction_damper"))
@@ -19,7 +19,7 @@ DATA = Path(os.environ.get("FRICTION_DAMPER", "friction_damper"))
 def test_a_simulated_damper_is_identified():
     time_s = np.arange(round(16 * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     displacement = 0.025 * np.minimum(time_s / 4, 1) * np.sin(np.pi * time_s)
-    law = SlidingFriction(upper_n=9e3, lower_n=6e3, backlash_m=4e-3, stiffness_n_per_m=5e6)
+    law = BacklashFriction(upper_n=9e3, lower_n=6e3, backlash_m=4e-3, stiffness_n_per_m=5e6)
     noise = 200 * np.random.default_rng(1).standard_normal(time_s.size)
     recording = damper_recording(displacement, law(displacement) + noise, "simulated")
     found = identify.law(recording, seconds=3.0).report.laws[0]

@@ -170,7 +170,7 @@ def check_free_decay(recording: Recording) -> None:
     signals = np.stack([recording.values_of(sensor) for sensor in sensors])
     noise_densities = sensor_noise_densities(recording, sensors, 0)
     highest_hz = RINGING_BAND_FACTOR * highest_ringing_hz(signals, rate_hz, derivative_order, noise_densities)
-    signals = _filtered_velocities(signals, rate_hz, derivative_order, highest_hz)
+    signals = _low_passed_motion(signals, rate_hz, derivative_order, highest_hz)
     samples_per_interval = round(min(1.0, recording.duration_s / MIN_INTERVAL_COUNT) * rate_hz)
     interval_count = signals.shape[1] // samples_per_interval
     by_interval = signals[:, : interval_count * samples_per_interval].reshape(len(signals), -1, samples_per_interval)
@@ -180,7 +180,7 @@ def check_free_decay(recording: Recording) -> None:
         raise RigError(NO_DECAY_MESSAGE)
 
 
-def _filtered_velocities(
+def _low_passed_motion(
     sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, derivative_order: int, highest_hz: float
 ) -> Float[np.ndarray, "sensors fewer"]:
     """Derivatives of displacements, or other motion as it is, low-passed at highest_hz.

@@ -48,7 +48,7 @@ class RingFit:
 
     def __call__(self, recording: Recording, rig: Rig, _: Tolerances) -> LawOutcomes:
         """Estimates of the rings that a record determines with the linear model of `rig`, and why not the others."""
-        folded_rig = self.unfolding.folded(rig)
+        folded_rig = self.unfolding.space_rig_of(rig)
         nominal_laws = [contact.law for contact in self.unfolding.space_rig.contacts]
         contacts = (with_numbers(c, law=law) for c, law in zip(folded_rig.contacts, nominal_laws, strict=True))
         folded_rig = with_numbers(folded_rig, contacts=tuple(contacts), tones=())

@@ -68,7 +68,7 @@ class SpaceSimulator:
     tolerances: Tolerances
 
     def __call__(self, _: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
-        simulated = self.simulate(self.unfolding.space_rig, self.unfolding.folded(actual_rig), forces_n, seed)
+        simulated = self.simulate(self.unfolding.space_rig, self.unfolding.space_rig_of(actual_rig), forces_n, seed)
         return self._with_cross_axis_sensitivity(
             self.unfolding.unfolded_recording(simulated), np.random.default_rng([seed, 80])
         )
@@ -131,7 +131,7 @@ def diagnose_in_space(
     gap = _answer_in_space(describe(prepared, search_result, judgement, matters))
     progress("causes", 1.0)
     corrected = decision.corrects_rig and decision.named_hypothesis
-    return gap, unfolding.folded(corrected.rig) if corrected else space_rig
+    return gap, unfolding.space_rig_of(corrected.rig) if corrected else space_rig
 
 
 def _answer_in_space(gap: Gap) -> Gap:

@@ -10,12 +10,12 @@ from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Gap, ResidualMap, Share
 from identify.gaps.rollout.results import PredictionExample
 from identify.gaps.wording import (
-    bound_number_texts,
     cause_name,
     is_effective,
     probability,
     remaining_probabilities,
     removed_share_words,
+    value_bound_and_limit_texts,
 )
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from identify.pages.wording import percent
@@ -117,7 +117,9 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
     axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="limit")
     axes.set_xscale("log")
     axes.set_xlim(0.7 * LEAST_RATIO, largest_ratio)
-    limits = [f", limit {bound_number_texts(quantity)[-1]}" if quantity.threshold else "" for quantity in quantities]
+    limits = [
+        f", limit {value_bound_and_limit_texts(quantity)[-1]}" if quantity.threshold else "" for quantity in quantities
+    ]
     names = [f"{_shortened_name(quantity.name)}{limit}" for quantity, limit in zip(quantities, limits, strict=True)]
     axes.set_yticks(np.arange(len(quantities)), names)
     axes.set_ylim(len(quantities) - 0.5, -0.5)

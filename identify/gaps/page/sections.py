@@ -151,7 +151,7 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     if quantity.why or quantity.value is None:
         return quantity.name, "", "", "", f"not settled: {quantity.why}"
     mark_words = "" if quantity.holds else "not settled" if quantity.not_seen else "beyond"
-    return quantity.name, *wording.bound_number_texts(quantity), mark_words
+    return quantity.name, *wording.value_bound_and_limit_texts(quantity), mark_words
 
 
 def prediction_html(rollout: Rollout) -> str:

@@ -30,7 +30,7 @@ def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Calla
         yield "law", _HEIGHT_IN, partial(_draw_law, unknown_force, unknown_force.over_motion, axis)
         yield "motion", _HEIGHT_IN, partial(_draw_mean_force_map, mean_force=unknown_force.over_motion)
     if unknown_force.by_time:
-        yield "time", _HEIGHT_IN, partial(_draw_time_course, unknown_force=unknown_force)
+        yield "time", _HEIGHT_IN, partial(_draw_rms_by_time, unknown_force=unknown_force)
 
 
 def _draw_spectrum(figure: Any, unknown_force: UnmeasuredForce) -> None:
@@ -129,7 +129,7 @@ def _draw_mean_force_map(figure: Any, mean_force: MeanForce) -> None:
     figure.suptitle("Over displacement and velocity", fontsize=10)
 
 
-def _draw_time_course(figure: Any, unknown_force: UnmeasuredForce) -> None:
+def _draw_rms_by_time(figure: Any, unknown_force: UnmeasuredForce) -> None:
     """Root mean square of the force in equal intervals of time, and before the measured force begins."""
     axes = figure.subplots()
     edges = np.linspace(0, 100, len(unknown_force.by_time) + 1)

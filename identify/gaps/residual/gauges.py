@@ -57,7 +57,7 @@ def _bodies_without_slow_bending(recording: Recording) -> str:
     )
     gauged = {gauge.station.body for gauge in _gauges_of(rig)}
     responses = [r for r in responses_of(rig, ResponseCache(np.ones(1), 0), zero_known) if r.body.name in gauged]
-    bends = [r for r in responses if any(mode >= r.body.rigid_modes for mode in r.dynamics.high_passed_modes)]
+    bends = [r for r in responses if any(mode >= r.body.rigid_modes for mode in r.dynamics.slowly_free_modes)]
     return " and ".join(r.body.name for r in bends)
 
 

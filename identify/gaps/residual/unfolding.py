@@ -102,7 +102,7 @@ class Unfolding:
         """Recording of the unfolded rig; displacements count from the rest position."""
         return with_rig(recording_relative_to_rest(space_recording), self.unfolded_rig)
 
-    def folded(self, rig: Rig) -> Rig:
+    def space_rig_of(self, rig: Rig) -> Rig:
         """Rig in space of an unfolded rig with effects or drawn bodies; what twins share is that of the body in y."""
         contacts_by_name = {c.name: c for c in rig.contacts}
 

@@ -148,7 +148,7 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
     record, contacts = residual.model.record, rig_with_joined_contacts(rig).contacts
     modal_motions = {
-        response.body.name: (motion, response.dynamics.high_passed_modes)
+        response.body.name: (motion, response.dynamics.slowly_free_modes)
         for response, motion in zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
     }
     at_stations, against_stations = [contact.at for contact in contacts], [contact.against for contact in contacts]

@@ -7,7 +7,7 @@ Notes for maintainers
 2. Refine (`set_extended_by_selection`): the whole set is fitted by Gauss-Newton, the local model is made anew about it,
    and more is selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing
    is selected, the three that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
-3. Start from a single effect (`_with_single_effects`): where a set leaves more than half of the mismatch, an effect is
+3. Start from a single effect (`_with_single_start`): where a set leaves more than half of the mismatch, an effect is
    so large, or a line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range;
    so they are beside sets of three and more, which may stand for one large effect, and so are pairs on bodies without
    contacts (`far_sets`). A free decay whose modes are known starts so at once: no slope leads from one resonance to
@@ -91,7 +91,7 @@ def ranked_hypotheses(search: Search, progress: Callable[[float], None] = lambda
     nominal_fit = search.nominal_fit()
     likeliest = nominal_fit if search.linearization.record.measured_modes else _settled_set(search, nominal_fit)
     progress(0.4)
-    likeliest, rivals = _with_single_effects(search, nominal_fit, likeliest)
+    likeliest, rivals = _with_single_start(search, nominal_fit, likeliest)
     progress(0.6)
     likeliest, variants = reduced_and_variants(search, with_base_motion(search, with_tone(search, likeliest)))
     progress(1.0)
@@ -110,7 +110,7 @@ def _settled_set(search: Search, start_set: FittedHypothesis) -> FittedHypothesi
     )
 
 
-def _with_single_effects(
+def _with_single_start(
     search: Search, nominal_fit: FittedHypothesis, best_set: FittedHypothesis
 ) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Better one of a set and of the set started from the best single effect, and that effect where the set is better.

@@ -11,7 +11,12 @@ from identify.gaps.unmeasured_force.force import UnmeasuredForceFit
 from identify.gaps.unmeasured_force.force_laws import ForceLaw
 from identify.gaps.unmeasured_force.law_fit import fit_laws, simplest_adequate_law
 from identify.gaps.unmeasured_force.location import LocatedForce
-from identify.gaps.unmeasured_force.time_history import LAW_OVERSAMPLING, ForceHistory, explained_share, force_history
+from identify.gaps.unmeasured_force.time_history import (
+    LAW_OVERSAMPLING,
+    ForceAndMotionHistory,
+    explained_share,
+    force_and_motion_history,
+)
 from identify.gaps.unmeasured_force.whitened_record import BAND_WIDTH_HZ, WhitenedRecord
 from identify.pages.wording import change_words, estimate_words, number
 from identify.signals.beginning import QUIET_S
@@ -47,7 +52,7 @@ def described_force(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a force at one station, or of a pair at two."""
     located, place = force_fit.on_fit_record, force_fit.on_fit_record.force_place
-    history, size = force_history(located), _force_size(located)
+    history, size = force_and_motion_history(located), _force_size(located)
     law = (
         simplest_adequate_law(fit_laws(history), LAW_GAIN_SHARE)
         if explained_share(located) > LAW_SEARCH_SHARE
@@ -195,7 +200,7 @@ class _ForceTiming:
         return "always"
 
 
-def _force_timing(history: ForceHistory) -> _ForceTiming:
+def _force_timing(history: ForceAndMotionHistory) -> _ForceTiming:
     whitened = history.located_force.whitened_record
     record, model = whitened.record, whitened.model
     force_squares = history.free_force_n[record.counted_slice] ** 2
@@ -217,7 +222,7 @@ def _force_timing(history: ForceHistory) -> _ForceTiming:
     )
 
 
-def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
+def _mean_force_over_motion(history: ForceAndMotionHistory) -> MeanForce:
     """Mean of the force against the motion (N) in cells of displacement (m) and velocity (m/s), where ungated."""
     is_ungated = history.time_gate == 1
     displacement_m = history.displacement_m[::LAW_OVERSAMPLING][is_ungated]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unmeasured_force.time_history import LAW_ERROR_SHARE, ForceHistory
+from identify.gaps.unmeasured_force.time_history import LAW_ERROR_SHARE, ForceAndMotionHistory
 from identify.pages.wording import estimate_words
 from rig.model.contact_laws import penetration_m
 from rig.model.unmeasured_force import Against, Value
@@ -208,7 +208,7 @@ LAW_FORMS: tuple[ForceLawForm, ...] = (
 )
 
 
-def tone_form(history: ForceHistory) -> ForceLawForm:
+def tone_form(history: ForceAndMotionHistory) -> ForceLawForm:
     """Form of a harmonic force of time, with its frequency f (Hz) as the parameter."""
 
     def unit_forces(_: Series, __: Series, frequency_hz: float) -> list[Series]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, ForceLawForm, Series, tone_form
-from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, reweighted_for_law_error
+from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceAndMotionHistory, reweighted_for_law_error
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
 
@@ -28,7 +28,7 @@ FULLY_FITTED_LAW_COUNT = 2
 """Count of slow forms whose descent is finished. Effort."""
 
 
-def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
+def fit_laws(history: ForceAndMotionHistory) -> tuple[ForceLaw, ...]:
     """All laws with their best values, in falling order of their share of the free force's gain.
 
     Slow forms are fitted only if no other law reaches the free force's gain, and the best of them only to the end.
@@ -58,7 +58,7 @@ def simplest_adequate_law(laws: tuple[ForceLaw, ...], least_gain_share: float) -
     return best_law if best_law.share_of_free_gain >= least_gain_share else None
 
 
-def _fit_tone(history: ForceHistory) -> ForceLaw:
+def _fit_tone(history: ForceAndMotionHistory) -> ForceLaw:
     """Harmonic force near the strongest line of the free force, with the frequency refined.
 
     No law error is allowed for: it would hide the lines beside the tone's.
@@ -75,7 +75,7 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
 
 
 def fit_law_without_slow_motion(
-    history: ForceHistory, form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
+    history: ForceAndMotionHistory, form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain. Errors of the coefficients hold that of the parameter, unless it is
@@ -111,7 +111,7 @@ def fit_law_without_slow_motion(
 
 
 def solve_coefficients_at(
-    history: ForceHistory, form: ForceLawForm, parameter: float
+    history: ForceAndMotionHistory, form: ForceLawForm, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body at a parameter, their gain in -2 ln L, and their standard errors."""
     unit_forces = form.unit_forces(history.displacement_m, history.velocity_m_per_s, parameter)
@@ -119,7 +119,7 @@ def solve_coefficients_at(
 
 
 def _solve_unit_forces(
-    history: ForceHistory, unit_forces: Float[np.ndarray, "coefficients fine"]
+    history: ForceAndMotionHistory, unit_forces: Float[np.ndarray, "coefficients fine"]
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Least squares of the force on its shapes: coefficients, gain and standard errors, by normal equations."""
     normal_matrix, right_side = history.reduced_equations(history.gated_spectra(unit_forces))
@@ -137,7 +137,7 @@ def _scaled_inverse(
     return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True), scale
 
 
-def _start_descent(history: ForceHistory, form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
+def _start_descent(history: ForceAndMotionHistory, form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at two `LAW_ERROR_SHARES`."""
     soft_history = reweighted_for_law_error(history, LAW_ERROR_SHARES[0])
     largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
@@ -152,7 +152,7 @@ def _start_descent(history: ForceHistory, form: ForceLawForm) -> "tuple[Descent,
     return descent, *descent.descend(iterate)
 
 
-def _finish_descent(history: ForceHistory, descent: "Descent", iterate: "_Iterate") -> ForceLaw:
+def _finish_descent(history: ForceAndMotionHistory, descent: "Descent", iterate: "_Iterate") -> ForceLaw:
     """Law at the end of a descent that is continued at the smaller `LAW_ERROR_SHARES`, then at that of the history."""
     for law_error in LAW_ERROR_SHARES[2:]:
         iterate, _ = replace(descent, history=reweighted_for_law_error(history, law_error)).descend(iterate)
@@ -187,7 +187,7 @@ class Descent:
     knots (1/m^2).
     """
 
-    history: ForceHistory
+    history: ForceAndMotionHistory
     law_form: ForceLawForm
     displacement_step_m: float
     parameter_range: tuple[float, float]
@@ -282,7 +282,10 @@ class Descent:
 
 
 def _descent_of_form(
-    history: ForceHistory, form: ForceLawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
+    history: ForceAndMotionHistory,
+    form: ForceLawForm,
+    largest_displacement_m: float,
+    parameter_range: tuple[float, float],
 ) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
     knot_identity = np.eye(history.slow_basis.shape[1])

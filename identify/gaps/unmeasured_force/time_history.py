@@ -23,13 +23,13 @@ corner."""
 
 
 @dataclass(frozen=True)
-class ForceHistory:
+class ForceAndMotionHistory:
     """Located force and the motion at its place over time, and the normal equations for forces in its direction.
 
-    displacement_m and velocity_m_per_s are oversampled along the whole transform, of a pair relative. force_n is the
-    free force: the likeliest one without a law (a Wiener filter). line_weights are n over the variance at a line of the
-    projected residual u^H r; projected_columns are u^H D, and normal_matrix and right_side the normal equations of the
-    nuisance parameters at these weights, without a force.
+    displacement_m and velocity_m_per_s are oversampled along the whole transform, of a pair relative. free_force_n is
+    the likeliest one without a law (a Wiener filter). line_weights are n over the variance at a line of the projected
+    residual u^H r; projected_columns are u^H D, and normal_matrix and right_side the normal equations of the nuisance
+    parameters at these weights, without a force.
     """
 
     located_force: LocatedForce
@@ -131,7 +131,7 @@ def force_spectrum(located: LocatedForce) -> Complex[np.ndarray, " alllines"]:
     return spectrum
 
 
-def force_history(located: LocatedForce) -> ForceHistory:
+def force_and_motion_history(located: LocatedForce) -> ForceAndMotionHistory:
     """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR_SHARE` of it."""
     whitened, spectrum, record = located.whitened_record, force_spectrum(located), located.whitened_record.record
     sample_count = record.transform_length // record.decimation
@@ -146,7 +146,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
     )
     direction = located.residual_per_force.conj() / np.maximum(located.with_force.response_norm, 1e-300)[:, None]
     normal_matrix, right_side = nuisance_equations(whitened, located.with_force.noise_variance)
-    history = ForceHistory(
+    history = ForceAndMotionHistory(
         located_force=located,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
@@ -160,7 +160,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
     return reweighted_for_law_error(history, LAW_ERROR_SHARE)
 
 
-def reweighted_for_law_error(history: ForceHistory, law_error_share: float) -> ForceHistory:
+def reweighted_for_law_error(history: ForceAndMotionHistory, law_error_share: float) -> ForceAndMotionHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
     located = history.located_force
     line_weights = located.whitened_record.reals_per_line / (

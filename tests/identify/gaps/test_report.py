@@ -16,9 +16,8 @@ from rich.console import Console
 from identify.gaps.decision.sentence import sentences
 from identify.gaps.decision_table import Bounded
 from identify.gaps.page.advice import next_steps
-from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
-from identify.gaps.page.report import CAPTION_BY_FIGURE, captioned_drawing, curves, write_all, write_page
+from identify.gaps.page.report import CAPTION_BY_FIGURE, captioned_drawing, curves, marks, write_all, write_page
 from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, FailedAnalysis, Gap
 from identify.gaps.wording import (

@@ -81,7 +81,7 @@ def test_a_rig_folds_back_to_itself():
     )
     unfolding = Unfolding(rig)
     assert not unfolding.unfolded_rig.in_space
-    assert unfolding.folded(unfolding.unfolded_rig) == rig
+    assert unfolding.space_rig_of(unfolding.unfolded_rig) == rig
 
 
 def test_twins_have_the_tolerances_of_their_bodies():

@@ -5,17 +5,17 @@ import pytest
 
 from identify.laws import SLIDING, identify_law
 from identify.laws.fitted_laws import (
+    BacklashFriction,
     ForceSamples,
-    SlidingFriction,
+    fitted_backlash_friction,
     fitted_piecewise_linear,
-    fitted_sliding_friction,
     force_without_low_pass,
     law_knees_m,
 )
 from identify.signals.spectra import at_force_rate, decimated
 from tests.identify.laws.test_identification import LOWER_M, SECONDS, STIFFNESS, UPPER_M, gap, mass_with, motion_m
 
-LAW = SlidingFriction(upper_n=9.0, lower_n=6.0, backlash_m=1.2e-3, stiffness_n_per_m=2e4)
+LAW = BacklashFriction(upper_n=9.0, lower_n=6.0, backlash_m=1.2e-3, stiffness_n_per_m=2e4)
 NAMES = ("upper_n", "lower_n", "backlash_m", "stiffness_n_per_m")
 
 
@@ -84,7 +84,7 @@ def test_the_loop_of_a_triangular_motion_has_its_corners_where_they_belong():
 
 def test_without_sliding_it_is_a_dead_zone():
     eta = motion_m(np.arange(8192) / 512)[0]
-    held = SlidingFriction(upper_n=1e9, lower_n=1e9, backlash_m=1.6e-3, stiffness_n_per_m=1e4)
+    held = BacklashFriction(upper_n=1e9, lower_n=1e9, backlash_m=1.6e-3, stiffness_n_per_m=1e4)
     expected = 1e4 * np.sign(eta) * np.maximum(np.abs(eta - eta[0]) - 0.8e-3, 0)
     start = np.abs(eta - eta[0]) < 5e-4
     assert np.allclose(held(eta)[start], expected[start])
@@ -98,7 +98,7 @@ def test_its_standard_errors_are_those_of_the_noise():
     clean = at_force_rate(decimated(LAW(eta), fine), 16)
     for seed in range(4):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(clean.size)
-        friction = fitted_sliding_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
+        friction = fitted_backlash_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
         scores += [
             (getattr(friction, n) - getattr(LAW, n)) / e for n, e in zip(NAMES, friction.standard_errors, strict=True)
         ]
