@@ -14,8 +14,11 @@ where
 
     x sqrt(C / T + F) = sqrt(2 L) + 1.645 s,    s = 1 by the contact fit, else 1 / sqrt(T)
 
-and where x sqrt(C) = sqrt(G) + 1.645 at least, with G what the search asks for, if the contact fit adds nothing. Two
-effects look alike where the correlation C_12 / sqrt(C_11 C_22) of their columns is close to one.
+and where x sqrt(C) = sqrt(G) + 1.645 at least, with G what the search asks for, if the contact fit adds nothing. At
+that size a second effect looks alike if it explains the first so well that the odds stay below 19, with r the
+correlation of the two in the matrix C / T + F:
+
+    (1 - r^2) x^2 (C_11 / T + F_11) < 2 ln 19
 """
 
 from collections import Counter
@@ -47,8 +50,6 @@ from rig.recording.interfaces import Simulate
 
 NAMED_ODDS, POWER_QUANTILE = 19.0, 1.645
 """Posterior odds of an effect that is named, and the normal quantile of 95 % power. Convention."""
-ALIKE_CORRELATION = 0.95
-"""Correlation from which two effects look alike: together their strengths are known three times worse. Set by hand."""
 DRAWN_MACHINE_COUNT = 12
 """Machines of the Latin hypercube of which the first is simulated."""
 
@@ -93,60 +94,76 @@ def detectable_effects(
         searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         hypothesis = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
         quadratic_model = local_model(linearization, residual, variances, record.rig, hypothesis, searched)
-    contact_info = {c.name: _contact_fit_information(c, record.rig, estimates, test.tolerances) for c in searched}
-    return _smallest_effects(quadratic_model, library, contact_info, test.duration_s / simulated_s)
+    fit_columns = {c.name: _contact_fit_column(c, record.rig, estimates, test.tolerances) for c in searched}
+    return _smallest_effects(quadratic_model, library, fit_columns, test.duration_s / simulated_s)
 
 
-def _contact_fit_information(
+def _contact_fit_column(
     candidate: Candidate, rig: Rig, estimates: Mapping[str, LawEstimate], tolerances: Tolerances
-) -> float:
-    """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
-    zero of any other effect, and of a contact that is not determined."""
+) -> Float[np.ndarray, " quantities"]:
+    """Change L^-1 d of the contact fit's quantities by a step of an effect, L L' = V, of all estimated contacts.
+
+    Zero of an effect that changes more than the numbers of dead zones and springs.
+    """
     parameter_values = candidate.typical_values.copy()
     parameter_values[0] = candidate.neutral_strength + candidate.step_sizes[0]
     changed_rig = candidate.applied(rig, parameter_values)
-    if replace(changed_rig, contacts=rig.contacts) != rig:
-        return 0.0
-    information = 0.0
-    for contact, changed_contact in zip(rig.contacts, changed_rig.contacts, strict=True):
-        if changed_contact == contact:
-            continue
+    compared = list(zip(rig.contacts, changed_rig.contacts, strict=True))
+    is_seen_by_fit = replace(changed_rig, contacts=rig.contacts) == rig and all(
+        contact.name in estimates and parameters_alone_differ(changed.law, contact.law)
+        for contact, changed in compared
+        if changed != contact
+    )
+    whitened_changes = [np.zeros(0)]
+    for contact, changed_contact in compared:
         estimate = estimates.get(contact.name)
-        if estimate is None or not parameters_alone_differ(changed_contact.law, contact.law):
-            return 0.0
+        if estimate is None:
+            continue
         quantity_difference = estimate.quantity_weights @ (
             parameters_of_law(changed_contact.law) - parameters_of_law(contact.law)
         )
         distance_covariance = law_distance(estimate, contact, contact, tolerances).covariance
-        information += float(quantity_difference @ np.linalg.solve(distance_covariance, quantity_difference))
-    return information
+        whitened_changes.append(np.linalg.solve(np.linalg.cholesky(distance_covariance), quantity_difference))
+    return np.concatenate(whitened_changes) * is_seen_by_fit
 
 
 def _smallest_effects(
-    model: LocalModel, library: Sequence[Candidate], contact_info: Mapping[str, float], length_ratio: float
+    model: LocalModel,
+    library: Sequence[Candidate],
+    fit_columns: Mapping[str, Float[np.ndarray, " quantities"]],
+    length_ratio: float,
 ) -> tuple[DetectableEffect, ...]:
     """Sizes by candidate, from the information of each of its terms, which grows with the record's length, and of the
     contact fit."""
     terms = [term for term in model.candidate_terms if len(term.column_indices) == 1]
     column_indices = np.array([term.column_indices[0] for term in terms], dtype=int)
-    information_matrix, is_hidden = _information_and_hidden_mask(model, column_indices)
-    information_by_term = np.where(is_hidden, 0.0, np.diag(information_matrix)) * length_ratio
-    inverse_roots = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information_matrix))))
-    correlations = np.abs(information_matrix) * np.outer(inverse_roots, inverse_roots)
+    record_information, is_hidden = _information_and_hidden_mask(model, column_indices)
+    record_information = np.where(is_hidden | is_hidden[:, None], 0.0, record_information) * length_ratio
+    fit_matrix = np.stack([fit_columns[term.candidate.name] for term in terms])
     kind_count = Counter(candidate.kind.name for candidate in library)
+    log_odds_by_kind = {
+        kind: float(np.log(NAMED_ODDS) + log_prior((), kind_count) - log_prior((kind,), kind_count))
+        for kind in {term.candidate.kind.name for term in terms}
+    }
+    steps = np.array(
+        [
+            _smallest_detectable_step(
+                record_information[k, k],
+                float(fit_matrix[k] @ fit_matrix[k]),
+                log_odds_by_kind[term.candidate.kind.name],
+            )
+            for k, term in enumerate(terms)
+        ]
+    )
+    looks_alike = _look_alike_mask(record_information / TEMPERATURE + fit_matrix @ fit_matrix.T, steps)
     indices_by_candidate: dict[str, list[int]] = {}
     for k, term in enumerate(terms):
         indices_by_candidate.setdefault(term.candidate.name, []).append(k)
     effects = []
     for name, term_indices in indices_by_candidate.items():
         candidate = terms[term_indices[0]].candidate
-        log_odds = float(np.log(NAMED_ODDS) + log_prior((), kind_count) - log_prior((candidate.kind.name,), kind_count))
-        named_steps = [
-            _smallest_detectable_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_indices
-        ]
-        effect_sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_indices, named_steps, strict=True))
-        largest_correlations = np.max(correlations[term_indices], axis=0)
-        alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE_CORRELATION)} - {name}
+        effect_sizes = sorted(_effect_size(terms[k], float(steps[k])) for k in term_indices)
+        alike = {terms[k].candidate.name for k in np.flatnonzero(looks_alike[term_indices].any(axis=0))} - {name}
         strength_parameter = next(p for p in candidate.parameters if p.neutral is not None)
         effects.append(
             DetectableEffect(
@@ -160,6 +177,18 @@ def _smallest_effects(
             )
         )
     return tuple(effects)
+
+
+def _look_alike_mask(
+    information: Float[np.ndarray, "terms terms"], steps: Float[np.ndarray, " terms"]
+) -> Bool[np.ndarray, "terms terms"]:
+    """Mask [i, j]: term j explains a step s_i of term i so well that the odds stay below `NAMED_ODDS`."""
+    own_information = np.diag(information)
+    is_told = (own_information > 0) & np.isfinite(steps)
+    inverse_roots = np.where(own_information > 0, 1 / np.sqrt(np.where(own_information > 0, own_information, 1.0)), 0.0)
+    squared_correlation = (information * np.outer(inverse_roots, inverse_roots)) ** 2
+    gain = np.where(is_told, own_information * np.where(is_told, steps, 0.0) ** 2, np.inf)
+    return (1 - squared_correlation) * gain[:, None] < 2 * np.log(NAMED_ODDS)
 
 
 def _information_and_hidden_mask(
