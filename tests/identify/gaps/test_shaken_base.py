@@ -154,9 +154,7 @@ def cantilever_in_space(seed, tip_mass_kg):
     for mode in range(np.count_nonzero(omega < 2 * np.pi * 2000)):
         damping = 2 * BEAM.damping_ratio * omega[mode]
         gain = -(shapes[:, mode] @ mass @ translation)
-        continuous = [
-            np.array(x) for x in ([[0, 1], [-(omega[mode] ** 2), -damping]], [[0], [gain]], np.eye(2), [[0], [0]])
-        ]
+        matrices = [[0, 1], [-(omega[mode] ** 2), -damping]], [[0], [gain]], np.eye(2), [[0], [0]]
         *sampled, _ = cont2discrete(tuple(map(np.array, matrices)), time_s[1], "foh")
         numerators, denominator = ss2tf(*sampled)
         states = [lfilter(numerator, denominator, a) for numerator in numerators]
