@@ -153,7 +153,7 @@ def contact_report(
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_mode_results(rig, methods.nifo_results, outcomes.refusals),
-        nifo=tuple(_nifo_result(rig, nifo) for nifo in methods.nifo_results),
+        nifo=tuple(nifo_result(rig, nifo) for nifo in methods.nifo_results),
         surface=results.Surfaces(surface_results, _clearances(rig, methods.histogram)),
         transformation=tuple(map(_transformation_result, methods.transformations)),
         trusted_hz=motion.trusted_hz,
@@ -217,7 +217,8 @@ def _mode_results(rig: Rig, nifo_results: Sequence[Nifo], refusals: Mapping[str,
     return tuple(mode_results)
 
 
-def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
+def nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
+    """Entry of contact.json of NIFO on one modal equation."""
     equation, contact_names = nifo.equation, [contact.name for contact in rig.contacts]
     stiffnesses = tuple(
         results.Stiffness(contact_names[index], results.Estimate(float(mean_n_per_m), float(error)), float(deviation))

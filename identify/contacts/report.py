@@ -300,11 +300,16 @@ def _methods_html(result: Identification) -> str:
         "have no known error, and the answers above do not rest on them: each equation takes its mode of rig.json as "
         "right and does not see the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
-        + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
+        + nifo_table_html(report)
         + page.table(("contact", "clearance by", "value"), sorted(_paper_clearance_rows(report)))
         + page.table(("mode", "frequency", "damping", ""), mode_rows)
         + "</details>"
     )
+
+
+def nifo_table_html(report: ContactReport) -> str:
+    """Table of the stiffnesses by NIFO of every modal equation."""
+    return page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
 
 
 def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:

@@ -31,12 +31,11 @@ from rig.recording import Recording, plane_recording
 
 @dataclass(frozen=True)
 class SpaceContacts:
-    """Contacts of a recording in space: separations of y and z, estimates of annular contacts with their records, the
-    outcomes of contacts of one direction, refusals of annular ones, and findings."""
+    """Contacts of a recording in space: separations of y and z, estimates of annular contacts, the outcomes of
+    contacts of one direction, refusals of annular ones, and findings."""
 
     separations: tuple[Separation, Separation]
     annular: Mapping[str, AnnularEstimate]
-    annular_records: Mapping[str, AnnularRecord]
     plane: Outcomes
     refusals: Mapping[str, Refusal]
     findings: tuple[Finding, ...]
@@ -128,7 +127,7 @@ def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolera
     plane_outcomes, findings = _plane_outcomes(rig, (y_plane, z_plane))
     shared_parameters = next(iter(records.values())).parameters if estimates else ()
     ring_findings = fit_findings(estimates, shared_parameters, DAMPING)
-    return SpaceContacts((y_plane, z_plane), estimates, records, plane_outcomes, refusals, (*findings, *ring_findings))
+    return SpaceContacts((y_plane, z_plane), estimates, plane_outcomes, refusals, (*findings, *ring_findings))
 
 
 def annular_records(

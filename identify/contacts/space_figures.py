@@ -169,6 +169,24 @@ def _draw_motion_kinds(panel: _Panel) -> None:
     axes.set(xlabel="time, s", ylabel="radius |η|, mm")
 
 
+def _draw_nifo_stiffness(panel: _Panel) -> None:
+    """Stiffness over frequency by NIFO in y and in z, each by the equation in which it varies least."""
+    axes, result, contact_name = panel.axes, panel.result, panel.axes.get_title()
+    for direction, methods, colour in zip("yz", result.methods, (BLUE, RED), strict=True):
+        plane_contacts = result.contacts.separations["yz".index(direction)].rig.contacts
+        for nifo in methods.main_nifo_results[:1]:
+            for contact_index, stiffness_n_per_m in zip(nifo.contact_indices, nifo.stiffness_n_per_m, strict=True):
+                if plane_contacts[contact_index].name == contact_name:
+                    label = f"NIFO, {nifo.equation.name} in {direction}"
+                    axes.plot(nifo.frequency_hz, stiffness_n_per_m.real, color=colour, lw=1.0, label=label)
+    identified_n_per_m = panel.estimate.values[STIFFNESS]
+    axes.axhline(identified_n_per_m, color=GREEN, lw=1.4, label="stiffness found")
+    if panel.reference_law is not None:
+        reference_label = f"stiffness, {panel.reference_name}"
+        axes.axhline(panel.reference_law.stiffness_n_per_m, color="k", ls=":", lw=1.4, label=reference_label)
+    axes.set(xlabel="frequency, Hz", ylabel="Re k, N/m", ylim=(0.0, 2 * identified_n_per_m))
+
+
 def _first_shown_sample(result: SpaceIdentification) -> int:
     """First sample of the separated force after the quiet seconds, whose slow motion is not known."""
     return -(-result.contacts.separations[0].motion.excited_from // result.decimation)
@@ -187,6 +205,7 @@ _SPACE_FIGURES = {
     "ring_surface": _draw_normal_force_map,
     "friction": _draw_friction_ratio,
     "kinds": _draw_motion_kinds,
+    "nifo": _draw_nifo_stiffness,
 }
 
 

@@ -1,16 +1,19 @@
 """Identification of the contacts of a recording in space, and its report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from identify.contacts import results
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CENTER, CLEARANCE, DAMPING, FRICTION, LOG_SPEED, REST, STIFFNESS
-from identify.contacts.identification import Identification, contact_estimate, identify_contact
+from identify.contacts.identification import Identification, contact_estimate, identify_contact, nifo_result
+from identify.contacts.paper_methods import PaperMethods
 from identify.contacts.ring_shares import RingShares, ring_shares
 from identify.contacts.space_contacts import SpaceContacts, space_contacts_after_check
+from identify.contacts.space_nifo import space_nifo
 from identify.signals.kinematics import MotionQuantity
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
@@ -19,7 +22,6 @@ from rig.model.space import check_plane
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-NO_MODAL_EQUATIONS = "NIFO and the restoring force surface are made of rigs that move in one direction"
 COUPLED_RINGS = (
     "springs to the ground couple the slow motions of the contacts, which accelerometers miss: of rings this coupling "
     "is left out, and in no interval"
@@ -28,11 +30,15 @@ COUPLED_RINGS = (
 
 @dataclass(frozen=True)
 class SpaceIdentification:
-    """Result of an identification in space: the report, and the estimates and signals behind it."""
+    """Result of an identification in space: the report, and the estimates and signals behind it.
+
+    methods are the results of NIFO in y and in z.
+    """
 
     report: results.ContactReport
     rig: Rig
     contacts: SpaceContacts
+    methods: tuple[PaperMethods, ...]
     tolerances: Tolerances
 
     @property
@@ -56,7 +62,7 @@ def identify_recording(
 ) -> Identification | SpaceIdentification:
     """Contacts of a recording: of one direction by `identify_contact`, of two by `identify_in_space`."""
     if recording.rig.in_space:
-        return identify_in_space(recording, use=use, tolerances=tolerances, progress=progress)
+        return identify_in_space(recording, use=use, averaging=averaging, tolerances=tolerances, progress=progress)
     check_plane(recording.rig, "identify contact without annular contacts")
     return identify_contact(
         recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances, progress=progress
@@ -67,6 +73,7 @@ def identify_in_space(
     recording: Recording,
     *,
     use: MotionQuantity = "auto",
+    averaging: Averaging | None = None,
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceIdentification:
@@ -75,6 +82,8 @@ def identify_in_space(
     Raises RigError if the record allows nothing, with the first finding.
     """
     contacts = space_contacts_after_check(recording, use, tolerances)
+    progress(0.8)
+    methods = space_nifo(contacts, averaging or Averaging())
     progress(0.95)
     rig, motions = recording.rig, [separation.motion for separation in contacts.separations]
     plane_etas_m = {
@@ -100,22 +109,35 @@ def identify_in_space(
         unanswered=results.unanswered(refusals),
         main_equation="",
         modes=(),
-        nifo=(),
+        nifo=tuple(
+            replace(nifo_result(separation.rig, nifo), equation=f"{nifo.equation.name} in {direction}")
+            for direction, separation, plane_methods in zip("yz", contacts.separations, methods, strict=True)
+            for nifo in plane_methods.nifo_results
+        ),
         surface=results.Surfaces((), ()),
         transformation=(),
         trusted_hz=motions[0].trusted_hz,
         channels_used=(*rig.force_names, *motions[0].channels, *motions[1].channels),
         findings=contacts.findings,
         noise_from=noise_source(motions[0], contacts.separations[0].rig),
-        notes=(NO_MODAL_EQUATIONS, *([COUPLED_RINGS] if _has_coupled_rings(contacts) else [])),
+        notes=tuple(_notes(rig, contacts, methods)),
     )
-    return SpaceIdentification(report, rig, contacts, tolerances or rig.tolerances or LABORATORY)
+    return SpaceIdentification(report, rig, contacts, methods, tolerances or rig.tolerances or LABORATORY)
 
 
-def _has_coupled_rings(contacts: SpaceContacts) -> bool:
+def _notes(rig: Rig, contacts: SpaceContacts, methods: Sequence[PaperMethods]) -> Iterator[str]:
+    """Methods that failed, and what the intervals do not hold."""
+    for direction, plane_methods in zip("yz", methods, strict=True):
+        yield from (f"in {direction}, {note}" for note in plane_methods.notes)
+    if _has_coupled_rings(rig, contacts):
+        yield COUPLED_RINGS
+
+
+def _has_coupled_rings(rig: Rig, contacts: SpaceContacts) -> bool:
     """True if springs couple the slow motion of some contact to that of others, beside a ring."""
     stiffnesses = [separation.forces.slow_n_per_m for separation in contacts.separations]
-    return bool(contacts.annular_records) and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)
+    has_rings = any(contact.law.spatial for contact in rig.contacts)
+    return has_rings and any(np.any(matrix - np.diag(np.diag(matrix))) for matrix in stiffnesses)
 
 
 def _annular_estimate(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:

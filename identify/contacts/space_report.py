@@ -5,7 +5,16 @@ from pathlib import Path
 
 from identify.contacts.annular_law import CLEARANCE, DAMPING, FRICTION, STIFFNESS
 from identify.contacts.assumptions import station_positions_text, tolerances_sentence
-from identify.contacts.report import FOOT_TEXT, Laws, answer, drawing_html, refusals_html, values_html, variance_html
+from identify.contacts.report import (
+    FOOT_TEXT,
+    Laws,
+    answer,
+    drawing_html,
+    nifo_table_html,
+    refusals_html,
+    values_html,
+    variance_html,
+)
 from identify.contacts.results import identified_rig
 from identify.contacts.space_figures import space_figures
 from identify.contacts.space_identification import SpaceIdentification
@@ -19,6 +28,8 @@ _CAPTIONS = {
     "radial": "The force across the wall, separated without assuming a law, over the radius, and the law found.",
     "ring_surface": "The force across the wall over radius and angle.",
     "friction": "The force along the wall over that across it, and the law found.",
+    "nifo": "The stiffness over frequency by NIFO, of each direction in the modal equation in which it varies least. "
+    "The values have no known error: each equation takes its mode of rig.json as right and does not see the others.",
     "kinds": "Free, sliding and sticking motion of a second; green: whirling, once around or more in touch.",
 }
 
@@ -46,7 +57,9 @@ def _write_page(
 ) -> None:
     report = result.report
     findings = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
-    drawn_html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
+    folded_figures = {name: image for name, image in figures.items() if name != "orbit"}
+    drawn_html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in folded_figures.items()}
+    nifo_html = drawn_html.pop("nifo", "") + nifo_table_html(report)
     orbit_html = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
     page.write(
         path,
@@ -57,6 +70,7 @@ def _write_page(
         folded_sections=[
             ("Does it fit?", "".join(drawn_html.values())),
             *([("How sure is it?", variance_html(_shares_by_quantity(result)))] if report.contacts else []),
+            *([("For comparison: NIFO", nifo_html)] if report.nifo else []),
             ("What was assumed", page.list_html(_assumptions(result))),
         ],
         foot_text=FOOT_TEXT,

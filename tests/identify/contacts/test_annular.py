@@ -83,6 +83,20 @@ def test_every_quantity_is_recovered_within_its_interval(found):
         assert abs(speed.value - 0.01) < 1.5 * COVERED * speed.standard_error < 1e-3
 
 
+def test_nifo_in_either_direction_tells_the_stiffness(found):
+    """The equation of y and that of z by themselves, each in the middle of its lines, from a motion in both."""
+    result, _, _ = found
+    assert not result.report.notes
+    assert [equation.equation for equation in result.report.nifo] == [
+        f"barrel {mode} in {direction}" for direction in "yz" for mode in (1, 2, 3, 4)
+    ]
+    for methods in result.identification.methods:
+        nifo = methods.main_nifo_results[0]
+        assert nifo.contact_indices == (0, 1)
+        for ring, stiffness_n_per_m in zip(machine(True).rings, nifo.stiffness_n_per_m.real, strict=True):
+            assert np.median(stiffness_n_per_m) == pytest.approx(ring.stiffness_n_per_m, rel=0.02)
+
+
 def test_the_centre_and_the_force_at_rest_are_known_under_weight_alone(found):
     result, truth, weight = found
     for estimate, rest_m, ring in zip(result.report.contacts, truth.rest_m, machine(True).rings, strict=True):
@@ -117,7 +131,7 @@ def test_the_identified_rig_has_the_numbers_and_the_files_are_written(found, tmp
     result.save(tmp_path)
     page = (tmp_path / "contact.html").read_text(encoding="utf-8")
     assert all(word in page for word in ("friction", "sliding speed, mm/s", "never pulling", "scatter of the record"))
-    assert {"orbit.png", "radial.png", "ring_surface.png", "friction.png", "kinds.png"} <= {
+    assert {"orbit.png", "radial.png", "ring_surface.png", "friction.png", "kinds.png", "nifo.png"} <= {
         path.name for path in tmp_path.iterdir()
     }
     assert "friction" in str(result)
