@@ -77,6 +77,7 @@ def test_modes_left_out_are_in_the_intervals(recordings):
     assert np.abs(pulls[1]).min() > 1.96
 
 
+@pytest.mark.study
 def test_the_page_is_accessible(inaccessible, identified, tmp_path):
     _, data = identified("acceleration")
     write_results(data, tmp_path, "a structure", {c.name: c.law for c in data.rig.contacts}, "true")

@@ -35,7 +35,7 @@ def assert_told(contacts, stops):
         assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
 
 
-@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+@pytest.mark.parametrize("quantity", [pytest.param("displacement", marks=pytest.mark.study), "acceleration"])
 def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_path, quantity):
     believed = progressive_stop(quantity, (6.5e-4, 2e4), (8e-4, 6e4))
     result = report(tmp_path, believed, progressive_stop(quantity, *STOPS))

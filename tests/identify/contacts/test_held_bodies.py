@@ -21,7 +21,13 @@ def identified_and_true(folder, number):
     return estimate, case.true.contacts[0].law
 
 
-@pytest.mark.parametrize("number", [7, 13], ids=["frame with a bumper", "cantilever with a stop on one side"])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(7, id="frame with a bumper"),
+        pytest.param(13, id="cantilever with a stop on one side", marks=pytest.mark.study),
+    ],
+)
 def test_the_noise_of_other_stations_is_no_drift_of_a_contact(number, tmp_path):
     estimate, true_law = identified_and_true(tmp_path, number)
     stiffness_error = estimate.errors[2] / estimate.stiffness_n_per_m

@@ -153,6 +153,7 @@ def test_the_page_is_accessible(inaccessible, drawn_page):
     assert inaccessible(drawn_page, PHONE_PX) == []
 
 
+@pytest.mark.study
 def test_the_page_of_a_refused_record_is_accessible(inaccessible, silent, tmp_path):
     write_results(silent, tmp_path, "mass", {c.name: c.law for c in silent.rig.contacts}, "true")
     assert inaccessible(tmp_path / "contact.html", PHONE_PX) == []

@@ -254,7 +254,7 @@ def test_the_check_that_knows_forces_alone_says_so(motions):
     assert note.startswith("only the waveforms are checked: the base of 'shaken' shakes")
 
 
-@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+@pytest.mark.parametrize("quantity", ["acceleration", pytest.param("displacement", marks=pytest.mark.study)])
 def test_the_plan_of_such_a_test_foretells_its_intervals(motions, quantity):
     """Planned by the plant `modal` under Gaussian motion of the record's level and band."""
     rows = motions["two masses"][2 if quantity == "acceleration" else 0]

@@ -23,7 +23,7 @@ MASS = Sdof(sensors="acceleration", noise_density=1e-3, rms_n=0.7, low_hz=0.5)
 def scaled():
     """Plan of a test where nothing but mass and force gain is uncertain."""
     tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
-    return ranked_plan(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), max_change_count=8)
+    return ranked_plan(planned_test(MASS.rig(), duration_s=12.0, tolerances=tolerances), max_change_count=8)
 
 
 def test_a_stiffness_is_as_uncertain_as_the_scale_of_the_forces(scaled):

@@ -60,7 +60,7 @@ def test_effects_by_differences(believed):
     assert {name: error for name, error in errors.items() if error > EXACT} == {}
 
 
-@pytest.mark.parametrize("contact", [0, 1])
+@pytest.mark.parametrize("contact", [0, pytest.param(1, marks=pytest.mark.study)])
 def test_contact_unknowns_by_differences(believed, contact):
     """Clearance, stiffness and damping; and slow motion, for which the law's slope is taken at the samples.
 
