@@ -70,7 +70,7 @@ def _error(motion: Motion, true: Motion) -> float:
     return float(np.linalg.norm(motion.displacement_m[:, young] - expected) / np.linalg.norm(expected))
 
 
-def _plain_settings(exu: Any, step_s: float, modified: bool = False, sparse: bool = False) -> Any:
+def _plain_settings(exu: Any, _: Any, step_s: float, modified: bool = False, sparse: bool = False) -> Any:
     settings = exu.SimulationSettings()
     integration = settings.timeIntegration
     integration.verboseMode = 0
