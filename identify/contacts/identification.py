@@ -11,7 +11,7 @@ from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.acceptance import contacts_after_recording_check, nifo_contradiction_findings
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_fit import FORMS
+from identify.contacts.law_fit import FORMS_BESIDE_DEAD_ZONE
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.paper_methods import (
     PaperMethods,
@@ -112,7 +112,7 @@ def identify_contact(
     """
     averaging = averaging or Averaging()
     check_equation_and_averaging(recording, averaging, equation)
-    rig, accepted = recording.rig, contacts_after_recording_check(recording, use, tolerances, FORMS)
+    rig, accepted = recording.rig, contacts_after_recording_check(recording, use, tolerances, FORMS_BESIDE_DEAD_ZONE)
     separation, outcomes = accepted.separation, accepted.outcomes
     condensed_rig, motion, contact_groups = separation.rig, separation.motion, separation.contact_groups
     separated_n, decimation = separation.forces.force_n, separation.forces.decimation

@@ -199,7 +199,7 @@ def residual_weights(record: ContactRecord, state: FitState, open_deviation_n: f
     return np.asarray(1 / np.sqrt(open_deviation_n**2 + (state.tangent_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2))
 
 
-FORMS: tuple[FormName, ...] = ("power law", "cannot pull")
+FORMS_BESIDE_DEAD_ZONE: tuple[FormName, ...] = ("power law", "cannot pull")
 LEAST_ODDS = 1000.0
 CONSISTENCY_LIMIT = 3.0
 MISFIT_CONFIDENCE = 0.99

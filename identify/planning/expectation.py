@@ -23,7 +23,7 @@ from identify.contacts.acceptance import estimated_contacts
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import RING
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_fit import FORMS
+from identify.contacts.law_fit import FORMS_BESIDE_DEAD_ZONE
 from identify.contacts.law_form import DAMPING_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
 from identify.contacts.space_contacts import check_both_directions_measured, space_contacts
@@ -201,7 +201,7 @@ def _estimates_and_refusals(
 ) -> tuple[Mapping[str, JointEstimate | AnnularEstimate], Mapping[str, Refusal]]:
     """Estimates and refusals of `identify contact` by contact, of a plane rig or of one in space."""
     if not recording.rig.in_space:
-        outcomes = estimated_contacts(recording, "auto", tolerances, FORMS).outcomes
+        outcomes = estimated_contacts(recording, "auto", tolerances, FORMS_BESIDE_DEAD_ZONE).outcomes
         return outcomes.estimates, outcomes.refusals
     check_both_directions_measured(recording.rig, "auto")
     identified = space_contacts(recording, "auto", tolerances)

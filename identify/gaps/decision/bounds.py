@@ -22,7 +22,7 @@ from identify.contacts.refusals import Refusal
 from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
-from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, law_outcomes, pooled_estimate
+from identify.gaps.search.contact_laws import LawEstimate, LawOutcomes, law_outcomes, pooled_law_estimate
 from identify.pages.wording import COVERED, record_length_words
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -133,7 +133,7 @@ def contact_parameter_distances(
             refusals = [outcome.refusals[contact_name] for outcome in outcomes if contact_name in outcome.refusals]
             bounds.append(_undetermined_parameters(contact, refusals))
             continue
-        estimate = pooled_estimate(estimates)
+        estimate = pooled_law_estimate(estimates)
         distance = law_distance(estimate, contact, contact, tolerances)
         bounds += _parameter_bounds(contact, estimate, distance, tolerances)
         p_values.append(float(chi2.sf(distance.chi_squared, distance.parameter_distances.size)))

@@ -96,7 +96,7 @@ def _feature_beyond_contact_fit(rig: Rig) -> str:
     return "a lag of the force sensor" if rig.force_sensor.lag_s else ""
 
 
-def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
+def pooled_law_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
     max_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
     comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == max_quantity_count]

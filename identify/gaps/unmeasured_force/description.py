@@ -209,14 +209,14 @@ def _force_timing(history: ForceAndMotionHistory) -> _ForceTiming:
     contact_forces_n = record.in_time(model.contact_force_n)
     for force_n, error_n in zip(contact_forces_n, model.contact_force_error_n(record), strict=True):
         is_any_closed |= is_closed(force_n, error_n)
-    closed_share = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
+    square_share_closed = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
     before_excitation_ratio = 0.0
     if np.mean(~is_excited) * force_squares.size >= QUIET_S * record.residual_rate_hz:
         excited_square = max(float(np.mean(force_squares[is_excited])), 1e-300)
         before_excitation_ratio = float(np.sqrt(np.mean(force_squares[~is_excited]) / excited_square))
     intervals = np.array_split(force_squares[is_excited], TIME_INTERVALS)
     return _ForceTiming(
-        in_contact_share=closed_share if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
+        in_contact_share=square_share_closed if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
         rms_by_interval=tuple(float(np.sqrt(np.mean(interval))) for interval in intervals),
         before_excitation_ratio=before_excitation_ratio,
     )

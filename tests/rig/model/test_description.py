@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from rig.errors import RigError, has_no_control_characters
+from rig.limits import SCHEMA_VERSION
 from rig.model.beam import Beam
-from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws import LAWS, DeadZone
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
 from rig.model.description import (
     ON_GROUND,
@@ -23,6 +24,7 @@ from rig.model.description import (
     to_json,
 )
 from rig.model.oscillator import Oscillator
+from rig.model.quantities import QUANTITIES
 from rig.simulation.reference import BarrelCradle, Sdof
 
 LAW = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=1e4)
@@ -157,6 +159,14 @@ def test_a_text_that_is_no_rig_is_refused_with_its_place(old, new, place):
         from_json(text.replace(old, new, 1), "rig.json of x")
     assert str(caught.value).startswith("rig.json of x: not a rig description: ")
     assert place in str(caught.value)
+
+
+def test_laws_and_quantities_are_those_of_the_schema_version():
+    """A file with a law or a quantity that an earlier program does not know has a later version."""
+    laws = {law.__struct_config__.tag for law in LAWS.values()}
+    assert SCHEMA_VERSION == 2
+    assert laws == {"annular", "dead_zone", "hunt_crossley", "spring"}
+    assert set(QUANTITIES) == {"acceleration", "displacement", "strain", "velocity"}
 
 
 def test_a_rig_of_a_later_version_is_refused_by_its_version():
