@@ -155,7 +155,7 @@ def _smallest_effects(
             for k, term in enumerate(terms)
         ]
     )
-    looks_alike = _look_alike_mask(record_information / TEMPERATURE + fit_matrix @ fit_matrix.T, steps)
+    looks_alike = look_alike_mask(record_information / TEMPERATURE + fit_matrix @ fit_matrix.T, steps)
     indices_by_candidate: dict[str, list[int]] = {}
     for k, term in enumerate(terms):
         indices_by_candidate.setdefault(term.candidate.name, []).append(k)
@@ -179,16 +179,16 @@ def _smallest_effects(
     return tuple(effects)
 
 
-def _look_alike_mask(
+def look_alike_mask(
     information: Float[np.ndarray, "terms terms"], steps: Float[np.ndarray, " terms"]
 ) -> Bool[np.ndarray, "terms terms"]:
     """Mask [i, j]: term j explains a step s_i of term i so well that the odds stay below `NAMED_ODDS`."""
     own_information = np.diag(information)
-    is_told = (own_information > 0) & np.isfinite(steps)
+    is_named = np.isfinite(steps)
     inverse_roots = np.where(own_information > 0, 1 / np.sqrt(np.where(own_information > 0, own_information, 1.0)), 0.0)
     squared_correlation = (information * np.outer(inverse_roots, inverse_roots)) ** 2
-    gain = np.where(is_told, own_information * np.where(is_told, steps, 0.0) ** 2, np.inf)
-    return (1 - squared_correlation) * gain[:, None] < 2 * np.log(NAMED_ODDS)
+    gains = own_information * np.where(is_named, steps, 0.0) ** 2
+    return is_named[:, None] & ((1 - squared_correlation) * gains[:, None] < 2 * np.log(NAMED_ODDS))
 
 
 def _information_and_hidden_mask(

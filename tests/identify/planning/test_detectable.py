@@ -1,11 +1,12 @@
 """The smallest effects that a planned record would name: their scaling, what looks alike, and what is named in fact."""
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 import identify
 from identify.planning import page, ranking
-from identify.planning.detectable import DetectableEffect, detectable_effects
+from identify.planning.detectable import DetectableEffect, detectable_effects, look_alike_mask
 from identify.planning.planned_test import planned_test, random_forces_n, simulated_recording
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
@@ -56,6 +57,14 @@ def test_what_acts_on_one_mass_alike_is_told_to_look_alike(usual):
         for name, other in (pair, pair[::-1]):
             assert any(alike.startswith(other) for alike in usual[name].alike)
     assert usual["contact_clearance"].alike == ()
+
+
+def test_a_large_effect_does_not_look_like_what_a_small_one_looks_like():
+    """r = 0.975: 1 - r^2 = 0.049 of the 36 of a small step, and of the 400 of a large one, against 2 ln 19 = 5.9; no
+    effect looks like one that is never named."""
+    information = np.array([[4.0, 3.9, 0.0], [3.9, 4.0, 0.0], [0.0, 0.0, 0.0]])
+    mask = look_alike_mask(information, np.array([3.0, 10.0, np.inf]))
+    assert mask.tolist() == [[True, True, False], [False, True, False], [False, False, False]]
 
 
 def test_what_is_hidden_at_some_places_is_said_so():
