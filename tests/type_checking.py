@@ -22,14 +22,14 @@ def checked(function: Checked) -> Checked:
     compile it."""
     if "<locals>" in function.__qualname__:
         return function
-    with_types = beartype(function)
+    with_types = functools.cache(lambda: beartype(function))  # made at the first call: it takes a millisecond
 
     @functools.wraps(function)
     def counted(*arguments: object, **keywords: object) -> object:
         _calls[function] += 1
         if _calls[function] >= CALLS_PER_TEST:
             _release(sys._getframe(1).f_locals.get("fn"))
-        return with_types(*arguments, **keywords)
+        return with_types()(*arguments, **keywords)
 
     return cast("Checked", counted)
 
