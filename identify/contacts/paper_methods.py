@@ -153,6 +153,7 @@ def paper_methods(
     single_contacts: set[int],
     averaging: Averaging,
     equation: str | None,
+    with_surfaces: bool = True,
 ) -> PaperMethods:
     """Results of all methods on the motion less the response of the modes beyond the fitted ones.
 
@@ -189,7 +190,8 @@ def paper_methods(
         return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), etas_m, surface_decimation, stops)
 
     nifo_results = results_or_notes_by_name(notes, "NIFO", nifo_equations, nifo_of)
-    surfaces = results_or_notes_by_name(notes, "the restoring force surface", equations, surface_of)
+    surface_equations = equations if with_surfaces else {}
+    surfaces = results_or_notes_by_name(notes, "the restoring force surface", surface_equations, surface_of)
     histogram_inputs = {
         contact.name: (etas_m[k, motion.excited_from :], stop.touched)
         for k, (contact, stop) in enumerate(zip(rig.contacts, stops, strict=True))

@@ -172,13 +172,14 @@ def _draw_motion_kinds(panel: _Panel) -> None:
 def _draw_nifo_stiffness(panel: _Panel) -> None:
     """Stiffness over frequency by NIFO in y and in z, each by the equation in which it varies least."""
     axes, result, contact_name = panel.axes, panel.result, panel.axes.get_title()
-    for direction, methods, colour in zip("yz", result.methods, (BLUE, RED), strict=True):
-        plane_contacts = result.contacts.separations["yz".index(direction)].rig.contacts
+    planes = zip("yz", result.contacts.separations, result.methods, (BLUE, RED), strict=True)
+    for direction, separation, methods, colour in planes:
+        contact_index = [contact.name for contact in separation.rig.contacts].index(contact_name)
         for nifo in methods.main_nifo_results[:1]:
-            for contact_index, stiffness_n_per_m in zip(nifo.contact_indices, nifo.stiffness_n_per_m, strict=True):
-                if plane_contacts[contact_index].name == contact_name:
-                    label = f"NIFO, {nifo.equation.name} in {direction}"
-                    axes.plot(nifo.frequency_hz, stiffness_n_per_m.real, color=colour, lw=1.0, label=label)
+            if contact_index in nifo.contact_indices:
+                stiffness_n_per_m = nifo.stiffness_n_per_m[nifo.contact_indices.index(contact_index)]
+                label = f"NIFO, {nifo.equation.name} in {direction}"
+                axes.plot(nifo.frequency_hz, stiffness_n_per_m.real, color=colour, lw=1.0, label=label)
     identified_n_per_m = panel.estimate.values[STIFFNESS]
     axes.axhline(identified_n_per_m, color=GREEN, lw=1.4, label="stiffness found")
     if panel.reference_law is not None:

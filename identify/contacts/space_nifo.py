@@ -36,6 +36,7 @@ def space_nifo(contacts: SpaceContacts, averaging: Averaging) -> tuple[PaperMeth
             single_contacts=set(),
             averaging=averaging,
             equation=None,
+            with_surfaces=False,
         )
         for axis, separation in enumerate(contacts.separations)
     )

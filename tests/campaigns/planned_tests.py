@@ -23,7 +23,7 @@ from tests.campaigns.fifteen_rigs.field_rig import ACCELERATION, DISPLACEMENT, T
 from tests.campaigns.fifteen_rigs.laboratory import Assembly, Grid, Instrument, built, gaussian, recorded
 from tests.campaigns.fifteen_rigs.piecewise_linear import linear_rms_m
 from tests.campaigns.fifteen_rigs.rigs_pairs import REFERENCE_WORDS, reference_pair, stations
-from tests.campaigns.fifteen_rigs.session import UserSession, answers, write_record
+from tests.campaigns.fifteen_rigs.session import COVERED, UserSession, answers, write_record
 
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
 RANKED = QUANTITIES[:2]
@@ -285,7 +285,7 @@ def compared(result: dict[str, Any]) -> Iterator[tuple[str, float, float]]:
             if told:
                 value, half, true = told
                 predicted_share = expected[quantity]["standard_error"] / expected[quantity]["value"]
-                yield quantity, half / 1.96 / value / predicted_share, (value / true - 1) / predicted_share
+                yield quantity, half / COVERED / value / predicted_share, (value / true - 1) / predicted_share
 
 
 def widest_share(told: dict[str, Any]) -> float:
@@ -297,18 +297,21 @@ def widest_share(told: dict[str, Any]) -> float:
 
 def show(results: list[dict[str, Any]]) -> None:
     """Print how predictions and outcomes agree."""
-    table = Table("quantity", "values", "reported over predicted: median", "within 1.5", "error over predicted: rms")
+    headings = "quantity", "values", "reported over predicted: median", "within 1.5", "error over predicted: rms"
+    table = Table(*headings, "within reported interval")
     pairs = [item for result in results for item in compared(result)]
     for quantity in (*QUANTITIES, "all"):
         rows = np.array([(ratio, miss) for name, ratio, miss in pairs if quantity in (name, "all")]).reshape(-1, 2)
         if len(rows):
             close = np.abs(np.log(rows[:, 0])) <= np.log(1.5)
+            is_covered = np.abs(rows[:, 1]) <= COVERED * rows[:, 0]
             table.add_row(
                 quantity,
                 str(len(rows)),
                 f"{np.median(rows[:, 0]):.2f}",
                 f"{np.count_nonzero(close)} of {len(rows)}",
                 f"{np.sqrt(np.mean(rows[:, 1] ** 2)):.2f}",
+                f"{np.count_nonzero(is_covered)} of {len(rows)}",
             )
     Console(width=120).print(table)
     agreed, contacts = 0, 0
