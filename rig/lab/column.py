@@ -9,13 +9,17 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Column:
-    """A channel; unit and sample rate are None, and recorded (its date as text) empty where the file has none."""
+    """A channel; unit, sample rate and start are None, and date_text empty where the file has none.
+
+    start_s is the time of the first sample, s, on a clock that all columns of the file share, whatever its zero.
+    """
 
     name: str
     values: Float[np.ndarray, " samples"]
     unit: str | None = None
     sample_rate_hz: float | None = None
     date_text: str = ""
+    start_s: float | None = None
 
 
 @dataclass(frozen=True)
