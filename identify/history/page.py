@@ -1,7 +1,7 @@
 """History of a machine as a sentence, a table, a figure, history.csv and the page history.html."""
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from io import StringIO
 from itertools import cycle
 from pathlib import Path
@@ -13,8 +13,9 @@ from jaxtyping import Float
 from identify.history.changes import MIN_TREND_COUNT, SIGNIFICANCE_LEVEL, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
-from identify.pages.wording import COVERED, interval, number, p_value_words
+from identify.pages.wording import COVERED, estimate_words, interval, number, p_value_words
 
+UNCHANGED = "a machine that did not change would differ this much"
 ORDER_LABEL = "recording, in order"
 TIME_UNITS_S = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
 WORD_UNIT_FACTOR = {
@@ -28,7 +29,8 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    change_texts = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
+    names = [observation.name for observation in history.compared]
+    change_texts = [f"{quantity_name(q)} {_change_predicate(q, names)}" for q in history.quantities if q.changed]
     changes_text = "; ".join(change_texts) or "nothing changed by more than chance"
     return f"{len(history.compared)} recordings of {history.rig}: {changes_text}."
 
@@ -37,11 +39,27 @@ def quantity_name(quantity: QuantityHistory) -> str:
     return f"{quantity.of}: {WORD_UNIT_FACTOR[quantity.quantity][0]}"
 
 
-def _change_predicate(quantity: QuantityHistory) -> str:
+def _change_predicate(quantity: QuantityHistory, names: Sequence[str]) -> str:
     """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
     if quantity.p_trend is not None and quantity.p_trend < SIGNIFICANCE_LEVEL:
-        return f"drifts by {drift_text(quantity)} from the first to the last ({p_value_words(quantity.p_trend)})"
-    return f"differs between recordings ({p_value_words(quantity.p_different or 0.0)})"
+        p_words = p_value_words(quantity.p_trend, UNCHANGED)
+        return f"drifts by {drift_text(quantity)} from {names[0]} to {names[-1]} ({p_words})"
+    return f"{_largest_difference_text(quantity, names)} ({p_value_words(quantity.p_different or 0.0, UNCHANGED)})"
+
+
+def _largest_difference_text(quantity: QuantityHistory, names: Sequence[str]) -> str:
+    """Change between the recordings of the smallest and of the largest value ± 95 %, the earlier one first."""
+    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
+    determined = [k for k, value in enumerate(quantity.values) if value is not None]
+    first, last = sorted((min(determined, key=_value_of(quantity)), max(determined, key=_value_of(quantity))))
+    change = unit_factor * (_value_of(quantity)(last) - _value_of(quantity)(first))
+    error = unit_factor * float(np.hypot(quantity.own_errors[first] or 0.0, quantity.own_errors[last] or 0.0))
+    return f"changes by {'+' * (change > 0)}{estimate_words(change, error, unit)} from {names[first]} to {names[last]}"
+
+
+def _value_of(quantity: QuantityHistory) -> Callable[[int], float]:
+    """Value by recording; NaN where it is not determined."""
+    return lambda recording: float("nan") if quantity.values[recording] is None else float(quantity.values[recording])
 
 
 def drift_text(quantity: QuantityHistory) -> str:
@@ -59,7 +77,7 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
     for quantity in history.quantities:
         _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
         p_texts = (
-            "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
+            "" if p_value is None else p_value_words(p_value).partition(":")[0].removeprefix("p ").removeprefix("= ")
             for p_value in (quantity.p_trend, quantity.p_different)
         )
         yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift_text(quantity), *p_texts
@@ -147,12 +165,21 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
         f"{1 / SIGNIFICANCE_LEVEL:.0f} any p falls below {SIGNIFICANCE_LEVEL:g} by chance.</p>"
     )
     headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
+    filled = _filled_columns(headings, list(quantity_rows(history)))
     recordings_html = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
     return [
         ("Over the recordings", page.figure("history", figure, caption)),
-        ("What changed", table_note + page.table(headings, quantity_rows(history))),
+        ("What changed", table_note + page.table(*filled)),
         ("The recordings", recordings_html),
     ]
+
+
+def _filled_columns(
+    headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows without the columns that hold nothing."""
+    kept = [k for k in range(len(headings)) if any(row[k] for row in rows)]
+    return tuple(headings[k] for k in kept), [tuple(row[k] for k in kept) for row in rows]
 
 
 def _recording_rows(history: History) -> Iterator[Sequence[str]]:
