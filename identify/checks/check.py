@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 
 from identify.checks import waveforms
+from identify.checks.channels import unexplained_finding
 from identify.checks.continuity import discontinuity_findings
 from identify.checks.findings import Finding, merge_by_cause
-from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, gross_faults
+from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, channel_delays, force_delays, gross_faults
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import TUNED_KINDS, LinearCheck, linear_check, with_tuned_modes
 from identify.checks.pulls import (
@@ -156,11 +157,13 @@ def _model_findings(
             is_moving = _moving_channel_share(plane_record, compared_sensors) > MOVING_CHANNELS_SHARE
             if is_moving or not quiet_sample_count(forces_n, rate_hz):
                 return []  # it may ring of what was before, which no force explains
-            return _linear_check_findings(plane_record, compared_sensors, usable_indices, tolerances)
+            across = plane_recording(full, "z" if direction == "y" else "y") if full.rig.in_space else None
+            return _linear_check_findings(plane_record, across, compared_sensors, usable_indices, tolerances)
         # no single direction tells when a ring is open
         has_annular_contact = any(contact.law.spatial for contact in full.rig.contacts)
         if not waveform_findings and all(body.is_mass for body in plane_rig.bodies) and not has_annular_contact:
-            return mass_findings(plane_rig, kinematics(plane_record, use), tolerances)
+            record_s = plane_record.samples / plane_rig.sample_rate_hz
+            return mass_findings(plane_rig, kinematics(plane_record, use), tolerances, record_s)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass
     return []
@@ -173,16 +176,20 @@ def _moving_channel_share(recording: Recording, sensors: Sequence[Sensor]) -> fl
 
 
 def _linear_check_findings(
-    recording: Recording, sensors: tuple[Sensor, ...], usable_indices: list[int], tolerances: Tolerances
+    recording: Recording,
+    across: Recording | None,
+    sensors: tuple[Sensor, ...],
+    usable_indices: list[int],
+    tolerances: Tolerances,
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""
     rig = rig_with_joined_contacts(recording.rig)
 
     @cache
     def all_line_spectra() -> Spectra:
-        return spectra_of(recording, sensors, None)
+        return spectra_of(recording, sensors, None, across)
 
-    spectra = spectra_of(recording, sensors)
+    spectra = spectra_of(recording, sensors, across=across)
     continuity_findings = discontinuity_findings(rig, all_line_spectra(), usable_indices)
     if any(f.cause == "jump" for f in continuity_findings):
         return continuity_findings
@@ -205,7 +212,7 @@ def _linear_check_findings(
         changed_cost = cost_within_tolerances(changed_rig, changed_check, usable_indices, tolerances)
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
-    questions = ToleranceQuestions(tolerances_explain, pull_and_distance_of)
+    questions = ToleranceQuestions(tolerances, tolerances_explain, pull_and_distance_of)
     faults = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
     findings = list(faults.findings) or continuity_findings
     if faults.is_sound and len(faults.trusted_indices) > len(rig.contacts) + 1:
@@ -214,8 +221,30 @@ def _linear_check_findings(
         if violations and not findings:
             doubted = gross_faults(rig, spectra, faults.trusted_indices, all_line_spectra, questions, is_doubted=True)
             replacing_findings = doubted.findings
-        findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
+        findings += replacing_findings or _tolerance_findings(rig, violations, faults.trusted_indices, all_line_spectra)
     return findings
+
+
+def _tolerance_findings(
+    rig: Rig, violations: Sequence[BrokenTolerance], channel_indices: list[int], all_line_spectra: Callable[[], Spectra]
+) -> Iterator[Finding]:
+    """Findings on broken tolerances: a delay that grows is of two clocks, and what takes little away is no cause."""
+    spectra = all_line_spectra()
+    explained_channels = {violation.channel_index for violation in violations if violation.is_material}
+    for violation in violations:
+        name = spectra.sensors[violation.channel_index].name
+        if not violation.is_material:
+            if violation.channel_index not in explained_channels:
+                yield unexplained_finding(name, violation.motion_share)
+            continue
+        changing = None
+        if violation.suspect.kind == "delay":
+            others = [i for i in channel_indices if i != violation.channel_index]
+            changing = channel_delays(rig, all_line_spectra, violation.channel_index, others).finding(name)
+        elif violation.suspect.kind == "force delay":
+            force_index = spectra.force_names.index(violation.suspect.of)
+            changing = force_delays(rig, all_line_spectra, force_index, channel_indices).finding(violation.suspect.of)
+        yield changing or tolerance_finding(violation)
 
 
 def _broken_tolerances_at_tuned_modes(
@@ -327,16 +356,18 @@ def _first_fault(channel: _Channel) -> Finding | None:
     if not channel.is_force:
         fault_checks += [
             lambda: waveforms.hum_finding(channel_name, rate_hz, samples, excitation),
-            lambda: waveforms.noise_finding(
-                channel_name, rate_hz, samples, excitation, force_names, channel.known
-            ),
+            lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names, channel.known),
         ]
     if channel.group == "acceleration":
         fault_checks += [
             lambda: waveforms.drift_finding(channel_name, rate_hz, samples),
             lambda: waveforms.offset_finding(channel_name, samples),
         ]
-    elif not channel.is_force and channel.known.rests_at_zero and (quiet_count := quiet_sample_count(excitation, rate_hz)):
+    elif (
+        not channel.is_force
+        and channel.known.rests_at_zero
+        and (quiet_count := quiet_sample_count(excitation, rate_hz))
+    ):
         fault_checks.append(lambda: waveforms.offset_finding(channel_name, samples[:quiet_count], float(samples.std())))
     return next((fault for check in fault_checks if (fault := check()) is not None), None)
 

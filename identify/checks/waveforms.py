@@ -28,6 +28,9 @@ MIN_HELD_SAMPLES = 8
 """Shortest run of repeated values that counts as held."""
 MIN_HELD_STEPS = 3.0
 """Steps of the converter by which a channel moves into a held value, and out of it: at rest it does not."""
+MAX_REPEATED_SHARE, MIN_HELD_JUMP = 0.02, 2.0
+"""Share of samples like the one before from which on values repeat often; the step out of a held value is then larger
+than the next ones by the second factor."""
 MIN_SLOW_RATIO, REGULAR_COUNT, MIN_REGULAR_SHARE = 1.2, 32, 0.5
 """Samples that a value of a slower channel is repeated for, the number of its values that come regularly in a row, and
 the least share of all changes that do."""
@@ -66,8 +69,6 @@ class KnownChannel:
     noise_rms: float = 0.0
     usual_rms: float = 0.0
     rests_at_zero: bool = True
-
-
 
 
 def dead_finding(name: str, samples: Row, force_names: Sequence[str] = ("force",)) -> Finding | None:
@@ -171,8 +172,8 @@ def held_samples_finding(
 ) -> Finding | None:
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled.
 
-    A converter whose signal rests, or turns, repeats a value too: the channel moves into a held value, and leaves it, by
-    several of the converter's steps.
+    A converter whose signal rests, or turns, repeats a value too: the channel moves into a held value, and leaves it,
+    by several of the converter's steps. Where values repeat often, it leaves a held one by more than it goes on.
     """
     is_repeated = np.diff(samples) == 0
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
@@ -188,13 +189,19 @@ def held_samples_finding(
     )
     if name in force_names:
         is_held_run &= samples[run_starts] != 0
-    min_move = MIN_HELD_STEPS * _converter_step(samples)
+    min_step = MIN_HELD_STEPS * _converter_step(samples)
+    repeats_often = (
+        np.sum(is_repeated) - np.sum((run_stops - run_starts)[is_held_run]) > MAX_REPEATED_SHARE * samples.size
+    )
     for run in np.flatnonzero(is_held_run).tolist():
         start, stop = int(run_starts[run]), int(run_stops[run])
         before = samples[max(0, start - MIN_HELD_SAMPLES) : start]
-        moves_in = np.abs(before - samples[start]).max(initial=0.0) > min_move
-        moves_out = stop + 1 >= samples.size or abs(samples[stop + 1] - samples[start]) > min_move
-        is_held_run[run] = moves_in and moves_out
+        moves_in = np.abs(before - samples[start]).max(initial=0.0) > min_step
+        steps_out = np.abs(np.diff(samples[stop : stop + 4]))
+        min_step_out = min_step
+        if repeats_often:
+            min_step_out = max(min_step, MIN_HELD_JUMP * float(steps_out[1:].max(initial=0.0)))
+        is_held_run[run] = moves_in and (not steps_out.size or steps_out[0] > min_step_out)
     if not is_held_run.any():
         return None
     longest = int(np.max((run_stops - run_starts)[is_held_run])) + 1
@@ -425,8 +432,7 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
 def initial_motion_finding(
     name: str, rate_hz: float, samples: Row, rest_s: float, noise_rms: float = 0.0
 ) -> Finding | None:
-    """Finding: the channel moves by a part of its usual motion, beyond its stated noise, in the record's first moments.
-    """
+    """Finding: the channel moves by a part of its usual motion, beyond stated noise, in the record's first moments."""
     beginning_samples = samples[: max(8, round(rest_s * rate_hz))]
     if beginning_samples.std() < max(MIN_MOVING_SHARE * samples.std(), MAX_STATED_NOISES * noise_rms):
         return None
