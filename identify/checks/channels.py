@@ -9,37 +9,95 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.findings import Finding, force_in_words
+from identify.checks.findings import Finding, force_in_words, slipped_samples_finding, two_clocks_finding
 from identify.checks.prediction import LinearCheck, Prediction, driven_masks, predicted_acceleration_at
 from identify.checks.relations import MIN_COHERENCE, PerLine, Relation, Spectrum, band_gain_fit, relation, unit_mistake
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig, Station
+from rig.model.tolerances import Tolerances
 
 POSITION_COUNT = 41
 """Places along a body that are tried for a sensor, twice: the second time around the best one."""
 REFERENCE_WORDS = "the linear model and all other channels"
 
-DelaysOnDemand = Callable[[], Float[np.ndarray, " parts"] | None]
+MAX_REMAINING_SHARE = 0.5
+"""A change that leaves more than this share of what is unexplained explains nothing."""
+MIN_ERROR_IN_TOLERANCES = 4.0
+"""Smallest error that is named, in tolerances."""
+DELAY_PART_COUNT, MIN_PART_COHERENCE = 8, 0.8
+"""Parts of the record in which a delay is fitted; coherence of a channel with its prediction from which it counts."""
+MIN_SLIP_S, MIN_GROWTH_S = 3e-4, 1e-4
+"""Change of a channel's delay over the record from which on samples have slipped, or two clocks differ."""
+MAX_GROWTH_DEVIATION = 0.25
+"""Deviation of a steadily growing delay from a line, rms, over its own scatter about its mean."""
+
+
+@dataclass(frozen=True)
+class DelaysOverTime:
+    """Delays of a channel against its prediction in those parts of a record that it follows, at the parts' middles."""
+
+    times_s: Float[np.ndarray, " parts"]
+    delays_s: Float[np.ndarray, " parts"]
+    record_s: float
+
+    def finding(self, name: str) -> Finding | None:
+        """Finding: the delay grows steadily, or changes within the record; None if the parts are alike or few."""
+        if self.delays_s.size < 3:
+            return None
+        growth, first_delay_s = np.polyfit(self.times_s, self.delays_s, 1)
+        deviations_s = self.delays_s - first_delay_s - growth * self.times_s
+        is_steady = self.delays_s.size > 3 and deviations_s.std() < MAX_GROWTH_DEVIATION * self.delays_s.std()
+        if is_steady and abs(growth) * np.ptp(self.times_s) > MIN_GROWTH_S:
+            return two_clocks_finding(name, REFERENCE_WORDS, float(first_delay_s), float(growth), self.record_s)
+        if np.ptp(self.delays_s) > MIN_SLIP_S:
+            return slipped_samples_finding(name, float(self.delays_s[-1] - self.delays_s[0]))
+        return None
+
+
+def delays_over_time(spectra: Spectra, measured: Spectrum, predicted: Spectrum, error_scale: PerLine) -> DelaysOverTime:
+    """Delays of a channel in the parts of a record, from its measured and predicted spectra on all lines."""
+    signals = spectra.compared_signals(np.stack([measured, predicted]) / error_scale)
+    part_count = signals.shape[1] // DELAY_PART_COUNT
+    times_s, delays_s = [], []
+    for k in range(DELAY_PART_COUNT):
+        part_signals = signals[:, k * part_count : (k + 1) * part_count]
+        measured_part, predicted_part = np.fft.rfft(part_signals * np.hanning(part_count))[:, 1:]
+        omega = 2 * np.pi * np.fft.rfftfreq(part_count, 1 / spectra.compared_rate_hz)[1:]
+        part_relation = relation(omega, measured_part, predicted_part, np.ones(omega.size))
+        if part_relation.coherence >= MIN_PART_COHERENCE:
+            times_s.append(spectra.compared_span_s[0] + (k + 0.5) * part_count / spectra.compared_rate_hz)
+            delays_s.append(part_relation.delay_s)
+    return DelaysOverTime(np.array(times_s), np.array(delays_s), spectra.record_s)
+
+
+DelaysOnDemand = Callable[[], DelaysOverTime]
 
 
 @dataclass(frozen=True)
 class Explanation:
     """Cause of a fault, and the share of the channel's power that it leaves unexplained.
 
-    A cause with more freedom has a larger freedom_factor, by which its share counts more.
+    A cause with more freedom has a larger freedom_factor, by which its share counts more. size_in_tolerances is that of
+    the error that it names, infinite where no tolerance is stated.
     """
 
     unexplained_share: float
     finding: Finding
     freedom_factor: float = 1.0
+    size_in_tolerances: float = np.inf
 
 
 def likeliest_channel_finding(
-    rig: Rig, check: LinearCheck, channel_index: int, prediction: Prediction, delays_over_time: DelaysOnDemand
+    rig: Rig,
+    check: LinearCheck,
+    channel_index: int,
+    prediction: Prediction,
+    delays: DelaysOnDemand,
+    tolerances: Tolerances,
 ) -> Finding:
-    """Likeliest reason why a channel is not what all others predict.
+    """Likeliest reason why a channel is not what all others predict; or that it is unexplained.
 
-    delays_over_time gives its delays in each part of the record, or None if these are alike.
+    A reason is off by more than its tolerance, and takes away a material part of what is unexplained.
     """
     spectra, line_weights = check.spectra, 1 / check.error_scale[channel_index]
     measured, omega, name = spectra.acceleration[channel_index], spectra.omega, spectra.sensors[channel_index].name
@@ -50,15 +108,19 @@ def likeliest_channel_finding(
     def residual_share(explained: Spectrum) -> float:
         return float(np.sum(np.abs((measured - explained) * line_weights) ** 2)) / measured_power
 
+    own_tolerances = tolerances.of_sensor(name)
     explanations = [
-        *_gain_and_delay_explanations(name, fit, omega, predicted, residual_share),
-        *_sensor_place_explanations(rig, spectra, channel_index, prediction, line_weights, residual_share),
+        *_gain_and_delay_explanations(name, fit, omega, predicted, residual_share, own_tolerances),
+        *_turned_explanations(spectra, channel_index, predicted, line_weights, own_tolerances),
+        *_sensor_place_explanations(rig, spectra, channel_index, prediction, line_weights, residual_share, tolerances),
         *_wrong_derivative_explanations(spectra, channel_index, predicted, line_weights),
         *_filter_explanations(name, omega, measured, predicted, line_weights),
     ]
     likeliest = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.freedom_factor)
-    if likeliest.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
-        return _slipped_samples_finding(name, delays_s)
+    if likeliest.unexplained_share > 0.02 or likeliest.finding.cause == "delay":
+        changing = delays().finding(name)
+        if changing is not None:
+            return changing
     if likeliest.unexplained_share > 1 - MIN_COHERENCE:
         return Finding(
             cause="unrelated",
@@ -66,18 +128,48 @@ def likeliest_channel_finding(
             evidence=f"{name} follows {100 * max(fit.coherence, 0):.2g} % of what all other channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
-    return likeliest.finding
+    undoubted_share = residual_share(predicted)
+    material = [
+        explanation
+        for explanation in explanations
+        if explanation.size_in_tolerances > MIN_ERROR_IN_TOLERANCES
+        and explanation.unexplained_share < MAX_REMAINING_SHARE * undoubted_share
+    ]
+    if not material:
+        return unexplained_finding(name, float(np.sqrt(undoubted_share)))
+    return min(material, key=lambda explanation: explanation.unexplained_share * explanation.freedom_factor).finding
+
+
+def unexplained_finding(name: str, motion_share: float) -> Finding:
+    """Finding: a channel is off by a share of its motion (rms), and no single cause accounts for it."""
+    return Finding(
+        cause="unexplained",
+        channels=(name,),
+        evidence=f"{name} is off by {100 * motion_share:.2g} % of its motion from what {REFERENCE_WORDS} predict, and "
+        "no gain, delay, place, turn or filter takes a material part of that away",
+        mend="unexplained at this channel; look at its mounting and cable, and at what rig.json leaves out there",
+    )
+
+
+def _size_in_tolerances(error: float, tolerance: float) -> float:
+    return abs(error) / tolerance if tolerance else np.inf
 
 
 def _gain_and_delay_explanations(
-    name: str, fit: Relation, omega: PerLine, predicted: Spectrum, residual_share: Callable[[Spectrum], float]
+    name: str,
+    fit: Relation,
+    omega: PerLine,
+    predicted: Spectrum,
+    residual_share: Callable[[Spectrum], float],
+    tolerances: Tolerances,
 ) -> Iterator[Explanation]:
     """Explanations by a sign, a unit or a gain; and by a delay."""
     gain, delay_s = fit.gain, fit.delay_s
     delay_phase_factor = np.exp(-1j * omega * delay_s)
     gain_is_wrong = gain < 0 or abs(gain - 1) > 0.3
     unexplained_share = residual_share(gain * (delay_phase_factor if gain_is_wrong else 1.0) * predicted)
-    yield Explanation(unexplained_share, gain_finding(name, gain))
+    gain_size = _size_in_tolerances(gain - 1, tolerances.gain)
+    yield Explanation(unexplained_share, gain_finding(name, gain), size_in_tolerances=gain_size)
     if 0.7 < gain < 1.3:
         delay_finding = Finding(
             cause="delay",
@@ -86,7 +178,39 @@ def _gain_and_delay_explanations(
             f"{REFERENCE_WORDS} predict",
             mend=f"set delay_s = {delay_s:.3g} in rig.json, or synchronise its clock",
         )
-        yield Explanation(residual_share(delay_phase_factor * predicted), delay_finding)
+        delay_size = _size_in_tolerances(delay_s, tolerances.delay_s)
+        yield Explanation(residual_share(delay_phase_factor * predicted), delay_finding, size_in_tolerances=delay_size)
+
+
+def _turned_explanations(
+    spectra: Spectra, channel_index: int, predicted: Spectrum, line_weights: PerLine, tolerances: Tolerances
+) -> Iterator[Explanation]:
+    """Explanation: the sensor is turned and shows a share of the motion across, where that is measured too."""
+    measured, across = spectra.acceleration[channel_index] * line_weights, spectra.across[channel_index] * line_weights
+    across_power = float(np.vdot(across, across).real)
+    if not across_power:
+        return
+    unexplained = measured - predicted * line_weights
+    share = float(np.vdot(across, unexplained).real) / across_power
+    unexplained_share = float(np.sum(np.abs(unexplained - share * across) ** 2) / np.sum(np.abs(measured) ** 2))
+    size_in_tolerances = _size_in_tolerances(share, tolerances.cross_axis)
+    yield Explanation(
+        unexplained_share,
+        turned_finding(spectra.sensors[channel_index].name, share),
+        1.5,
+        size_in_tolerances=size_in_tolerances,
+    )
+
+
+def turned_finding(name: str, share: float) -> Finding:
+    """Finding: a sensor shows a share of the motion across its direction, as one that is turned."""
+    return Finding(
+        cause="turned",
+        channels=(name,),
+        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: it shows "
+        f"{100 * share:+.2g} % of the motion across",
+        mend="align it, or turn both of its directions back by that angle before the import",
+    )
 
 
 def gain_finding(channel_name: str, gain: float) -> Finding:
@@ -116,6 +240,7 @@ def _sensor_place_explanations(
     prediction: Prediction,
     line_weights: PerLine,
     residual_share: Callable[[Spectrum], float],
+    tolerances: Tolerances,
 ) -> Iterator[Explanation]:
     """Explanations: the sensor shows what another one should, or stands at another place of its body."""
     sensor, measured = spectra.sensors[channel_index], spectra.acceleration[channel_index]
@@ -150,7 +275,8 @@ def _sensor_place_explanations(
             evidence=f"{sensor.name} moves as the place {fitted_m:.3f} m of {body_name} does, not as {stated_m:g} m",
             mend="measure its place and correct rig.json",
         )
-        yield Explanation(min(residual_shares), finding, 1.5)
+        position_size = _size_in_tolerances(fitted_m - stated_m, tolerances.of_sensor(sensor.name).position_m)
+        yield Explanation(min(residual_shares), finding, 1.5, position_size)
 
 
 def _wrong_derivative_explanations(
@@ -187,19 +313,9 @@ def _filter_explanations(
         yield Explanation(unexplained_share, finding, 4.0)
 
 
-def _slipped_samples_finding(channel_name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
-    """Finding: the delay changes over the record."""
-    delay_change_s = float(delays_s[-1] - delays_s[0])
-    return Finding(
-        cause="slipped samples",
-        channels=(channel_name,),
-        evidence=f"{channel_name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
-        "against the others at the record's end than at its beginning",
-        mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
-    )
-
-
-def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, line_weights: PerLine) -> Finding:
+def force_finding(
+    spectra: Spectra, force_index: int, implied_force: Spectrum, line_weights: PerLine, delays: DelaysOnDemand
+) -> Finding:
     """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
     name, is_one_of_several = spectra.force_names[force_index], len(spectra.forces) > 1
     force_words = force_in_words(name)
@@ -239,7 +355,8 @@ def force_finding(spectra: Spectra, force_index: int, implied_force: Spectrum, l
             mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
         )
     if abs(delay_s) > 1e-4:
-        return Finding(
+        changing = delays().finding(name)
+        return changing or Finding(
             cause="delay",
             channels=(name,),
             evidence=f"{force_words} comes {1e3 * abs(delay_s):.3g} ms {'late' if delay_s > 0 else 'early'} against "

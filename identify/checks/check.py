@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 
 from identify.checks import waveforms
+from identify.checks.channels import unexplained_finding
 from identify.checks.continuity import discontinuity_findings
 from identify.checks.findings import Finding, merge_by_cause
-from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, gross_faults
+from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, channel_delays, force_delays, gross_faults
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import TUNED_KINDS, LinearCheck, linear_check, with_tuned_modes
 from identify.checks.pulls import (
@@ -28,7 +29,7 @@ from identify.linear.joined import contact_groups, rig_with_joined_contacts
 from identify.signals.kinematics import MotionQuantity, kinematics
 from identify.signals.measured_base import body_force_count, excitation_names, excitations
 from rig.errors import RigError
-from rig.model.description import Direction, Rig, Sensor, contact_stations
+from rig.model.description import ON_GROUND, Direction, Rig, Sensor, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, plane_recording
 
@@ -36,7 +37,9 @@ WAVEFORM_CAUSES = (
     "dead",
     "clipped",
     "quantised",
+    "repeated values",
     "held samples",
+    "windowed",
     "spikes",
     "hum",
     "noise",
@@ -45,7 +48,18 @@ WAVEFORM_CAUSES = (
     "not at rest",
 )
 """Causes that a channel's samples show by themselves; only the first one of a channel is reported."""
-EXCLUDING_CAUSES = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "offset", "drift")
+EXCLUDING_CAUSES = (
+    "dead",
+    "copy",
+    "clipped",
+    "repeated values",
+    "held samples",
+    "windowed",
+    "spikes",
+    "quantised",
+    "offset",
+    "drift",
+)
 """Causes for which a channel is excluded from the comparison with the model."""
 REST_S_BY_QUANTITY = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
 """First moments of a record in which a rig at rest has not moved yet, by quantity."""
@@ -139,29 +153,43 @@ def _model_findings(
     usable_indices = [i for i, sensor in enumerate(compared_sensors) if sensor.name not in excluded_names]
     try:
         if len(usable_indices) > len(contact_groups(plane_rig)) + 1:
-            if not quiet_sample_count(plane_record.forces_n, plane_rig.sample_rate_hz):
+            forces_n, rate_hz = plane_record.forces_n, plane_rig.sample_rate_hz
+            is_moving = _moving_channel_share(plane_record, compared_sensors) > MOVING_CHANNELS_SHARE
+            if is_moving or not quiet_sample_count(forces_n, rate_hz):
                 return []  # it may ring of what was before, which no force explains
-            return _linear_check_findings(plane_record, compared_sensors, usable_indices, tolerances)
+            across = plane_recording(full, "z" if direction == "y" else "y") if full.rig.in_space else None
+            return _linear_check_findings(plane_record, across, compared_sensors, usable_indices, tolerances)
         # no single direction tells when a ring is open
         has_annular_contact = any(contact.law.spatial for contact in full.rig.contacts)
         if not waveform_findings and all(body.is_mass for body in plane_rig.bodies) and not has_annular_contact:
-            return mass_findings(plane_rig, kinematics(plane_record, use), tolerances)
+            record_s = plane_record.samples / plane_rig.sample_rate_hz
+            return mass_findings(plane_rig, kinematics(plane_record, use), tolerances, record_s)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass
     return []
 
 
+def _moving_channel_share(recording: Recording, sensors: Sequence[Sensor]) -> float:
+    """Share of the channels that move before the force begins."""
+    rate_hz, forces_n = recording.rig.sample_rate_hz, recording.forces_n
+    return float(np.mean([waveforms.moves_before_force(rate_hz, recording.values_of(s), forces_n) for s in sensors]))
+
+
 def _linear_check_findings(
-    recording: Recording, sensors: tuple[Sensor, ...], usable_indices: list[int], tolerances: Tolerances
+    recording: Recording,
+    across: Recording | None,
+    sensors: tuple[Sensor, ...],
+    usable_indices: list[int],
+    tolerances: Tolerances,
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""
     rig = rig_with_joined_contacts(recording.rig)
 
     @cache
     def all_line_spectra() -> Spectra:
-        return spectra_of(recording, sensors, None)
+        return spectra_of(recording, sensors, None, across)
 
-    spectra = spectra_of(recording, sensors)
+    spectra = spectra_of(recording, sensors, across=across)
     continuity_findings = discontinuity_findings(rig, all_line_spectra(), usable_indices)
     if any(f.cause == "jump" for f in continuity_findings):
         return continuity_findings
@@ -184,7 +212,7 @@ def _linear_check_findings(
         changed_cost = cost_within_tolerances(changed_rig, changed_check, usable_indices, tolerances)
         return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.distance_in_tolerances(tolerances)
 
-    questions = ToleranceQuestions(tolerances_explain, pull_and_distance_of)
+    questions = ToleranceQuestions(tolerances, tolerances_explain, pull_and_distance_of)
     faults = gross_faults(rig, spectra, usable_indices, all_line_spectra, questions)
     findings = list(faults.findings) or continuity_findings
     if faults.is_sound and len(faults.trusted_indices) > len(rig.contacts) + 1:
@@ -193,8 +221,30 @@ def _linear_check_findings(
         if violations and not findings:
             doubted = gross_faults(rig, spectra, faults.trusted_indices, all_line_spectra, questions, is_doubted=True)
             replacing_findings = doubted.findings
-        findings += replacing_findings or [tolerance_finding(violation) for violation in violations]
+        findings += replacing_findings or _tolerance_findings(rig, violations, faults.trusted_indices, all_line_spectra)
     return findings
+
+
+def _tolerance_findings(
+    rig: Rig, violations: Sequence[BrokenTolerance], channel_indices: list[int], all_line_spectra: Callable[[], Spectra]
+) -> Iterator[Finding]:
+    """Findings on broken tolerances: a delay that grows is of two clocks, and what takes little away is no cause."""
+    spectra = all_line_spectra()
+    explained_channels = {violation.channel_index for violation in violations if violation.is_material}
+    for violation in violations:
+        name = spectra.sensors[violation.channel_index].name
+        if not violation.is_material:
+            if violation.channel_index not in explained_channels:
+                yield unexplained_finding(name, violation.motion_share)
+            continue
+        changing = None
+        if violation.suspect.kind == "delay":
+            others = [i for i in channel_indices if i != violation.channel_index]
+            changing = channel_delays(rig, all_line_spectra, violation.channel_index, others).finding(name)
+        elif violation.suspect.kind == "force delay":
+            force_index = spectra.force_names.index(violation.suspect.of)
+            changing = force_delays(rig, all_line_spectra, force_index, channel_indices).finding(violation.suspect.of)
+        yield changing or tolerance_finding(violation)
 
 
 def _broken_tolerances_at_tuned_modes(
@@ -217,7 +267,7 @@ def _broken_tolerances_at_tuned_modes(
 class _Channel:
     """Samples of one channel in a group (a quantity or "force"), with what excites the rig.
 
-    impact_sensors are the other sensors that show an impact of this channel.
+    impact_sensor_names are the other sensors that show an impact of this channel.
     """
 
     group: str
@@ -227,6 +277,7 @@ class _Channel:
     excitation: Rows
     force_names: tuple[str, ...]
     impact_sensor_names: frozenset[str]
+    known: waveforms.KnownChannel
 
     @property
     def is_force(self) -> bool:
@@ -260,9 +311,24 @@ def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     used_names |= {sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)}
     rate_hz, excitation, force_names = rig.sample_rate_hz, excitations(recording), excitation_names(rig)
     for group, group_signals in recording.signals.items():
+        usual_rms = float(np.median(group_signals.values.std(axis=1)))
         for name, samples in zip(group_signals.channels.names, group_signals.values, strict=True):
             if name in used_names:
-                yield _Channel(group, name, samples, rate_hz, excitation, force_names, _impact_sensor_names(rig, name))
+                impact_names, known = _impact_sensor_names(rig, name), _known_channel(rig, name, usual_rms)
+                yield _Channel(group, name, samples, rate_hz, excitation, force_names, impact_names, known)
+
+
+def _known_channel(rig: Rig, channel_name: str, usual_rms: float) -> waveforms.KnownChannel:
+    """What rig.json knows of a channel. A body rests at zero if something holds it there, without its weight."""
+    sensor = next((s for s in rig.sensors if s.name == channel_name), None)
+    if sensor is None:
+        return waveforms.KnownChannel()
+    is_held = sensor.station == ON_GROUND or rig.body(sensor.station.body).rigid_modes == 0
+    return waveforms.KnownChannel(
+        noise_rms=sensor.noise_density * float(np.sqrt(rig.sample_rate_hz / 2)),
+        usual_rms=usual_rms,
+        rests_at_zero=is_held and not rig.gravity_m_per_s2,
+    )
 
 
 def _impact_sensor_names(rig: Rig, channel_name: str) -> frozenset[str]:
@@ -283,20 +349,25 @@ def _first_fault(channel: _Channel) -> Finding | None:
     fault_checks: list[Callable[[], Finding | None]] = [
         lambda: waveforms.dead_finding(channel_name, samples, force_names),
         lambda: waveforms.clipped_finding(channel_name, samples),
+        lambda: waveforms.repeated_values_finding(channel_name, rate_hz, samples),
         lambda: waveforms.quantised_finding(channel_name, samples),
         lambda: waveforms.held_samples_finding(channel_name, samples, excitation, force_names),
     ]
     if not channel.is_force:
         fault_checks += [
             lambda: waveforms.hum_finding(channel_name, rate_hz, samples, excitation),
-            lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names),
+            lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names, channel.known),
         ]
     if channel.group == "acceleration":
         fault_checks += [
             lambda: waveforms.drift_finding(channel_name, rate_hz, samples),
             lambda: waveforms.offset_finding(channel_name, samples),
         ]
-    elif not channel.is_force and (quiet_count := quiet_sample_count(excitation, rate_hz)):
+    elif (
+        not channel.is_force
+        and channel.known.rests_at_zero
+        and (quiet_count := quiet_sample_count(excitation, rate_hz))
+    ):
         fault_checks.append(lambda: waveforms.offset_finding(channel_name, samples[:quiet_count], float(samples.std())))
     return next((fault for check in fault_checks if (fault := check()) is not None), None)
 
@@ -325,7 +396,11 @@ def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Findings on channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
         waveforms.initial_motion_finding(
-            channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group]
+            channel.name,
+            channel.rate_hz,
+            channel.samples,
+            REST_S_BY_QUANTITY[channel.group],
+            channel.known.noise_rms,
         )
         for channel in channels
         if channel.group in REST_S_BY_QUANTITY

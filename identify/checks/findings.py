@@ -13,6 +13,8 @@ Cause = Literal[
     "copy",
     "quantised",
     "held samples",
+    "repeated values",
+    "windowed",
     "spikes",
     "jump",
     "glitch",
@@ -26,11 +28,14 @@ Cause = Literal[
     "gain",
     "delay",
     "slipped samples",
+    "two clocks",
     "swapped",
     "station",
     "filtered",
     "derivative",
+    "turned",
     "unrelated",
+    "unexplained",
     "force",
     "force place",
     "contact place",
@@ -66,6 +71,37 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 def force_in_words(force_name: str) -> str:
     """A force's channel in a sentence."""
     return "the force" if force_name == "force" else force_name
+
+
+def two_clocks_finding(
+    name: str, reference_words: str, first_delay_s: float, delay_growth: float, record_s: float
+) -> Finding:
+    """Finding: a channel's delay grows steadily, by delay_growth seconds a second, over a record of record_s."""
+    place_words = [
+        f"{1e3 * abs(delay_s):.3g} ms {'late' if delay_s > 0 else 'early'} at the record's {place}"
+        for place, delay_s in (("beginning", first_delay_s), ("end", first_delay_s + delay_growth * record_s))
+    ]
+    ppm_words = f"{1e6 * abs(delay_growth):.3g} ppm"
+    return Finding(
+        cause="two clocks",
+        channels=(name,),
+        evidence=f"{name} comes {' and '.join(place_words)} against {reference_words}: its delay grows by {ppm_words} "
+        "of the time, as of two clocks",
+        mend=f"record both on one clock or with a common signal, or resample {name}, whose samples lie {ppm_words} "
+        f"{'closer together' if delay_growth > 0 else 'further apart'} than the others; a constant delay_s does not "
+        "mend it",
+    )
+
+
+def slipped_samples_finding(name: str, delay_change_s: float) -> Finding:
+    """Finding: the delay of a channel changes within the record by delay_change_s."""
+    return Finding(
+        cause="slipped samples",
+        channels=(name,),
+        evidence=f"{name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
+        "against the others at the record's end than at its beginning",
+        mend="it lost or doubled samples: synchronise it and record again",
+    )
 
 
 def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:

@@ -6,32 +6,35 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
 
-from identify.checks.channels import force_finding, gain_finding, likeliest_channel_finding
+from identify.checks.channels import (
+    MAX_REMAINING_SHARE,
+    MIN_ERROR_IN_TOLERANCES,
+    DelaysOnDemand,
+    DelaysOverTime,
+    delays_over_time,
+    force_finding,
+    gain_finding,
+    likeliest_channel_finding,
+    turned_finding,
+)
 from identify.checks.findings import Finding, merge_by_cause
 from identify.checks.prediction import LinearCheck, Prediction, linear_check
 from identify.checks.pulls import required_distance_in_tolerances, required_pull
-from identify.checks.relations import relation
+from identify.checks.relations import PerLine
 from identify.checks.rigs import Trial, rig_trials
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig
+from rig.model.tolerances import Tolerances
 
 SOUND_MISFIT = 0.3
 """Largest misfit that is taken for one of tolerances, if they explain no larger one."""
-MAX_REMAINING_SHARE = 0.5
-"""A change that leaves more than this share of the misfit, and no sound fit, explains nothing."""
 MAX_REMAINING_SHARE_IF_DOUBTED = 0.6
 """The same for a record with a sound fit that is doubted."""
 MIN_GAIN_ERROR = 0.1
 """Gains that are fitted all at once are reported if they are off by more."""
-MIN_DELAY_CHANGE_S = 3e-4
-"""Change of a channel's delay over the record from which on samples have slipped."""
 FREED_CHANNEL_MISFIT_FACTOR = 1.5
 """Factor on the misfit of a change that frees a channel."""
-PART_COUNT = 4
-MIN_PART_COHERENCE = 0.8
-"""Coherence of a channel with its prediction in a part of the record, from which its delay there counts."""
 
 SpectraOnDemand = Callable[[], Spectra]
 """Spectra on all lines, computed on demand."""
@@ -51,6 +54,7 @@ class ToleranceQuestions:
     """Questions to the joint fit of all tolerances, answered on demand: do errors within them explain the record, and
     by how many standard deviations does a change of rig.json explain it better, of how many tolerances?"""
 
+    tolerances: Tolerances
     tolerances_explain: Callable[[], bool]
     pull_and_distance_of: Callable[[Trial], tuple[float, float]]
 
@@ -72,7 +76,8 @@ def gross_faults(
     """
     check = linear_check(rig, spectra, usable_indices)
     misfit = check.prediction(usable_indices).misfit
-    force_trials = list(_doubted_force_trials(check, usable_indices))
+    tolerances = tolerance_questions.tolerances
+    force_trials = list(_doubted_force_trials(rig, check, usable_indices, all_line_spectra))
     # with several forces, the estimate of a weak one follows the errors of the model
     force_findings = force_trials[0].findings() if len(force_trials) == 1 else ()
     force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
@@ -90,16 +95,17 @@ def gross_faults(
         return GrossFaults((finding,) if is_rig_wrong else (), usable_indices, not is_rig_wrong)
     trials = [
         *force_trials,
-        *_doubted_channel_trials(rig, check, usable_indices, all_line_spectra),
+        *_doubted_channel_trials(rig, check, usable_indices, all_line_spectra, tolerances),
         *_swap_trials(check, usable_indices),
         *_all_channel_gain_trials(rig, check, usable_indices),
+        *_turned_trials(rig, check, usable_indices, tolerances),
         *rig_trials(rig, spectra, usable_indices),
     ]
     best_trial = min(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
     if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.misfit_factor > MAX_REMAINING_SHARE_IF_DOUBTED * misfit:
         return GrossFaults((), usable_indices, True)
     if best_trial.misfit >= SOUND_MISFIT:
-        multiple_faults = _multiple_channel_faults(rig, check, usable_indices, all_line_spectra)
+        multiple_faults = _multiple_channel_faults(rig, check, usable_indices, all_line_spectra, tolerances)
         if multiple_faults is not None:
             return multiple_faults
         if best_trial.misfit >= MAX_REMAINING_SHARE * misfit:
@@ -119,7 +125,11 @@ def _unexplained_misfit_finding(misfit: float) -> Finding:
 
 
 def _doubted_channel_trials(
-    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
+    rig: Rig,
+    check: LinearCheck,
+    usable_indices: list[int],
+    all_line_spectra: SpectraOnDemand,
+    tolerances: Tolerances,
 ) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
     for channel_index in usable_indices:
@@ -127,7 +137,9 @@ def _doubted_channel_trials(
         check_without = check.with_spectra(check.spectra, others)
         prediction = check_without.prediction(others)
         if np.isfinite(prediction.misfit):
-            find = partial(_channel_findings, rig, check_without, prediction, channel_index, others, all_line_spectra)
+            find = partial(
+                _channel_findings, rig, check_without, prediction, channel_index, others, all_line_spectra, tolerances
+            )
             yield Trial(prediction.misfit, others, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR)
 
 
@@ -138,52 +150,63 @@ def _channel_findings(
     channel_index: int,
     predicting_indices: list[int],
     all_line_spectra: SpectraOnDemand,
+    tolerances: Tolerances,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
-    delays_over_time = partial(_changing_delays_s, rig, all_line_spectra, channel_index, predicting_indices)
-    return (likeliest_channel_finding(rig, check, channel_index, prediction, delays_over_time),)
+    delays = partial(channel_delays, rig, all_line_spectra, channel_index, predicting_indices)
+    return (likeliest_channel_finding(rig, check, channel_index, prediction, delays, tolerances),)
 
 
-def _changing_delays_s(
+def channel_delays(
     rig: Rig, all_line_spectra: SpectraOnDemand, channel_index: int, predicting_indices: list[int]
-) -> Float[np.ndarray, " parts"] | None:
-    """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
-    it slips; None if they are alike or unknown."""
+) -> DelaysOverTime:
+    """Delays of a channel against its prediction by others."""
     spectra = all_line_spectra()
     check = linear_check(rig, spectra, predicting_indices)
     predicted = check.prediction(predicting_indices).accelerations[channel_index]
-    measured_and_predicted = (
-        np.stack([spectra.acceleration[channel_index], predicted]) / check.error_scale[channel_index]
+    return delays_over_time(spectra, spectra.acceleration[channel_index], predicted, check.error_scale[channel_index])
+
+
+def force_delays(
+    rig: Rig, all_line_spectra: SpectraOnDemand, force_index: int, channel_indices: list[int]
+) -> DelaysOverTime:
+    """Delays of a force against the one that the sensors imply."""
+    spectra = all_line_spectra()
+    check = linear_check(rig, spectra, channel_indices)
+    implied = check.prediction(channel_indices, doubted_force_index=force_index).force_spectra[force_index]
+    weights = _force_line_weights(check, channel_indices, force_index)
+    return delays_over_time(
+        spectra, spectra.forces[force_index], implied, 1 / np.maximum(weights, 1e-12 * weights.max())
     )
-    delays_s = []
-    for part_signals in np.array_split(spectra.compared_signals(measured_and_predicted), PART_COUNT, axis=1):
-        measured, predicted = np.fft.rfft(part_signals * np.hanning(part_signals.shape[1]))[:, 1:]
-        omega = 2 * np.pi * np.fft.rfftfreq(part_signals.shape[1], 1 / spectra.compared_rate_hz)[1:]
-        part_relation = relation(omega, measured, predicted, np.ones(omega.size))
-        if part_relation.coherence >= MIN_PART_COHERENCE:
-            delays_s.append(part_relation.delay_s)
-    return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
-def _doubted_force_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
+def _doubted_force_trials(
+    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
+) -> Iterator[Trial]:
     """Trials that estimate one force from the sensors."""
     for force_index in range(len(check.spectra.forces)):
         prediction = check.prediction(usable_indices, doubted_force_index=force_index)
         if np.isfinite(prediction.misfit):
-            find = partial(_force_findings, check, usable_indices, force_index, prediction)
+            delays = partial(force_delays, rig, all_line_spectra, force_index, usable_indices)
+            find = partial(_force_findings, check, usable_indices, force_index, prediction, delays)
             yield Trial(prediction.misfit, usable_indices, find, False, FREED_CHANNEL_MISFIT_FACTOR)
 
 
 def _force_findings(
-    check: LinearCheck, usable_indices: list[int], force_index: int, prediction: Prediction
+    check: LinearCheck, usable_indices: list[int], force_index: int, prediction: Prediction, delays: DelaysOnDemand
 ) -> tuple[Finding, ...]:
     """Finding on a force by its estimate."""
-    force_accelerance = check.accelerance[force_index][usable_indices]
-    scaled_accelerance = force_accelerance / check.error_scale[usable_indices]
+    line_weights = _force_line_weights(check, usable_indices, force_index)
+    return (force_finding(check.spectra, force_index, prediction.force_spectra[force_index], line_weights, delays),)
+
+
+def _force_line_weights(check: LinearCheck, channel_indices: list[int], force_index: int) -> PerLine:
+    """Weights of the lines by what the sensors show of a force."""
+    force_accelerance = check.accelerance[force_index][channel_indices]
+    scaled_accelerance = force_accelerance / check.error_scale[channel_indices]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        scaled_accelerance = check.unknown_input_projection(usable_indices).applied_to(force_accelerance)[0]
-    line_weights = np.sqrt(np.mean(np.abs(scaled_accelerance) ** 2, axis=0))
-    return (force_finding(check.spectra, force_index, prediction.force_spectra[force_index], line_weights),)
+        scaled_accelerance = check.unknown_input_projection(channel_indices).applied_to(force_accelerance)[0]
+    return np.sqrt(np.mean(np.abs(scaled_accelerance) ** 2, axis=0))
 
 
 def _swap_trials(check: LinearCheck, usable_indices: list[int]) -> Iterator[Trial]:
@@ -245,8 +268,41 @@ def _all_channel_gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[
         yield Trial(misfit, trusted_indices, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR**2)
 
 
+def _turned_trials(rig: Rig, check: LinearCheck, usable_indices: list[int], tolerances: Tolerances) -> Iterator[Trial]:
+    """Trial: all sensors are turned, and show shares of the motion across that minimise the projected residual."""
+    spectra = check.spectra
+    turnable = [k for k, i in enumerate(usable_indices) if np.any(spectra.across[i])]
+    if not turnable:
+        return
+    projection = check.unknown_input_projection(usable_indices)
+    columns = np.array([projection.applied_to(spectra.across[[usable_indices[k]]], [k])[0].ravel() for k in turnable])
+    unforced = (spectra.acceleration - check.acceleration_by_all_forces)[usable_indices]
+    residual = projection.applied_to(unforced)[0].ravel()
+    normal_matrix = (columns.conj() @ columns.T).real
+    normal_matrix += 1e-9 * np.trace(normal_matrix) * np.eye(len(turnable))
+    shares = np.linalg.solve(normal_matrix, (columns.conj() @ residual).real)
+    aligned = spectra.acceleration.copy()
+    findings, turned_indices = list[Finding](), list[int]()
+    for k, share in zip(turnable, shares.tolist(), strict=True):
+        index = usable_indices[k]
+        aligned[index] -= share * spectra.across[index]
+        name = spectra.sensors[index].name
+        if abs(share) > MIN_ERROR_IN_TOLERANCES * tolerances.of_sensor(name).cross_axis:
+            findings.append(turned_finding(name, share))
+            turned_indices.append(index)
+    if findings:
+        misfit = check.misfit(spectra.with_acceleration(aligned), usable_indices)
+        trusted_indices = [i for i in usable_indices if i not in turned_indices]
+        find = partial(merge_by_cause, findings, rig)
+        yield Trial(misfit, trusted_indices, find, misfit_factor=FREED_CHANNEL_MISFIT_FACTOR)
+
+
 def _multiple_channel_faults(
-    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
+    rig: Rig,
+    check: LinearCheck,
+    usable_indices: list[int],
+    all_line_spectra: SpectraOnDemand,
+    tolerances: Tolerances,
 ) -> GrossFaults | None:
     """Faults of several channels, excluded one by one, the worst first, while three more than the contacts remain."""
     trusted_indices, excluded_indices = list(usable_indices), list[int]()
@@ -261,6 +317,8 @@ def _multiple_channel_faults(
             prediction = check.prediction(trusted_indices)
             findings = list[Finding]()
             for channel_index in sorted(excluded_indices):
-                findings += _channel_findings(rig, check, prediction, channel_index, trusted_indices, all_line_spectra)
+                findings += _channel_findings(
+                    rig, check, prediction, channel_index, trusted_indices, all_line_spectra, tolerances
+                )
             return GrossFaults(merge_by_cause(findings, rig), trusted_indices, True)
     return None

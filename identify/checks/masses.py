@@ -8,16 +8,21 @@ share of the force that stays unexplained is noise of the acceleration, or passa
 mass by about that share, and closed contacts raise the stiffness.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
 
-from identify.checks.findings import Finding
+from identify.checks.findings import Finding, slipped_samples_finding, two_clocks_finding
 from identify.checks.relations import unit_mistake
 from identify.linear.joined import contact_groups
 from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
+from identify.signals.scores import INDEPENDENT_RATE_HZ
 from identify.signals.spectra import decimated, force_band_hz
 from rig.errors import RigError
 from rig.model.description import ON_GROUND, Body, Rig, Station, contact_stations
@@ -41,6 +46,11 @@ MIN_CLOCK_ERROR_SPREADS, MAX_REMAINDER_SPREADS, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
 """A clock is wrong if its error exceeds so many standard spreads and leaves mass and frequency at most so many; no
 clock errs by more than the last share."""
 MAX_DELAY_S = 0.02
+DRIFT_TRIALS, SLIP_TRIALS = 9, 9
+"""Changes of the delay over the record that are tried, up to twice the largest delay; times of a slip."""
+MIN_GAINED_SHARE, MIN_DRIFT_DEVIANCE = 0.2, 25.0
+"""Share of what is unexplained that a delay takes away; change of N log(sum of squares) by a delay that changes, with
+the N samples that are independent: a constant delay would be the wrong cause."""
 MAX_DAMPING_RATIO = 0.5
 MIN_FORCE_SHARE = 0.05
 """Smallest force in the open passages, over its root mean square: less is no force, as after a single blow."""
@@ -50,17 +60,21 @@ MIN_FORCE_SHARE = 0.05
 class MassFit:
     """Force per acceleration, velocity and displacement in the open passages (m, c, k), with standard errors.
 
-    delay_s is the delay of the force against the sensor with the best fit, explained_share of the force is explained.
+    delay_s is the delay of the force against the sensor with the best fit, in the middle of the duration_s that is
+    fitted; it changes by delay_change_s over it, at once if it slips. explained_share of the force is explained.
     """
 
     coefficients: Float[np.ndarray, "3"]
     standard_errors: Float[np.ndarray, "3"]
     delay_s: float
     explained_share: float
+    delay_change_s: float
+    duration_s: float
+    slips: bool = False
 
 
-def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
-    """Findings on the mass on which all forces act."""
+def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances, record_s: float) -> list[Finding]:
+    """Findings on the mass on which all forces act; the record lasts record_s."""
     body, station_index = _driven_body_and_row(rig, motion)
     if not body.is_mass or station_index is None:
         return []
@@ -69,7 +83,8 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
         return []
     sensor = motion.sensors[station_index]
     clock = _clock_finding(body, sensor.measures.order, fit, tolerances)
-    return [clock] if clock else _mass_fit_findings(body, (*rig.force_names, sensor.name), fit, tolerances)
+    channels = (*rig.force_names, sensor.name)
+    return [clock] if clock else _mass_fit_findings(body, channels, fit, tolerances, record_s)
 
 
 def _driven_body_and_row(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
@@ -128,8 +143,14 @@ def _fit_near_clearance_middle(quantile: float, rig: Rig, motion: Kinematics, st
     if np.concatenate([signals[0, passage] for passage in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
-    def fit_at_delay(delay_s: float) -> MassFit:
-        delayed = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
+    sample_numbers, duration_s = np.arange(signals.shape[1]), signals.shape[1] / rate_hz
+    force_at = CubicSpline(sample_numbers, signals[0])
+    share_of_record = sample_numbers / sample_numbers.size - 0.5
+
+    def fit_at_delay(delay_s: float, delay_change_s: float = 0.0, slip_share: float | None = None) -> MassFit:
+        changed_share = share_of_record if slip_share is None else (share_of_record > slip_share) - 0.5
+        force_samples = sample_numbers + (delay_s + delay_change_s * changed_share) * rate_hz
+        delayed = force_at(np.clip(force_samples, 0, sample_numbers[-1]))
         segments = [np.stack([delayed[passage], *signals[1:, passage]]) for passage in passages]
         centred = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
         motion_rms = centred[1:].std(axis=1)
@@ -144,15 +165,52 @@ def _fit_near_clearance_middle(quantile: float, rig: Rig, motion: Kinematics, st
         passage_scores = [influence @ residual_part for influence, residual_part in by_passage]
         standard_errors = np.sqrt(np.sum(np.square(passage_scores), axis=0)) / motion_rms
         explained_share = 1 - float(np.mean(residual**2) / np.mean(centred[0] ** 2))
-        return MassFit(coefficients, standard_errors, delay_s, explained_share)
+        slips = slip_share is not None
+        return MassFit(coefficients, standard_errors, delay_s, explained_share, delay_change_s, duration_s, slips)
 
-    def best_fit(delays_s: Float[np.ndarray, " trials"]) -> MassFit:
-        return max((fit_at_delay(float(delay_s)) for delay_s in delays_s), key=lambda fit: fit.explained_share)
+    coarse_s, changes_s = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz), np.linspace(-2, 2, DRIFT_TRIALS)
+    constant_fit = _finest_fit(fit_at_delay, coarse_s, np.zeros(1), rate_hz)
+    drifting_fit = _finest_fit(fit_at_delay, coarse_s, MAX_DELAY_S * changes_s, rate_hz)
+    undelayed_fit = fit_at_delay(0.0)
+    if _gained_share(undelayed_fit, drifting_fit) < MIN_GAINED_SHARE:
+        return undelayed_fit
+    independent_count = INDEPENDENT_RATE_HZ * sum(passage.stop - passage.start for passage in passages) / rate_hz
+    drifts = -np.log1p(-_gained_share(constant_fit, drifting_fit)) * independent_count > MIN_DRIFT_DEVIANCE
+    if not drifts and _gained_share(undelayed_fit, constant_fit) >= MIN_GAINED_SHARE:
+        return constant_fit
+    slipping_fits = (
+        _finest_fit(partial(fit_at_delay, slip_share=float(share)), coarse_s, MAX_DELAY_S * changes_s, rate_hz)
+        for share in np.linspace(-0.4, 0.4, SLIP_TRIALS)
+    )
+    return max((drifting_fit, *slipping_fits), key=lambda fit: fit.explained_share)
 
-    coarse_fit = best_fit(np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz))
-    fine_fit, undelayed_fit = best_fit(coarse_fit.delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz), fit_at_delay(0.0)
-    gained_explained_share = fine_fit.explained_share - undelayed_fit.explained_share
-    return undelayed_fit if gained_explained_share < 0.2 * (1 - undelayed_fit.explained_share) else fine_fit
+
+def _gained_share(fit: MassFit, freer_fit: MassFit) -> float:
+    """Share of what a fit leaves unexplained that a freer one explains."""
+    return (freer_fit.explained_share - fit.explained_share) / max(1 - fit.explained_share, 1e-12)
+
+
+def _finest_fit(
+    fit_at_delay: Callable[[float, float], MassFit],
+    delays_s: Float[np.ndarray, " trials"],
+    changes_s: Float[np.ndarray, " changes"],
+    rate_hz: float,
+) -> MassFit:
+    """Fit that explains most: of a grid, and refined from its best point; the change is refined if it is tried."""
+    best_fit = max(
+        (fit_at_delay(float(delay_s), float(change_s)) for delay_s in delays_s for change_s in changes_s),
+        key=lambda fit: fit.explained_share,
+    )
+    refined_count = 2 if changes_s.size > 1 else 1
+    best_point = np.array([best_fit.delay_s, best_fit.delay_change_s][:refined_count])
+
+    def unexplained_share(steps: Float[np.ndarray, " refined"]) -> float:
+        return 1 - fit_at_delay(*(best_point + steps / rate_hz)).explained_share
+
+    first_steps = np.vstack([np.zeros(refined_count), 0.5 * np.eye(refined_count)])
+    options = {"initial_simplex": first_steps, "xatol": 1e-3, "fatol": 1e-9, "maxfev": 80}
+    optimum = minimize(unexplained_share, np.zeros(refined_count), method="Nelder-Mead", options=options)
+    return fit_at_delay(*(best_point + optimum.x / rate_hz))
 
 
 def _open_contact_mask(
@@ -187,10 +245,12 @@ def _open_contact_passages(is_open: Bool[np.ndarray, " fewer"], min_start: int) 
     return [slice(start, stop) for start, stop in runs if start >= min_start and stop - start >= MIN_PASSAGE_SAMPLES]
 
 
-def _mass_fit_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
+def _mass_fit_findings(
+    body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances, record_s: float
+) -> list[Finding]:
     """First error of, in this order: the relation of force and motion, delay, size, frequency, damping.
 
-    channels are those of the forces and, last, of the sensor.
+    channels are those of the forces and, last, of the sensor; the record lasts record_s.
     """
     mass_kg, damping_n_s_per_m, stiffness_n_per_m = fit.coefficients
     mass_std, damping_std, stiffness_std = fit.standard_errors
@@ -207,6 +267,11 @@ def _mass_fit_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tole
     mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
     if fit.delay_s != 0 and not 0.5 < abs(mass_ratio) < 2:  # fitted by chance
         return []
+    if fit.slips:
+        return [slipped_samples_finding(channels[-1], -fit.delay_change_s)]
+    if fit.delay_change_s:
+        first_delay_s, delay_growth = fit.delay_change_s / 2 - fit.delay_s, -fit.delay_change_s / fit.duration_s
+        return [two_clocks_finding(channels[-1], "the force", first_delay_s, delay_growth, record_s)]
     findings = []
     if abs(fit.delay_s) > 1e-4:
         findings.append(

@@ -22,7 +22,7 @@ from identify.linear.nuisance import (
     elastic_mode_indices,
     mode_count_below_band_margin,
 )
-from identify.linear.observed_motion import BodyMotion
+from identify.linear.observed_motion import BodyMotion, ObservedTransverse
 from identify.linear.projection import Projection, projection
 from identify.linear.truncation import truncations_of
 from identify.signals.scores import INDEPENDENT_RATE_HZ
@@ -237,6 +237,10 @@ class TimeResidual:
         scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
         duration_s = effective_motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
         self._count_factor = np.float32(np.sqrt(min(1.0, INDEPENDENT_RATE_HZ * duration_s / len(scaled_motion.T))))
+        self.noise_powers = np.mean((line_noise / error_scale) ** 2, axis=1) * self._count_factor**2
+        """Mean squares of the sensors' noise in the residual, at most: a projection takes some of it."""
+        self.motion_powers = np.mean(scaled_motion**2, axis=1) * self._count_factor**2
+        """Mean squares of the motion, in the same unit."""
 
     def __call__(self, spectra: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
         return np.asarray(self._spectra.compared_signals(self._projection.applied_to(spectra)[0]) * self._count_factor)
@@ -263,6 +267,9 @@ def observed_motion(
     accelerations = prediction.accelerations[channel_indices]
     input_spectra = np.concatenate([prediction.force_spectra, prediction.contact_force_spectra])
     sensor_by_row, unit_response = dict(enumerate(sensors)), np.ones_like(accelerations)
+    across = check.spectra.across[channel_indices]
+    turnable = np.flatnonzero(across.any(axis=1)).tolist()
+    transverse = ObservedTransverse(turnable, across[turnable], np.zeros_like(across[turnable]))
     truncations = truncations_of(
         rig, body_responses, rig.forces, sensor_by_row, unit_response, tolerances.truncation, MODE_BAND_RATIO
     )
@@ -276,6 +283,7 @@ def observed_motion(
         force_accelerations=check.acceleration_by_force[:, channel_indices],
         displacements=np.zeros_like(accelerations),
         bodies=tuple(_body_motion(rig, response, input_spectra) for response in body_responses),
+        transverse=transverse,
         further_changes=tuple(truncation.change(input_spectra) for truncation in truncations),
     )
 

@@ -10,11 +10,12 @@ are scored again.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.checks.channels import MIN_ERROR_IN_TOLERANCES, turned_finding
 from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.prediction import LinearCheck, TimeResidual, observed_motion
 from identify.linear.model import real_product
@@ -33,8 +34,8 @@ from rig.model.tolerances import Tolerances
 
 MIN_BROKEN_PULL, MIN_CLOCK_PULL = 5.0, 2.7
 """Smallest scores z of a parameter that is named; a clock is one question, tolerances are many."""
-MIN_ERROR_IN_TOLERANCES = 4.0
-"""Smallest error of a parameter that is named, in tolerances."""
+MIN_REMOVED_SHARE = 0.25
+"""Least share that a named parameter takes away of what is unexplained, beyond noise, at its channels."""
 MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 """Most parameters that are named, and the smallest score of one as a share of the first one's."""
 BATCH_SAMPLES = 1024
@@ -108,6 +109,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
         "damping": tolerances.damping,
         "truncated response": tolerances.truncation,
         "crosstalk": tolerances.crosstalk,
+        "cross-axis share": sensor_tolerance.cross_axis,
     }[parameter.kind]
     owner_name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     is_reportable = is_in_band and parameter.kind not in (NuisanceKind.TRUNCATION, NuisanceKind.CROSSTALK)
@@ -116,11 +118,22 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
 
 @dataclass(frozen=True)
 class BrokenTolerance:
-    """A parameter beyond its tolerance: its error in units of the suspect's column, and its score z (pull)."""
+    """A parameter beyond its tolerance: its error in units of the suspect's column, and its score z (pull).
+
+    channel_index is the channel that it changes most, of which motion_share (rms) is unexplained without it; it
+    takes removed_share of that power away.
+    """
 
     suspect: Suspect
     size_in_tolerances: float
     pull: float
+    channel_index: int
+    motion_share: float
+    removed_share: float
+
+    @property
+    def is_material(self) -> bool:
+        return self.removed_share >= MIN_REMOVED_SHARE
 
 
 def broken_tolerances_and_pulls(
@@ -142,7 +155,10 @@ def broken_tolerances_and_pulls(
     )
     columns += [_Column.of(projector(spectra)) for spectra in added_columns]
     residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
-    broken, pulls = _violations_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
+    broken, pulls = _violations_and_pulls(
+        residual, columns, len(nuisance_parameters), candidates, tolerances, projector
+    )
+    broken = [replace(b, channel_index=channel_indices[b.channel_index]) for b in broken]
     return broken, dict(zip(nuisance_parameters, pulls.tolist(), strict=True))
 
 
@@ -182,12 +198,18 @@ def misfit_within_tolerances(
 
 
 def _violations_and_pulls(
-    residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
+    residual: np.ndarray,
+    columns: list["_Column"],
+    prior_count: int,
+    candidates: list[Suspect],
+    tolerances: Tolerances,
+    projector: TimeResidual,
 ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
     broken: list[BrokenTolerance] = []
     free_indices: list[int] = []
     time_weights = np.ones(residual.shape[1], residual.dtype)
+    freed: tuple[Suspect, int, float, float, np.ndarray] | None = None
     while True:
         scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         for _ in range(3):  # lines that nothing explains weigh little
@@ -196,6 +218,8 @@ def _violations_and_pulls(
             unexplained_power = np.mean(unexplained**2, axis=0)
             time_weights = 1 / np.sqrt(1 + unexplained_power / max(4 * np.median(unexplained_power), np.float32(1)))
             scores = _scores(residual, columns, prior_count, free_indices, time_weights)
+        if freed is not None:
+            broken.append(_broken_tolerance(*freed, unexplained, projector))
         min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
         violated_indices = [
             k
@@ -208,8 +232,28 @@ def _violations_and_pulls(
         if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
             return broken, scores.pulls
         worst = max(violated_indices, key=lambda k: abs(scores.scores[k]))
-        broken.append(BrokenTolerance(candidates[worst], float(scores.errors[worst]), float(scores.scores[worst])))
+        channel_index = int(np.argmax(np.mean(columns[worst].values() ** 2, axis=1)))
+        freed = candidates[worst], channel_index, float(scores.errors[worst]), float(scores.scores[worst]), unexplained
         free_indices.append(worst)
+
+
+def _broken_tolerance(
+    suspect: Suspect,
+    channel_index: int,
+    error: float,
+    pull: float,
+    unexplained_before: np.ndarray,
+    unexplained_after: np.ndarray,
+    projector: TimeResidual,
+) -> BrokenTolerance:
+    """Broken tolerance, with what it takes away at the channel that it changes most."""
+    power_before, power_after = (
+        float(np.mean(unexplained[channel_index] ** 2)) for unexplained in (unexplained_before, unexplained_after)
+    )
+    power_beyond_noise = power_before - float(projector.noise_powers[channel_index])
+    removed_share = min((power_before - power_after) / power_beyond_noise, 1.0) if power_beyond_noise > 0 else 1.0
+    motion_share = float(np.sqrt(power_before / max(float(projector.motion_powers[channel_index]), 1e-300)))
+    return BrokenTolerance(suspect, error, pull, channel_index, motion_share, removed_share)
 
 
 @dataclass(frozen=True)
@@ -291,6 +335,8 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
         f"comes {1e3 * abs(error):.2g} ms {'late' if error > 0 else 'early'}",
     )
     tolerance_words = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
+    if kind == "cross-axis share":
+        return turned_finding(name, error)
     if kind == "clock":
         return Finding(
             cause="clock",

@@ -33,20 +33,22 @@ SMOOTHED_LINE_COUNT = 41
 class Spectra:
     """Spectra of the forces, and of the sensors as accelerations: gain, delay and derivative of each chain divided out.
 
-    line_noise is the standard deviation per line of each sensor's noise, in the same unit. line_numbers are those in
-    the transform of padded_length samples; compared_span_s goes from the start of the force to where the ringing is
-    cut off.
+    across holds those of the sensors in the other direction at the same places, zero where there are none. line_noise
+    is the standard deviation per line of each sensor's noise, in the same unit. line_numbers are those in the transform
+    of padded_length samples; compared_span_s goes from the start of the force to where the ringing is cut off.
     """
 
     sensors: tuple[Sensor, ...]
     omega: Float[np.ndarray, " line_numbers"]
     acceleration: Complex[np.ndarray, "sensors lines"]
+    across: Complex[np.ndarray, "sensors lines"]
     forces: Complex[np.ndarray, "forces lines"]
     line_noise: Float[np.ndarray, "sensors lines"]
     line_numbers: Int[np.ndarray, " line_numbers"]
     padded_length: int
     compared_span_s: tuple[float, float]
     sample_rate_hz: float
+    record_s: float
 
     @cached_property
     def smoothed_line_level(self) -> Float[np.ndarray, "sensors lines"]:
@@ -75,8 +77,15 @@ class Spectra:
         return replace(self, acceleration=acceleration)
 
 
-def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count: int | None = MAX_LINES) -> Spectra:
+def spectra_of(
+    recording: Recording,
+    sensors: tuple[Sensor, ...],
+    max_line_count: int | None = MAX_LINES,
+    across: Recording | None = None,
+) -> Spectra:
     """Spectra on at most this many lines (None: all) from 2 Hz to twice the force's highest frequency.
+
+    across is the record of the other direction.
 
     Raises RigError if the force is zero, its band too low or too narrow, or the record too short.
     """
@@ -94,6 +103,11 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
     sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
     acceleration_per_signal = np.stack([acceleration_per_signal_unit(sensor, omega) for sensor in sensors])
     acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
+    across_acceleration = np.zeros_like(acceleration)
+    for i, sensor in enumerate(sensors):
+        if (other := _sensor_across(across, sensor)) is not None:
+            lines = rfft(across.values_of(other) * end_taper, padded_length)[line_numbers]
+            across_acceleration[i] = lines * acceleration_per_signal_unit(other, omega)
     quiet_count = quiet_sample_count(forces_n, rate_hz)
     if quiet_count:
         noise_rms = sensor_signals[:, :quiet_count].std(axis=1)
@@ -108,7 +122,25 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_line_count
             "linear model; record longer"
         )
     forces = rfft(forces_n * end_taper, padded_length)[:, line_numbers]
-    return Spectra(sensors, omega, acceleration, forces, line_noise, line_numbers, padded_length, span_s, rate_hz)
+    return Spectra(
+        sensors=sensors,
+        omega=omega,
+        acceleration=acceleration,
+        across=across_acceleration,
+        forces=forces,
+        line_noise=line_noise,
+        line_numbers=line_numbers,
+        padded_length=padded_length,
+        compared_span_s=span_s,
+        sample_rate_hz=rate_hz,
+        record_s=duration_s,
+    )
+
+
+def _sensor_across(across: Recording | None, sensor: Sensor) -> Sensor | None:
+    """Sensor of the same quantity at the same place, of the record of the other direction."""
+    candidates = across.rig.sensors if across else ()
+    return next((s for s in candidates if s.station == sensor.station and s.quantity == sensor.quantity), None)
 
 
 def acceleration_per_signal_unit(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:

@@ -5,6 +5,7 @@ offset, drift. Of the record: motion before it begins, or samples in reverse ord
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -15,13 +16,24 @@ from rig.model.quantities import QUANTITIES
 
 MIN_CLIPPED_SHARE = 1e-3
 """A channel is clipped if it has its largest or smallest value for a larger share of the record."""
-MAX_STEP_SHARE = 0.01
-"""Largest step of a quantiser, as a share of the channel's root mean square."""
+MAX_NEXT_LEVEL_SHARE = 0.2
+"""Samples one step below a value at which a channel is clipped, over those at it. A sine has 0.41 of them."""
+MAX_STEP_SHARE = 0.005
+"""Largest step of a quantiser, as a share of the channel's largest distance from its mean. Of the 2048 steps of a
+12-bit converter, a tenth of the range has 200."""
 MIN_RECURRENCE = 3.0
 """Levels that recur less often are not those of a quantiser."""
 LARGEST_FORCE_N = 1e9
 MIN_HELD_SAMPLES = 8
 """Shortest run of repeated values that counts as held."""
+MIN_HELD_STEPS = 3.0
+"""Steps of the converter by which a channel moves into a held value, and out of it: at rest it does not."""
+MAX_REPEATED_SHARE, MIN_HELD_JUMP = 0.02, 2.0
+"""Share of samples like the one before from which on values repeat often; the step out of a held value is then larger
+than the next ones by the second factor."""
+MIN_SLOW_RATIO, REGULAR_COUNT, MIN_REGULAR_SHARE = 1.2, 32, 0.5
+"""Samples that a value of a slower channel is repeated for, the number of its values that come regularly in a row, and
+the least share of all changes that do."""
 MIN_SPIKE_RATIO = 25.0
 """Smallest deviation of a spike from its neighbours, over the usual one."""
 MIN_IMPACT_RATIO, SPIKE_TO_IMPACT_RATIO, MAX_SPIKES = 8.0, 2.0, 60
@@ -42,8 +54,21 @@ NOISE_ROUGHNESS_RATIO = 1.5
 MAX_QUIET_SHARE = 0.05
 """Largest share of its root mean square in a channel's quiet start."""
 
+MAX_STATED_NOISES = 2.0
+"""Noise up to this multiple of what rig.json states is as stated."""
+
 Row = Float[np.ndarray, " samples"]
 Rows = Float[np.ndarray, "*rows samples"]
+
+
+@dataclass(frozen=True)
+class KnownChannel:
+    """What is known of a channel without its samples: its noise by rig.json, the usual motion of channels of its
+    quantity (both rms), and whether rig.json has it rest at zero."""
+
+    noise_rms: float = 0.0
+    usual_rms: float = 0.0
+    rests_at_zero: bool = True
 
 
 def dead_finding(name: str, samples: Row, force_names: Sequence[str] = ("force",)) -> Finding | None:
@@ -80,10 +105,17 @@ def out_of_range_finding(name: str, group: str, samples: Row) -> Finding | None:
 
 
 def clipped_finding(name: str, samples: Row) -> Finding | None:
-    """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
+    """Finding: the signal rests at its largest or smallest value, and hardly at those next to it.
+
+    A sine in a coarse converter rests at both.
+    """
+    next_width = 1.5 * _converter_step(samples)
     for side, extreme in (("largest", samples.max()), ("smallest", samples.min())):
-        share = float(np.mean(samples == extreme))
-        if share > MIN_CLIPPED_SHARE and share * samples.size >= 4 and abs(extreme - samples.mean()) > samples.std():
+        is_extreme, is_next = samples == extreme, np.abs(samples - extreme) < next_width
+        share = float(np.mean(is_extreme))
+        stands_out = np.sum(is_next & ~is_extreme) < MAX_NEXT_LEVEL_SHARE * np.sum(is_extreme)
+        is_frequent = share > MIN_CLIPPED_SHARE and share * samples.size >= 4
+        if is_frequent and stands_out and abs(extreme - samples.mean()) > samples.std():
             return Finding(
                 cause="clipped",
                 channels=(name,),
@@ -99,25 +131,54 @@ def quantised_finding(name: str, samples: Row) -> Finding | None:
     mean_recurrence = (level_counts.sum() - level_counts.max()) / value_levels.size
     if value_levels.size > 2000 or value_levels.size < 3 or mean_recurrence < MIN_RECURRENCE:
         return None
-    level_step, rms = float(np.median(np.diff(value_levels))), float(samples.std())
-    if level_step < MAX_STEP_SHARE * rms:
+    level_step, largest = float(np.median(np.diff(value_levels))), float(np.abs(samples - samples.mean()).max())
+    if level_step < MAX_STEP_SHARE * largest:
         return None
     return Finding(
         cause="quantised",
         channels=(name,),
-        evidence=f"{name} moves in steps of {level_step:.3g}, {100 * level_step / rms:.2g} % of its root mean square",
+        evidence=f"{name} moves in steps of {level_step:.3g}, {100 * level_step / largest:.2g} % of its largest value",
         mend="take a smaller measuring range or more bits, and record again",
+    )
+
+
+def repeated_values_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
+    """Finding: the channel changes at regular times alone, as one that was sampled more slowly, each value repeated."""
+    change_indices = np.flatnonzero(np.diff(samples)) + 1
+    window_count = change_indices.size // REGULAR_COUNT
+    if not window_count:
+        return None
+    windows = change_indices[: window_count * REGULAR_COUNT].reshape(window_count, REGULAR_COUNT)
+    ranks = np.arange(REGULAR_COUNT) - (REGULAR_COUNT - 1) / 2
+    intervals = windows @ ranks / (ranks @ ranks)
+    usual_interval = float(np.median(intervals))
+    if usual_interval < MIN_SLOW_RATIO:
+        return None
+    deviations = windows - usual_interval * ranks
+    is_regular = np.ptp(deviations, axis=1) <= 1.0 + 1e-9
+    if np.mean(is_regular) < MIN_REGULAR_SHARE:
+        return None
+    return Finding(
+        cause="repeated values",
+        channels=(name,),
+        evidence=f"{name} repeats each value {usual_interval:.3g} times: it was sampled at "
+        f"{rate_hz / usual_interval:.4g} Hz, and not at {rate_hz:g} Hz",
+        mend="resample it to the record's rate, or import it at its own rate; it comes half an interval late as it is",
     )
 
 
 def held_samples_finding(
     name: str, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
 ) -> Finding | None:
-    """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
+    """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled.
+
+    A converter whose signal rests, or turns, repeats a value too: the channel moves into a held value, and leaves it,
+    by several of the converter's steps. Where values repeat often, it leaves a held one by more than it goes on.
+    """
     is_repeated = np.diff(samples) == 0
     run_edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
     run_starts, run_stops = run_edges[::2], run_edges[1::2]
-    if not run_starts.size or np.mean(is_repeated) > 0.3:
+    if not run_starts.size or np.mean(is_repeated) > 0.9:
         return None
     force_sizes = np.abs(np.atleast_2d(forces_n))
     onset_index = int(np.argmax((force_sizes > 0.05 * force_sizes.max(axis=1, keepdims=True)).any(axis=0)))
@@ -128,6 +189,19 @@ def held_samples_finding(
     )
     if name in force_names:
         is_held_run &= samples[run_starts] != 0
+    min_step = MIN_HELD_STEPS * _converter_step(samples)
+    repeats_often = (
+        np.sum(is_repeated) - np.sum((run_stops - run_starts)[is_held_run]) > MAX_REPEATED_SHARE * samples.size
+    )
+    for run in np.flatnonzero(is_held_run).tolist():
+        start, stop = int(run_starts[run]), int(run_stops[run])
+        before = samples[max(0, start - MIN_HELD_SAMPLES) : start]
+        moves_in = np.abs(before - samples[start]).max(initial=0.0) > min_step
+        steps_out = np.abs(np.diff(samples[stop : stop + 4]))
+        min_step_out = min_step
+        if repeats_often:
+            min_step_out = max(min_step, MIN_HELD_JUMP * float(steps_out[1:].max(initial=0.0)))
+        is_held_run[run] = moves_in and (not steps_out.size or steps_out[0] > min_step_out)
     if not is_held_run.any():
         return None
     longest = int(np.max((run_stops - run_starts)[is_held_run])) + 1
@@ -140,10 +214,18 @@ def held_samples_finding(
     )
 
 
+def _converter_step(samples: Row) -> float:
+    """Usual step between the values that a channel takes, which of a fine converter is next to nothing."""
+    value_levels = np.unique(samples)
+    return float(np.median(np.diff(value_levels))) if value_levels.size > 1 else 0.0
+
+
 def relative_neighbour_deviation(samples: Row) -> Row:
-    """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
+    """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby, and over a
+    quarter of the converter's step."""
     deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
     usual_deviation = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
+    usual_deviation = np.maximum(usual_deviation, 0.25 * _converter_step(samples))
     return np.asarray(np.r_[0, 0, deviation / usual_deviation, 0, 0])
 
 
@@ -220,17 +302,33 @@ def copy_findings(names: list[str], sample_rows: list[Row]) -> Iterator[Finding]
 
 
 def noise_finding(
-    name: str, rate_hz: float, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
+    name: str,
+    rate_hz: float,
+    samples: Row,
+    forces_n: Rows,
+    force_names: Sequence[str] = ("force",),
+    known: KnownChannel | None = None,
 ) -> Finding | None:
-    """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
+    """Finding: noise in the quiet start; or motion that sets in there, if it is as smooth as later motion.
+
+    Noise is measured by the usual motion of such channels, as a station may rest. Noise that is stated is none, nor is
+    motion that lasts from the record's first samples on: the rig was not at rest.
+    """
+    known = known or KnownChannel()
     quiet_count = quiet_sample_count(forces_n, rate_hz)
-    quiet_share = float(samples[:quiet_count].std() / samples.std()) if quiet_count else 0.0
-    if quiet_share < MAX_QUIET_SHARE:
+    if not quiet_count:
         return None
-    quiet_roughness, driven_roughness = (
-        float(np.diff(segment).std() / segment.std()) for segment in (samples[:quiet_count], samples[quiet_count:])
-    )
-    if quiet_roughness < NOISE_ROUGHNESS_RATIO * driven_roughness:
+    quiet_samples, driven_samples = samples[:quiet_count], samples[quiet_count:]
+    quiet_share = float(quiet_samples.std() / samples.std())
+    is_large = quiet_samples.std() > MAX_QUIET_SHARE * max(float(samples.std()), known.usual_rms)
+    if not is_large or quiet_samples.std() < MAX_STATED_NOISES * known.noise_rms:
+        return None
+    if _is_smooth(quiet_samples, driven_samples):
+        first_samples = quiet_samples[: max(8, quiet_count // 10)]
+        from_mean = float(np.sqrt(np.mean((first_samples - quiet_samples.mean()) ** 2)))
+        moves_at_once = first_samples.std() > MAX_QUIET_SHARE * quiet_samples.std()
+        if moves_at_once and from_mean > MIN_MOVING_SHARE * quiet_samples.std():
+            return None
         return Finding(
             cause="force",
             channels=(*force_names, name),
@@ -244,6 +342,23 @@ def noise_finding(
         evidence=f"{name} shows {100 * quiet_share:.2g} % of its root mean square before the force begins",
         mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
     )
+
+
+def _is_smooth(quiet_samples: Float[np.ndarray, " quiet"], driven_samples: Float[np.ndarray, " driven"]) -> bool:
+    """True if what is there before the force is as smooth as the motion later, and no noise."""
+    quiet_roughness, driven_roughness = (
+        float(np.diff(part).std() / (part.std() or 1.0)) for part in (quiet_samples, driven_samples)
+    )
+    return quiet_roughness < NOISE_ROUGHNESS_RATIO * driven_roughness
+
+
+def moves_before_force(rate_hz: float, samples: Row, forces_n: Rows) -> bool:
+    """True if the channel moves smoothly, by a part of its later motion, before the force begins."""
+    quiet_count = quiet_sample_count(forces_n, rate_hz)
+    quiet_samples, driven_samples = samples[:quiet_count], samples[quiet_count:]
+    if not quiet_count or quiet_samples.std() < MAX_QUIET_SHARE * samples.std():
+        return False
+    return _is_smooth(quiet_samples, driven_samples)
 
 
 def mains_tone_hz_and_amplitude(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, float] | None:
@@ -314,10 +429,12 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     )
 
 
-def initial_motion_finding(name: str, rate_hz: float, samples: Row, rest_s: float) -> Finding | None:
-    """Finding: the channel moves by a part of its usual motion within the record's first moments."""
+def initial_motion_finding(
+    name: str, rate_hz: float, samples: Row, rest_s: float, noise_rms: float = 0.0
+) -> Finding | None:
+    """Finding: the channel moves by a part of its usual motion, beyond stated noise, in the record's first moments."""
     beginning_samples = samples[: max(8, round(rest_s * rate_hz))]
-    if beginning_samples.std() < MIN_MOVING_SHARE * samples.std():
+    if beginning_samples.std() < max(MIN_MOVING_SHARE * samples.std(), MAX_STATED_NOISES * noise_rms):
         return None
     return Finding(
         cause="not at rest",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
 
 from rig.errors import RigError
@@ -24,7 +25,10 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class UffSelection:
-    """Selection from a UFF file; None and () leave it to the file. axis is that along the body."""
+    """Selection from a UFF file; None and () leave it to the file. axis is that along the body.
+
+    exponential_window_s is the decay time tau of an analyser's window exp(-t / tau) on the responses.
+    """
 
     axis: Axis | None = None
     direction: Axis | None = None
@@ -32,6 +36,7 @@ class UffSelection:
     positions_m: tuple[float, ...] = ()
     length_m: float | None = None
     band_hz: tuple[float, ...] = ()
+    exponential_window_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -165,6 +170,8 @@ def structure_from_shapes(file: UffFile, choice: UffSelection) -> tuple[Structur
             "a structure has normal modes, export those"
         )
     frequencies_hz, ratios = np.where(is_elastic, frequencies_hz, 0.0), np.where(is_elastic, ratios, 0.0)
+    frequencies_hz, ratios, window_notes = _without_window(file, choice, frequencies_hz, ratios)
+    notes += window_notes
     node_names = [str(node) for node in nodes]
     return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, node_names), tuple(notes)
 
@@ -238,7 +245,9 @@ def structure_from_frfs(file: UffFile, choice: UffSelection) -> tuple[Structure,
     except RigError as error:
         raise file.error(str(error)) from error
     shapes, node_names = modal_fit.shapes(nodes.index(driving_node)), [str(node) for node in nodes]
-    frequencies_hz, damping_ratios = modal_fit.frequencies_hz, modal_fit.damping_ratios
+    frequencies_hz, damping_ratios, window_notes = _without_window(
+        file, choice, modal_fit.frequencies_hz, modal_fit.damping_ratios
+    )
     body = structure_of(file.path.stem, length_m, frequencies_hz, damping_ratios, positions_m, shapes, node_names)
     first_note = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
@@ -247,12 +256,62 @@ def structure_from_frfs(file: UffFile, choice: UffSelection) -> tuple[Structure,
     left_out_notes = [f"left out: {len(frfs) - len(nodes)} FRFs"] if len(frfs) > len(nodes) else []
     unmodelled_share = max(float(f"{np.median(modal_fit.misfits_of_modes):.2g}"), Tolerances().unmodelled)
     tolerances = Tolerances(unmodelled=unmodelled_share, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
-    return body, (first_note, *left_out_notes, *_fit_notes(nodes, modal_fit)), tolerances
+    mode_notes = [
+        f"mode: {frequency_hz:.6g} Hz, damping ratio {damping_ratio:.4g}"
+        for frequency_hz, damping_ratio in zip(frequencies_hz, damping_ratios, strict=True)
+    ]
+    notes = (first_note, *left_out_notes, *mode_notes, *window_notes, *_misfit_notes(nodes, modal_fit))
+    return body, notes, tolerances
 
 
-def _fit_notes(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
-    for frequency_hz, damping_ratio in zip(modal_fit.frequencies_hz, modal_fit.damping_ratios, strict=True):
-        yield f"mode: {frequency_hz:.6g} Hz, damping ratio {damping_ratio:.4g}"
+MIN_WINDOW_SHARE = 0.6
+"""Least share of the lowest mode's damping ratio that a window would explain where the ratios fall as one leaves them.
+Set by hand."""
+
+
+def _without_window(
+    file: UffFile, choice: UffSelection, natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], tuple[str, ...]]:
+    """Frequencies (Hz) and damping ratios without the window that the analyser put on the responses; a note on it.
+
+    A window exp(-t / tau) moves each pole by -1 / tau: the decay rate zeta omega grows by it, the damped frequency
+    stays. Raises RigError for a window that leaves a mode no damping.
+    """
+    window_s = choice.exponential_window_s
+    if window_s is None:
+        return natural_hz, ratios, _window_question(natural_hz, ratios)
+    if not 0 < window_s < np.inf:
+        raise RigError(f"exponential_window_s is {window_s}; give the decay time of the window, a finite time above zero")
+    is_elastic = natural_hz > 0
+    decay_rates_per_s = 2 * np.pi * natural_hz * ratios - is_elastic / window_s
+    if (is_lighter := decay_rates_per_s < 0).any():
+        first_index = int(np.argmax(is_lighter))
+        raise file.error(
+            f"exponential_window_s is {window_s:g}, which adds {1 / (2 * np.pi * natural_hz[first_index] * window_s):.3g} "
+            f"to the damping ratio of the mode at {natural_hz[first_index]:.4g} Hz, and the file has "
+            f"{ratios[first_index]:.3g}; give the time in which the window falls to 37 %, or leave the option out"
+        )
+    true_hz = np.hypot(natural_hz * np.sqrt(1 - ratios**2), decay_rates_per_s / (2 * np.pi))
+    true_ratios = np.divide(decay_rates_per_s, 2 * np.pi * true_hz, out=np.zeros_like(true_hz), where=is_elastic)
+    return true_hz, true_ratios, (f"the window exp(-t / {window_s:g} s) is taken off the damping ratios",)
+
+
+def _window_question(natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.ndarray, " modes"]) -> tuple[str, ...]:
+    """Question after a window, where the decay rates are those of one, constant, and a damping ratio that all modes
+    share: the ratios then fall as 1 / frequency."""
+    omega, found_ratios = 2 * np.pi * natural_hz[natural_hz > 0], ratios[natural_hz > 0]
+    if omega.size < 2 or (np.diff(found_ratios) >= 0).any() or found_ratios[-1] <= 0:
+        return ()
+    added_per_s, _ = scipy.optimize.nnls(np.stack([1 / omega, np.ones_like(omega)], axis=1), found_ratios)[0]
+    if added_per_s / omega[0] < MIN_WINDOW_SHARE * found_ratios[0]:
+        return ()
+    return (
+        f"the damping ratios fall as 1/frequency, as a window of {1 / added_per_s:.2g} s on the responses leaves them; if "
+        "the analyser had one, give --exponential-window-s, the time in which it falls to 37 %",
+    )
+
+
+def _misfit_notes(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
     for node, misfit, mode_misfit in zip(nodes, modal_fit.misfits, modal_fit.misfits_of_modes, strict=True):
         yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {mode_misfit:.2%} by the modes without residuals"
 

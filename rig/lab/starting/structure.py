@@ -50,6 +50,10 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
     band_hz: Annotated[
         tuple[float, ...], msgspec.Meta(description="LOW,HIGH: the band in which FRFs are fitted; otherwise all.")
     ] = ()
+    exponential_window_s: Annotated[
+        float | None,
+        msgspec.Meta(description="Time in which the analyser's exponential window falls to 37 %, s; it is taken off."),
+    ] = None
     mass_kg: Annotated[
         float | None, msgspec.Meta(description="Of a free body whose analysis has no rigid-body modes: its mass, kg.")
     ] = None
@@ -74,9 +78,19 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         if (self.from_uff is None) == (self.body is None):
             raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
         if self.from_uff is None:
+            if self.exponential_window_s is not None:
+                raise RigError("exponential_window_s goes with --from-uff; a structure by --body has its own damping")
             return self._with_rigid_modes(self._from_json()), (), None
-        choice_fields = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
-        body, notes, tolerances = structure_from_uff(self.from_uff, UffSelection(*choice_fields))
+        choice = UffSelection(
+            axis=self.along,
+            direction=self.direction,
+            nodes=self.nodes,
+            positions_m=self.positions_m,
+            length_m=self.length_m,
+            band_hz=self.band_hz,
+            exponential_window_s=self.exponential_window_s,
+        )
+        body, notes, tolerances = structure_from_uff(self.from_uff, choice)
         return self._with_rigid_modes(body), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:

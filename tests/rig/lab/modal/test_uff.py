@@ -264,3 +264,36 @@ def test_a_structure_of_one_mode_with_the_same_frequency_twice_is_kept(tmp_path)
     assert body == structure_of(
         "arm", body.length_m, np.full(2, 50.0), np.full(2, 0.01), body.positions_m, shapes, named
     )
+
+
+def windowed_frfs(window_s, ratio=0.004, places=range(10), driving=9):
+    """FRFs of responses times exp(-t / window_s): receptances at a frequency that is complex by 1 / window_s."""
+    s = 2j * np.pi * LINES_HZ + 1 / window_s
+    natural, shapes = 2 * np.pi * ARM.frequencies_hz(12)[:, None], ARM.shapes(PLACES_M, 12)
+    by_mode = 1 / (natural**2 + 2 * ratio * natural * s + s**2)
+    return [
+        frf(k, driving, order=0, data=np.asarray((shapes[k] * shapes[driving]) @ by_mode, complex)) for k in places
+    ]
+
+
+@pytest.mark.parametrize("window_s", [0.3, 1.0])
+def test_an_exponential_window_is_taken_off_the_damping(tmp_path, window_s):
+    body, notes = read(tmp_path, [nodes(), *windowed_frfs(window_s)], exponential_window_s=window_s)
+    np.testing.assert_allclose(body.natural_hz, ARM.frequencies_hz(body.max_modes), rtol=1e-3)
+    np.testing.assert_allclose(body.ratios, 0.004, atol=4e-4)
+    assert f"the window exp(-t / {window_s:g} s) is taken off the damping ratios" in notes
+
+
+def test_damping_that_falls_as_a_window_leaves_it_is_asked_about(tmp_path):
+    _, notes = read(tmp_path, [nodes(), *windowed_frfs(0.2)])
+    (question,) = [note for note in notes if "1/frequency" in note]
+    assert "a window of 0.2 s on the responses" in question
+    assert "--exponential-window-s" in question
+    _, notes = read(tmp_path, [nodes(), *(frf(k, 9) for k in range(10))])
+    assert not [note for note in notes if "1/frequency" in note]
+
+
+@pytest.mark.parametrize(("window_s", "words"), [(0.05, "0.05, which adds"), (0.0, "a finite time above zero")])
+def test_a_window_that_leaves_no_damping_is_refused(tmp_path, window_s, words):
+    with pytest.raises(RigError, match=words):
+        read(tmp_path, [nodes(), *windowed_frfs(0.2)], exponential_window_s=window_s)
