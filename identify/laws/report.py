@@ -111,6 +111,8 @@ def _law_values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
     fit."""
     if law.sliding is not None:
         yield from law.sliding.value_texts
+        for field in law.sliding.undetermined:
+            yield law.sliding.names[field], "not told by this record"
     elif law.candidate(PIECEWISE).fits:
         for ordinal, knee in enumerate(law.fitted_knees_m, start=1):
             yield f"{PIECEWISE}, knee {ordinal}", estimate_interval(knee, "mm", 1e3)

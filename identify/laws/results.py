@@ -54,19 +54,23 @@ class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
     undetermined: tuple[str, ...] = ()
 
     @property
+    def names(self) -> dict[str, str]:
+        """Names of the fields in words; one of both sliding forces if they are one."""
+        names = {"upper_n": "sliding force"}
+        if self.upper_n != self.lower_n:
+            names = {"upper_n": "sliding force one way", "lower_n": "sliding force the other way"}
+        return names | _NAMES
+
+    @property
     def value_texts(self) -> Iterator[tuple[str, str]]:
-        """Names and values with 95 % intervals; what is not told comes last."""
-        sliding_names = ("slides at", "") if self.upper_n == self.lower_n else ("slides one way at", "the other way at")
-        names = {**dict(zip(("upper_n", "lower_n"), sliding_names, strict=True)), **_NAME_BY_FIELD}
-        for field, name in names.items():
+        """Names and values with 95 % intervals of what the record tells."""
+        for field, name in self.names.items():
             estimate: Estimate | None = getattr(self, field)
-            if estimate is not None and name:
+            if estimate is not None:
                 yield name, estimate_interval(estimate, *_UNIT_BY_FIELD[field])
-        for field in self.undetermined:
-            yield names[field], "not told by this record"
 
 
-_NAME_BY_FIELD = {
+_NAMES = {
     "backlash_m": "backlash",
     "stiffness_n_per_m": "stiffness of the slider",
     "reversal_speed_m_per_s": "reversal speed",
@@ -146,9 +150,11 @@ def verdict_sentence(
         )
     if sliding is not None:
         values_text = joined([f"{name} {text}" for name, text in sliding.value_texts])
+        not_told = [sliding.names[field] for field in sliding.undetermined]
+        not_told_text = f"; the record does not tell: {joined(not_told)}" if not_told else ""
         return (
-            f"{best.law}: {values_text} (± 95 %); it leaves {best.held_out_error_n:.3g} N rms of held-out data, "
-            f"{percent(best.left_share)} of the force"
+            f"{best.law}: {values_text} (± 95 %){not_told_text}; it leaves {best.held_out_error_n:.3g} N rms of "
+            f"held-out data, {percent(best.left_share)} of the force"
         )
     if best.law != PIECEWISE:
         piecewise_error_n = next(candidate.held_out_error_n for candidate in candidates if candidate.law == PIECEWISE)
