@@ -18,7 +18,7 @@ from identify.gaps.results import Gap
 from identify.history import History
 from identify.history import page as history_page
 from identify.laws import Laws
-from identify.laws.results import LawReport
+from identify.laws.results import FORMULA, LawReport
 from identify.pages.style import Picture
 from identify.pages.summary import Summarized, Summary
 from identify.pages.wording import COVERED, number, percent
@@ -206,11 +206,15 @@ class LawResult(Illustrated):
                 "contact": law.contact,
                 "law": tried.law,
                 "left of held-out data, N rms": number(tried.held_out_error_n, 3),
+                "of the force": percent(tried.left_share),
             }
             for law in self.report.laws
             for tried in law.candidates
         )
-        verdicts = tuple(f"{law.contact}: {law.verdict}; {law.formula}" for law in self.report.laws)
+        formulas = [f"; {law.formula}" if law.candidate(FORMULA).fits else "" for law in self.report.laws]
+        verdicts = tuple(
+            f"{law.contact}: {law.verdict}{formula}" for law, formula in zip(self.report.laws, formulas, strict=True)
+        )
         return Summary(rows, below=(*verdicts, *_unanswered_lines(self.report.unanswered)))
 
 

@@ -138,6 +138,8 @@ def law(
 def print_laws(report: LawReport, console: Console) -> None:
     """Print the findings, then the verdict, formula and candidates of every contact."""
     from identify.commands.contact_files import print_findings
+    from identify.laws.results import FORMULA
+    from identify.pages.wording import percent
 
     print_findings(report.findings, console)
     for law_estimate in report.laws:
@@ -145,9 +147,13 @@ def print_laws(report: LawReport, console: Console) -> None:
             Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."),
             soft_wrap=not console.is_terminal,
         )
-        print_sentence(f"  formula found: {law_estimate.formula}", console)
-        candidate_rows = ((candidate.law, f"{candidate.held_out_error_n:.3g}") for candidate in law_estimate.candidates)
-        console.print(console_table("", ("law", "rms left of held-out data, N"), rows=candidate_rows))
+        if law_estimate.candidate(FORMULA).fits:
+            print_sentence(f"  formula found: {law_estimate.formula}", console)
+        candidate_rows = (
+            (candidate.law, f"{candidate.held_out_error_n:.3g}", percent(candidate.left_share))
+            for candidate in law_estimate.candidates
+        )
+        console.print(console_table("", ("law", "rms left of held-out data, N", "of the force"), rows=candidate_rows))
         print_sentence(
             f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
             f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"

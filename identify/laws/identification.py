@@ -1,6 +1,6 @@
 """Identification of contact laws without assuming one: symbolic regression of the separated force."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,17 +9,20 @@ from jaxtyping import Float
 
 from identify.contacts.acceptance import AcceptedContacts, contacts_after_recording_check
 from identify.contacts.contact_record import ContactRecord
-from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.joint_fit import JointEstimate, unexplained_share
 from identify.contacts.law_form import LawForm
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate, unanswered
 from identify.laws.fitted_laws import (
     ERROR_RESOLUTION,
-    BacklashFriction,
+    AnyLaw,
     ForceSamples,
+    Friction,
+    FrictionFit,
+    Part,
     PiecewiseLinear,
     Signal,
-    fitted_backlash_friction,
+    fitted_friction,
     fitted_piecewise_linear,
     force_without_low_pass,
     hysteresis_share,
@@ -31,8 +34,10 @@ from identify.laws.results import (
     CUBIC,
     DEAD_ZONE,
     FORMULA,
+    LINEAR,
     PIECEWISE,
     SLIDING,
+    SMOOTH_SLIDING,
     ContactLawEstimate,
     LawReport,
     TriedLaw,
@@ -70,7 +75,7 @@ class ContactLawFit:
     searched_force_n: Float[np.ndarray, " points"]
     formula: Formula
     pieces: PiecewiseLinear
-    sliding: BacklashFriction | None
+    sliding: Friction | None
     record: ForceSamples
     time_s: Float[np.ndarray, " samples"]
     """Times of the force's samples."""
@@ -78,7 +83,7 @@ class ContactLawFit:
     @property
     def plotted_law(self) -> str:
         """Name of the law that is drawn over time."""
-        return SLIDING if self.sliding else "straight pieces"
+        return self.result.best if self.sliding else "straight pieces"
 
     @property
     def plotted_force_n(self) -> Float[np.ndarray, " samples"]:
@@ -139,14 +144,14 @@ def identify_law(
 
 @dataclass(frozen=True)
 class _ContactSamples:
-    """Force and complete relative displacement of a contact, with its joint estimates.
+    """Force and complete relative displacement of a contact, with its joint estimates, and as a contact record.
 
     Laws are fitted to the rows `training_rows`, the first half of the excited ones, and compared on `held_out_rows`,
     the second; the best is fitted again to all `excited_rows`.
     """
 
     record: ForceSamples
-    velocity_m_per_s: Float[np.ndarray, " more"]
+    contact_record: ContactRecord
     estimates: tuple[JointEstimate, ...]
     training_rows: slice
     held_out_rows: slice
@@ -159,6 +164,34 @@ class _ContactSamples:
     def error_resolution_n(self) -> float:
         """Difference below which errors count as equal, N."""
         return ERROR_RESOLUTION * float(np.std(self.record.force_n[self.excited_rows]))
+
+    @property
+    def changed(self) -> Iterator[ForceSamples]:
+        """Samples with each nuisance parameter of the record changed by one standard deviation."""
+        record, moving_rows = self.record, iter(self.contact_record.nuisance_m)
+        for force_n, shifts_eta, is_initial_state in zip(
+            self.contact_record.nuisance_n,
+            self.contact_record.shifts_eta,
+            self.contact_record.is_initial_state,
+            strict=True,
+        ):
+            eta_m = next(moving_rows) if shifts_eta else np.zeros_like(record.eta_m)
+            velocity_m_per_s = record.velocity_m_per_s - self.contact_record.velocity_of(eta_m)
+            if not is_initial_state:
+                yield replace(
+                    record,
+                    eta_m=record.eta_m - eta_m,
+                    velocity_m_per_s=velocity_m_per_s,
+                    force_n=record.force_n - force_n,
+                )
+
+    def tried(self, name: str, law: AnyLaw) -> TriedLaw:
+        """Law with what it leaves of the held-out rows; all of it where the force is no more than noise."""
+        rows, noise_n = self.held_out_rows, self.contact_record.noise_n
+        force_n, residual_n = self.record.force_n[rows], self.record.residual_n(law, rows)
+        is_above_noise = unexplained_share([(force_n, force_n, noise_n)]) > 0
+        left_share = unexplained_share([(residual_n, force_n, noise_n)]) if is_above_noise else 1.0
+        return TriedLaw(name, float(np.sqrt(np.mean(residual_n**2))), left_share)
 
     @property
     def law_values(self) -> Float[np.ndarray, " laws"]:
@@ -180,7 +213,8 @@ class _FormulaFit:
 def _contact_law_fit(
     contacts: AcceptedContacts, group: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> ContactLawFit:
-    """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
+    """Law of one contact: formula, straight pieces, friction, damper and spring, and cubic, compared on the held-out
+    half."""
     samples = _contact_samples(contacts, group, contact_record)
     record = samples.record
     formula_fit = _search_formula(samples, search_s, seed)
@@ -191,38 +225,80 @@ def _contact_law_fit(
     )
     knees_m = law_knees_m(formula, low_m, high_m)
     pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
-    law_by_name: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
+    friction_fits = _friction_fits(samples)
+    law_by_name: dict[str, AnyLaw] = {PIECEWISE: pieces}
     if samples.estimates:
         law_by_name[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
-    law_by_name[SLIDING] = fitted_backlash_friction(record, samples.training_rows)
+    law_by_name |= {name: fit.law for name, fit in friction_fits.items()}
     law_by_name |= {CUBIC: polynomial(record, samples.training_rows, 3), FORMULA: formula}
-    tried_laws = tuple(TriedLaw(name, record.error_n(law, samples.held_out_rows)) for name, law in law_by_name.items())
+    tried_laws = tuple(samples.tried(name, law) for name, law in law_by_name.items())
     held_out_errors_n = [tried.held_out_error_n for tried in tried_laws]
     best_tried = tried_laws[_simplest_equivalent_index(held_out_errors_n, samples.error_resolution_n)]
     # the final fit takes all excited rows
-    pieces = fitted_piecewise_linear(record, samples.excited_rows, pieces.knees_m)
-    friction = fitted_backlash_friction(record, samples.excited_rows) if best_tried.law == SLIDING else None
+    changed = () if samples.estimates else samples.changed
+    pieces = fitted_piecewise_linear(record, samples.excited_rows, pieces.knees_m, changed)
+    pieces = _with_contact_errors(pieces, samples.estimates)
+    friction, sliding = None, None
+    if best_tried.fits and best_tried.law in friction_fits:
+        training_fit = friction_fits[best_tried.law]
+        rows = slice(training_fit.rows.start, samples.excited_rows.stop)
+        friction = replace(training_fit, rows=rows).fitted().reduced
+        sliding = sliding_estimates(friction, samples.changed)
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     estimate = ContactLawEstimate(
         contact=group.joined_contact.name,
-        verdict=verdict_sentence(pieces, formula_text, tried_laws, best_tried, contact_record.sides_known, friction),
+        verdict=verdict_sentence(pieces, formula_text, tried_laws, best_tried, contact_record.sides_known, sliding),
         best=best_tried.law,
+        fits=best_tried.fits,
         formula=formula_text,
         knees_m=tuple(float(k) for k in knees_m),
         slopes_n_per_m=mean_slopes_n_per_m(formula, knees_m, low_m, high_m),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
-        sliding=None if friction is None else sliding_estimates(friction),
+        sliding=sliding,
         candidates=tried_laws,
         force_rms_n=float(np.std(record.force_n[samples.excited_rows])),
-        hysteresis_share=hysteresis_share(record, samples.velocity_m_per_s, pieces, samples.held_out_rows),
+        hysteresis_share=hysteresis_share(record, pieces, samples.held_out_rows),
         sides_known=contact_record.sides_known,
         points=formula_fit.searched_eta_m.size,
         repeatable=not formula_fit.out_of_time,
     )
     time_s = contacts.separation.motion.time_s(record.force_n.size, contact_record.decimation)
     return ContactLawFit(
-        estimate, formula_fit.searched_eta_m, formula_fit.searched_force_n, formula, pieces, friction, record, time_s
+        result=estimate,
+        searched_eta_m=formula_fit.searched_eta_m,
+        searched_force_n=formula_fit.searched_force_n,
+        formula=formula,
+        pieces=pieces,
+        sliding=None if friction is None else friction.law,
+        record=record,
+        time_s=time_s,
+    )
+
+
+def _friction_fits(samples: _ContactSamples) -> dict[str, FrictionFit]:
+    """Friction by its name: reached by a spring, or what of its parts is left; and growing with speed."""
+    by_spring, by_speed = (fitted_friction(samples.record, samples.training_rows, is_by) for is_by in (False, True))
+    fits = {SLIDING if Part.FRICTION in by_spring.parts else LINEAR: by_spring}
+    return fits | ({SMOOTH_SLIDING: by_speed} if Part.REVERSAL in by_speed.parts else {})
+
+
+def _with_contact_errors(pieces: PiecewiseLinear, estimates: Sequence[JointEstimate]) -> PiecewiseLinear:
+    """Straight pieces with what the intervals of the contact's joint estimates hold beside scatter.
+
+    A knee has that of the clearance on its side, a slope that of the stiffness, in relation to it; of several contacts
+    the largest.
+    """
+    knee_errors_m, slope_shares = [np.zeros_like(pieces.knees_m)], [0.0]
+    for estimate in estimates:
+        lasting_covariance = estimate.covariance - estimate.covariances["scatter"]
+        lower_error_m, upper_error_m, stiffness_error, _ = np.sqrt(np.diag(lasting_covariance))
+        knee_errors_m.append(np.where(pieces.knees_m < 0, lower_error_m, upper_error_m))
+        slope_shares.append(float(stiffness_error / estimate.stiffness_n_per_m))
+    return replace(
+        pieces,
+        knee_errors_m=np.hypot(pieces.knee_errors_m, np.max(knee_errors_m, axis=0)),
+        slope_errors_n_per_m=np.hypot(pieces.slope_errors_n_per_m, max(slope_shares) * pieces.slopes_n_per_m),
     )
 
 
@@ -241,9 +317,9 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
         for sign, name in zip(group.signs, contact_names, strict=True)
         if name in estimate_by_name
     )
-    record, velocity_m_per_s = _samples_with_drift(contact_record, estimates[:1])
+    record = _samples_with_drift(contact_record, estimates[:1])
     if len(estimates) > 1:
-        damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
+        damping_n = record.low_passed(partial(_damping_force_n, estimates), record.velocity_m_per_s)
         record = replace(record, force_n=record.force_n - damping_n)
     start = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     stop = record.force_n.size - EDGE_SAMPLE_COUNT
@@ -253,7 +329,7 @@ def _contact_samples(contacts: AcceptedContacts, group: ContactGroup, contact_re
             f"the excited part of the record holds {max(stop - start, 0)} samples of the contact force; record {words}"
         )
     middle = (start + stop) // 2
-    return _ContactSamples(record, velocity_m_per_s, estimates, slice(start, middle), slice(middle, stop))
+    return _ContactSamples(record, contact_record, estimates, slice(start, middle), slice(middle, stop))
 
 
 def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:
@@ -291,15 +367,13 @@ def _fit_straight_pieces(
     return min(piecewise_laws, key=lambda law: record.error_n(law, rows))
 
 
-def _samples_with_drift(
-    record: ContactRecord, estimates: tuple[JointEstimate, ...]
-) -> tuple[ForceSamples, Float[np.ndarray, " more"]]:
-    """Force and relative displacement with the estimated drift added, and the relative velocity (m/s)."""
+def _samples_with_drift(record: ContactRecord, estimates: tuple[JointEstimate, ...]) -> ForceSamples:
+    """Force and relative displacement with the estimated drift added."""
     eta_m, force_n, velocity_m_per_s = record.eta_m, record.force_n, record.velocity_m_per_s
     for estimate in estimates if record.drift is not None else ():
         eta_m, velocity_m_per_s = eta_m + estimate.drift_m, velocity_m_per_s + estimate.drift_m_per_s
         force_n = force_n - record.spring_n_per_m * record.at_force_samples(estimate.drift_m)
-    return ForceSamples(eta_m, force_n, record.sample_rate_hz, record.decimation), velocity_m_per_s
+    return ForceSamples(eta_m, velocity_m_per_s, force_n, record.sample_rate_hz, record.decimation)
 
 
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:

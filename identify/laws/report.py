@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from identify.laws.identification import EDGE_SAMPLE_COUNT, ContactLawFit, Laws
-from identify.laws.results import PIECEWISE, ContactLawEstimate, LawReport, estimate_interval
+from identify.laws.results import FORMULA, MAX_LEFT_SHARE, PIECEWISE, ContactLawEstimate, LawReport, estimate_interval
 from identify.pages import page
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
-from identify.pages.wording import number
+from identify.pages.wording import joined, number, percent
 from rig.files import make_folder, write_json
 
 TABULATED_POINT_COUNT = 800
@@ -43,9 +43,11 @@ def write_page(
 ) -> None:
     """Write the page; the figures are those of `law_figures`, by their names."""
     law_estimates, unanswered = report.laws, report.unanswered
-    headline = "contact law found"
+    headline, all_fit = "contact law found", all(law.fits for law in law_estimates)
     if report.findings:
         headline = "not to be relied on"
+    elif not all_fit:
+        headline = joined([law.contact for law in law_estimates if not law.fits]) + ": none of the laws fits"
     elif unanswered:
         headline = f"the laws of {len(law_estimates)} of {len(law_estimates) + len(unanswered)} contacts found"
     sentences = [f"{law.contact}: {law.verdict}." for law in law_estimates]
@@ -53,7 +55,7 @@ def write_page(
     colour: Literal["green", "yellow", "red"] = "green"
     if not law_estimates:
         colour = "red"
-    elif report.findings or unanswered:
+    elif report.findings or unanswered or not all_fit:
         colour = "yellow"
     findings_html = page.list_html(finding.sentence for finding in report.findings) if report.findings else ""
     laws_html = f"<h2>What was found</h2>{''.join(map(_law_section, law_estimates))}" if law_estimates else ""
@@ -78,40 +80,44 @@ def write_page(
 
 
 def _law_section(law: ContactLawEstimate) -> str:
-    """Section on one contact: the laws tried, and the values of friction or of the straight pieces."""
+    """Section on one contact: the laws tried, and the values of the one that fits: friction, or straight pieces."""
     law_rows = [
         (
             candidate.law + (" (the best)" if candidate.law == law.best else ""),
             number(candidate.held_out_error_n, 3),
-            f"{100 * candidate.held_out_error_n / law.force_rms_n:.2g} %",
+            percent(candidate.left_share),
         )
         for candidate in law.candidates
     ]
     knees_note = "" if law.sides_known else " Knees count from the middle of the play, as no sensor tells its place."
     repeat_note = "" if law.repeatable else " Time ended the search, so the same seed will not repeat it exactly."
+    value_rows = list(_law_values(law))
+    formula_html = f"<p>{escape(law.formula)}</p>" if law.candidate(FORMULA).fits else ""
     return (
         f"<h3>{escape(law.contact)}</h3>"
-        + page.table(("law", "left of held-out data, N rms", "of the force"), law_rows)
-        + page.table(("", "value ± 95 %"), _law_values(law))
-        + f"<p>{escape(law.formula)}</p>"
-        + f"<p>The laws were fitted to one half of the record and judged by the other. Damping in the closed contact "
-        f"explains {100 * law.hysteresis_share:.2g} % of the variance that is left.{knees_note}{repeat_note} The "
-        "intervals hold the scatter alone; contact.json, of identify contact, has those with the tolerances.</p>"
+        + page.table(("law", "left of held-out data, N rms", "of the force, beyond the sensors' noise"), law_rows)
+        + (page.table(("", "value ± 95 %"), value_rows) if value_rows else "")
+        + formula_html
+        + f"<p>The laws were fitted to one half of the record and judged by the other; one that leaves more than "
+        f"{100 * MAX_LEFT_SHARE:.3g} % of the force does not fit. Damping in the closed contact explains "
+        f"{100 * law.hysteresis_share:.2g} % of the variance that is left.{knees_note}{repeat_note} The intervals hold "
+        "scatter, misfit of the law, slow motion and tolerances, as those of contact.html; values there are of one "
+        "dead zone, fitted with the tolerances, and differ from these within the intervals.</p>"
     )
 
 
 def _law_values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
-    """Names and values with 95 % intervals: of the friction where it is the best law, else of the straight pieces."""
+    """Names and values with 95 % intervals: of the friction where it is the best law, else of straight pieces that
+    fit."""
     if law.sliding is not None:
-        yield "slides one way at", estimate_interval(law.sliding.upper_n, "N")
-        yield "slides the other way at", estimate_interval(law.sliding.lower_n, "N")
-        yield "backlash", estimate_interval(law.sliding.backlash_m, "mm", 1e3)
-        yield "stiffness", estimate_interval(law.sliding.stiffness_n_per_m, "N/m")
-        return
-    for ordinal, knee in enumerate(law.fitted_knees_m, start=1):
-        yield f"{PIECEWISE}, knee {ordinal}", estimate_interval(knee, "mm", 1e3)
-    for ordinal, slope in enumerate(law.fitted_slopes_n_per_m, start=1):
-        yield f"{PIECEWISE}, slope {ordinal}", estimate_interval(slope, "N/m")
+        yield from law.sliding.value_texts
+        for field in law.sliding.undetermined:
+            yield law.sliding.names[field], "not told by this record"
+    elif law.candidate(PIECEWISE).fits:
+        for ordinal, knee in enumerate(law.fitted_knees_m, start=1):
+            yield f"{PIECEWISE}, knee {ordinal}", estimate_interval(knee, "mm", 1e3)
+        for ordinal, slope in enumerate(law.fitted_slopes_n_per_m, start=1):
+            yield f"{PIECEWISE}, slope {ordinal}", estimate_interval(slope, "N/m")
 
 
 def law_figures(laws: Sequence[ContactLawFit]) -> dict[str, Picture]:
@@ -127,7 +133,7 @@ def law_figures(laws: Sequence[ContactLawFit]) -> dict[str, Picture]:
 def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     """Draw each contact's force over eta: the points searched, formula and straight pieces, and their residual below.
 
-    Where friction behind a backlash is the best law, draw that instead, along the course of eta.
+    Where friction is the best law, draw that instead, along the course of eta.
     """
     force_panels, residual_panels = figure.subplots(
         2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1)

@@ -1,54 +1,110 @@
 """Results on contact laws: the structure of law.json, and the sentence that sums up a law."""
 
+from collections.abc import Iterable, Iterator
+
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding
 from identify.contacts.results import Estimate, Unanswered
-from identify.laws.fitted_laws import BacklashFriction, PiecewiseLinear
-from identify.pages.wording import interval
+from identify.laws.fitted_laws import ForceSamples, FrictionFit, Part, PiecewiseLinear
+from identify.pages.wording import COVERED, interval, joined, percent
 
 PIECEWISE = "piecewise-linear law"
 FORMULA = "formula found"
 DEAD_ZONE = "dead zone of the joint estimate"
 CUBIC = "cubic polynomial"
-SLIDING = "friction behind a backlash"
+LINEAR = "damper and spring"
+SLIDING = "dry friction"
+SMOOTH_SLIDING = "dry friction that grows with speed"
+MAX_LEFT_SHARE = 0.2
+"""Share of the force that a law may leave of held-out data, beyond the sensors' noise; one that leaves more does not
+fit."""
 MAX_FLAT_SLOPE_SHARE = 0.01
 """Slope over the steepest below which a piece counts as flat, the gap of a dead zone."""
 
 
 class TriedLaw(msgspec.Struct, frozen=True):
-    """Law that was tried, and the rms error of its force in the held-out half of the record."""
+    """Law that was tried, and the rms error of its force in the held-out half of the record; left_share is this error
+    over the force's rms, both beyond the sensors' noise."""
 
     law: str
     held_out_error_n: float
+    left_share: float
+
+    @property
+    def fits(self) -> bool:
+        return self.left_share <= MAX_LEFT_SHARE
 
 
 class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """Dry friction reached through a backlash by a spring: sliding force in each direction, backlash, stiffness.
+    """Dry friction beside a constant force, a damper and a spring (`Friction` of `fitted_laws`), as far as the record
+    demands them; a part that it does not demand is None. undetermined names the fields that it demands and does not
+    tell: their 95 % interval would hold zero."""
 
-    Standard errors are of the scatter alone.
-    """
+    upper_n: Estimate | None = None
+    lower_n: Estimate | None = None
+    backlash_m: Estimate | None = None
+    stiffness_n_per_m: Estimate | None = None
+    reversal_speed_m_per_s: Estimate | None = None
+    constant_n: Estimate | None = None
+    viscous_n_s_per_m: Estimate | None = None
+    elastic_n_per_m: Estimate | None = None
+    undetermined: tuple[str, ...] = ()
 
-    upper_n: Estimate
-    lower_n: Estimate
-    backlash_m: Estimate
-    stiffness_n_per_m: Estimate
+    @property
+    def names(self) -> dict[str, str]:
+        """Names of the fields in words; one of both sliding forces if they are one."""
+        names = {"upper_n": "sliding force"}
+        if self.upper_n != self.lower_n:
+            names = {"upper_n": "sliding force one way", "lower_n": "sliding force the other way"}
+        return names | _NAMES
+
+    @property
+    def value_texts(self) -> Iterator[tuple[str, str]]:
+        """Names and values with 95 % intervals of what the record tells."""
+        for field, name in self.names.items():
+            estimate: Estimate | None = getattr(self, field)
+            if estimate is not None:
+                yield name, estimate_interval(estimate, *_UNIT_BY_FIELD[field])
+
+
+_NAMES = {
+    "backlash_m": "backlash",
+    "stiffness_n_per_m": "stiffness of the slider",
+    "reversal_speed_m_per_s": "reversal speed",
+    "constant_n": "constant force",
+    "viscous_n_s_per_m": "damper",
+    "elastic_n_per_m": "spring",
+}
+_UNIT_BY_FIELD = {
+    "upper_n": ("N", 1.0),
+    "lower_n": ("N", 1.0),
+    "backlash_m": ("mm", 1e3),
+    "stiffness_n_per_m": ("N/m", 1.0),
+    "reversal_speed_m_per_s": ("mm/s", 1e3),
+    "constant_n": ("N", 1.0),
+    "viscous_n_s_per_m": ("N s/m", 1.0),
+    "elastic_n_per_m": ("N/m", 1.0),
+}
+_POSITIVE_FIELDS = ("upper_n", "lower_n", "backlash_m", "stiffness_n_per_m", "reversal_speed_m_per_s")
 
 
 class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """Law of one contact; eta is its relative displacement.
 
     knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
-    piecewise-linear law fitted from them, with standard errors of the scatter alone: contact.json has those of drift
-    and rig.json. hysteresis_share is the share of the unexplained variance that a damper in the closed contact
-    explains. repeatable is false if time ended the search, as the same seed may then give another formula.
+    piecewise-linear law fitted from them, with standard errors by scatter, misfit, slow motion and tolerances as those
+    of contact.json. fits is false if even the best law leaves too much (`MAX_LEFT_SHARE`). hysteresis_share is the
+    share of the unexplained variance that a damper in the closed contact explains. repeatable is false if time ended
+    the search, as the same seed may then give another formula.
     """
 
     contact: str
     verdict: str
     best: str
+    fits: bool
     formula: str
     knees_m: tuple[float, ...]
     slopes_n_per_m: tuple[float, ...]
@@ -61,7 +117,11 @@ class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
     points: int
     repeatable: bool
     sliding: SlidingLaw | None = None
-    """Values of the friction, if it is the best law."""
+    """Values of the friction, if it is the best law and fits."""
+
+    def candidate(self, law: str) -> TriedLaw:
+        """Law that was tried, by its name."""
+        return next(candidate for candidate in self.candidates if candidate.law == law)
 
 
 class LawReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,17 +139,22 @@ def verdict_sentence(
     candidates: tuple[TriedLaw, ...],
     best: TriedLaw,
     sides_known: bool,
-    sliding: BacklashFriction | None,
+    sliding: SlidingLaw | None,
 ) -> str:
-    """Sentence on the law of one contact: its kind and values, or which law is better than straight pieces."""
-    if sliding is not None:
-        friction = sliding_estimates(sliding)
+    """Sentence on the law of one contact: its kind and values, which law is better than straight pieces, or that none
+    fits."""
+    if not best.fits:
         return (
-            f"friction behind a backlash: it slides at {estimate_interval(friction.upper_n, 'N')} one way and at "
-            f"{estimate_interval(friction.lower_n, 'N')} the other, behind a backlash of "
-            f"{estimate_interval(friction.backlash_m, 'mm', 1e3)} and a stiffness of "
-            f"{estimate_interval(friction.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
-            f"{best.held_out_error_n:.3g} N rms of held-out data"
+            f"none of the laws fits: the best, {best.law}, leaves {percent(best.left_share)} of the force in held-out "
+            f"data (limit {100 * MAX_LEFT_SHARE:.3g} %)"
+        )
+    if sliding is not None:
+        values_text = joined([f"{name} {text}" for name, text in sliding.value_texts])
+        not_told = [sliding.names[field] for field in sliding.undetermined]
+        not_told_text = f"; the record does not tell: {joined(not_told)}" if not_told else ""
+        return (
+            f"{best.law}: {values_text} (± 95 %){not_told_text}; it leaves {best.held_out_error_n:.3g} N rms of "
+            f"held-out data, {percent(best.left_share)} of the force"
         )
     if best.law != PIECEWISE:
         piecewise_error_n = next(candidate.held_out_error_n for candidate in candidates if candidate.law == PIECEWISE)
@@ -108,10 +173,22 @@ def verdict_sentence(
     return f"{kind_words} with knees at {knees_text} mm and slopes {slopes_text} N/m{origin_note}"
 
 
-def sliding_estimates(friction: BacklashFriction) -> SlidingLaw:
-    """Values of the friction with their standard errors."""
-    fields_and_errors = zip(SlidingLaw.__struct_fields__, friction.standard_errors, strict=True)
-    return SlidingLaw(**{field: Estimate(getattr(friction, field), error) for field, error in fields_and_errors})
+def sliding_estimates(fit: FrictionFit, changed: Iterable[ForceSamples]) -> SlidingLaw:
+    """Values of the friction with their standard errors; changed are the samples with one tolerance each."""
+    estimates = {field: Estimate(*value_with_error) for field, value_with_error in fit.estimates(changed).items()}
+    unseen = []
+    if Part.FRICTION in fit.parts and not fit.is_reversal_seen:
+        unseen = ["reversal_speed_m_per_s" if fit.by_speed else "stiffness_n_per_m"]
+    undetermined = [
+        *unseen,
+        *(
+            field
+            for field, estimate in estimates.items()
+            if field in _POSITIVE_FIELDS and field not in unseen and estimate.value <= COVERED * estimate.standard_error
+        ),
+    ]
+    told = {field: estimate for field, estimate in estimates.items() if field not in undetermined}
+    return SlidingLaw(**told, undetermined=tuple(undetermined))
 
 
 def estimate_interval(estimate: Estimate, unit: str, unit_factor: float = 1.0) -> str:
