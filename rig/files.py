@@ -6,9 +6,12 @@ that it is either complete or absent.
 
 import hashlib
 import os
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -99,6 +102,24 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RigError(f"{path}: cannot be made a folder ({error.strerror}); choose another place") from error
+
+
+def user_cache_folder() -> Path | None:
+    """This version's folder in the user's cache folder, made if need be; None where nothing can be written there."""
+    base_by_platform = {"win32": os.environ.get("LOCALAPPDATA", ""), "darwin": "~/Library/Caches"}
+    base_text = os.environ.get("XDG_CACHE_HOME") or base_by_platform.get(sys.platform) or "~/.cache"
+    folder = Path(os.path.expanduser(base_text), "rig-identify", version("rig-identify"))  # noqa: PTH111 - "~" stays
+    return folder if folder.is_absolute() and is_writable_folder(folder) else None
+
+
+def is_writable_folder(folder: Path) -> bool:
+    """True if the folder is there or can be made, and a file can be written in it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
 
 
 @contextmanager

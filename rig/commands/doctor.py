@@ -5,6 +5,7 @@ It imports nothing of the project or of its libraries, as they may be what is br
 
 import re
 import shutil
+import site
 import sys
 import sysconfig
 from collections.abc import Iterator
@@ -58,19 +59,37 @@ def package_conflict_sentences() -> Iterator[str]:
     owners_by_package = packages_distributions()
     for package_name in COMMANDS:
         owners = sorted(set(owners_by_package.get(package_name, ())) - {NAME})
-        module_spec = find_spec(package_name)
-        package_folder = Path((module_spec and module_spec.origin) or ".").parent
+        package_folder = package_folder_of(package_name)
         if owners:
             yield (
                 f"the Python package {package_name} is also that of {', '.join(owners)} (pre-commit needs one called "
                 f"identify): keep what needs it in an environment of its own; here pip uninstall {' '.join(owners)}, "
                 f"then pip install --force-reinstall --no-deps {NAME}"
             )
+        elif package_folder is None:
+            yield f"the Python package {package_name} is not there: install {NAME} again"
+        elif not (package_folder / "__init__.py").is_file() and is_of_installed_packages(package_folder):
+            yield (
+                f"the folder {package_folder} holds left-over files of an earlier installation, no package, and hides "
+                f"the installed {package_name}: delete this folder"
+            )
         elif not (package_folder / "commands" / "cli.py").is_file():
             yield (
                 f"the Python package {package_name} in {package_folder} is not that of {NAME}: "
-                "start in another folder, or remove it"
+                "start in another folder, or rename this one"
             )
+
+
+def package_folder_of(package_name: str) -> Path | None:
+    """Folder in which Python finds a package, with or without an __init__.py; None where it finds none."""
+    module_spec = find_spec(package_name)
+    return next((Path(folder) for folder in (module_spec and module_spec.submodule_search_locations) or ()), None)
+
+
+def is_of_installed_packages(folder: Path) -> bool:
+    """True if the folder lies where pip installs packages, for all or for this user."""
+    folders = *site.getsitepackages(), site.getusersitepackages(), *map(sysconfig.get_path, ("purelib", "platlib"))
+    return folder.parent.resolve() in {Path(packages_folder).resolve() for packages_folder in folders}
 
 
 def command_conflict_sentences() -> Iterator[str]:

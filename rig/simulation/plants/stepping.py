@@ -2,12 +2,15 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
 
+from rig.files import is_writable_folder, user_cache_folder
 from rig.simulation.plants.compiled_laws import ANNULAR_Y, ANNULAR_Z, NUMBA_OPTIONS, force_n, vector_force_n
 
 FORCE_TOLERANCE_N = 1e-9
@@ -18,12 +21,28 @@ FORCE, ETA, RATE, BEND = range(4)
 """Rows of a contact state: force, eta, eta' and bend of the force, for every contact."""
 
 
+@cache
+def _compiled_code_folder() -> Path | None:
+    """NUMBA_CACHE_DIR or a folder of the user's cache; None where it cannot be written: numba would take this one."""
+    if not numba.config.CACHE_DIR:
+        return user_cache_folder()
+    folder = Path(numba.config.CACHE_DIR)
+    return folder if is_writable_folder(folder) else None
+
+
 def _compiled(function: Callable[..., None]) -> Any:
-    """Compile a function with numba, cached on disk where that is writable."""
+    """Compile a function with numba; the compiled code is kept in the user's cache, or not at all."""
+    not_kept = numba.njit(inline="always", **NUMBA_OPTIONS)(function)
+    folder = _compiled_code_folder()
+    if folder is None:
+        return not_kept
+    folder_of_all = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder)  # numba adds a name made of this file's path: installations share nothing
     try:
-        return numba.njit(cache=True, inline="always", **NUMBA_OPTIONS)(function)
-    except RuntimeError:  # neither this folder nor the user's can be written: compiled anew in every run
-        return numba.njit(inline="always", **NUMBA_OPTIONS)(function)
+        kept = numba.njit(cache=True, inline="always", **NUMBA_OPTIONS)(function)
+    finally:
+        numba.config.CACHE_DIR = folder_of_all
+    return kept if Path(kept.stats.cache_path).is_relative_to(folder) else not_kept
 
 
 def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:

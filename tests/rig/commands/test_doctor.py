@@ -4,6 +4,8 @@ import importlib
 import os
 import subprocess
 import sys
+from functools import partial
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,27 @@ def test_a_package_of_the_same_name_is_found():
 
 def test_a_sound_installation_has_no_finding():
     assert list(doctor.package_conflict_sentences()) == []
+
+
+@pytest.mark.parametrize(
+    ("in_packages", "said"),
+    [
+        (
+            True,
+            "the folder {0} holds left-over files of an earlier installation, no package, and hides",
+        ),
+        (False, "the Python package rig in {0} is not that of rig-identify: start in another folder"),
+    ],
+)
+def test_a_folder_that_shadows_a_package_is_named(tmp_path, monkeypatch, in_packages, said):
+    """As after `pip install .` and `pip install -e .`, where use had written into the installed package."""
+    left_file = tmp_path / "rig" / "simulation" / "__pycache__" / "stepping.py311.nbi"
+    left_file.parent.mkdir(parents=True)
+    left_file.touch()
+    monkeypatch.setattr(doctor, "find_spec", partial(PathFinder.find_spec, path=[str(tmp_path)]))
+    monkeypatch.setattr(doctor.site, "getsitepackages", lambda: [str(tmp_path)] * in_packages)
+    sentence, *_ = doctor.package_conflict_sentences()
+    assert sentence.startswith(said.format(tmp_path / "rig"))
 
 
 def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
