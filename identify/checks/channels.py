@@ -207,8 +207,8 @@ def turned_finding(name: str, share: float) -> Finding:
     return Finding(
         cause="turned",
         channels=(name,),
-        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: it shows "
-        f"{100 * share:+.2g} % of the motion across",
+        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: "
+        f"it shows {100 * share:+.2g} % of the motion across",
         mend="align it, or turn both of its directions back by that angle before the import",
     )
 

@@ -326,6 +326,23 @@ def _is_far_beyond_tolerance(candidate: Suspect, error_size: float, tolerances: 
     return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_ERROR_IN_TOLERANCES)
 
 
+def _body_finding(kind: str, name: str, deviation_words: str) -> Finding:
+    """Finding on a body whose mass, frequency or damping is off."""
+    if kind in ("mass", "density"):
+        return Finding(
+            cause="mass",
+            of=name,
+            evidence=f"{name} moves as if its {kind} were {deviation_words}",
+            mend="weigh it and correct rig.json",
+        )
+    return Finding(
+        cause="frequency" if kind == "frequency" else "damping",
+        of=name,
+        evidence=f"the {kind} of {name} is {deviation_words}",
+        mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
+    )
+
+
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
     """Finding on a broken tolerance, in words."""
     kind, name = violation.suspect.kind, violation.suspect.of
@@ -357,20 +374,8 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
             evidence=f"{force_in_words(name)} {delay_words} against all sensors",
             mend="synchronise the force's clock with the sensors'",
         )
-    if kind in ("mass", "density"):
-        return Finding(
-            cause="mass",
-            of=name,
-            evidence=f"{name} moves as if its {kind} were {percent_words} rig.json {tolerance_words}",
-            mend="weigh it and correct rig.json",
-        )
-    if kind in ("frequency", "damping"):
-        return Finding(
-            cause="frequency" if kind == "frequency" else "damping",
-            of=name,
-            evidence=f"the {kind} of {name} is {percent_words} rig.json {tolerance_words}",
-            mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
-        )
+    if kind in ("mass", "density", "frequency", "damping"):
+        return _body_finding(kind, name, f"{percent_words} rig.json {tolerance_words}")
     finding_parts_by_kind: dict[str, tuple[Cause, str, str]] = {
         "gain": ("gain", f"is {percent_words} in gain against the others and the model", "calibrate it again"),
         "position": (

@@ -281,14 +281,14 @@ def _without_window(
     if window_s is None:
         return natural_hz, ratios, _window_question(natural_hz, ratios)
     if not 0 < window_s < np.inf:
-        raise RigError(f"exponential_window_s is {window_s}; give the decay time of the window, a finite time above zero")
+        raise RigError(f"exponential_window_s is {window_s}; give the decay time of the window, above zero")
     is_elastic = natural_hz > 0
     decay_rates_per_s = 2 * np.pi * natural_hz * ratios - is_elastic / window_s
     if (is_lighter := decay_rates_per_s < 0).any():
         first_index = int(np.argmax(is_lighter))
         raise file.error(
-            f"exponential_window_s is {window_s:g}, which adds {1 / (2 * np.pi * natural_hz[first_index] * window_s):.3g} "
-            f"to the damping ratio of the mode at {natural_hz[first_index]:.4g} Hz, and the file has "
+            f"exponential_window_s is {window_s:g}, which adds "
+            f"{1 / (2 * np.pi * natural_hz[first_index] * window_s):.3g} to the damping ratio of the mode at {natural_hz[first_index]:.4g} Hz, and the file has "
             f"{ratios[first_index]:.3g}; give the time in which the window falls to 37 %, or leave the option out"
         )
     true_hz = np.hypot(natural_hz * np.sqrt(1 - ratios**2), decay_rates_per_s / (2 * np.pi))
@@ -306,8 +306,8 @@ def _window_question(natural_hz: Float[np.ndarray, " modes"], ratios: Float[np.n
     if added_per_s / omega[0] < MIN_WINDOW_SHARE * found_ratios[0]:
         return ()
     return (
-        f"the damping ratios fall as 1/frequency, as a window of {1 / added_per_s:.2g} s on the responses leaves them; if "
-        "the analyser had one, give --exponential-window-s, the time in which it falls to 37 %",
+        f"the damping ratios fall as 1/frequency, as a window of {1 / added_per_s:.2g} s on the responses leaves them; "
+        "if the analyser had one, give --exponential-window-s, the time in which it falls to 37 %",
     )
 
 

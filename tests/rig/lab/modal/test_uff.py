@@ -271,9 +271,7 @@ def windowed_frfs(window_s, ratio=0.004, places=range(10), driving=9):
     s = 2j * np.pi * LINES_HZ + 1 / window_s
     natural, shapes = 2 * np.pi * ARM.frequencies_hz(12)[:, None], ARM.shapes(PLACES_M, 12)
     by_mode = 1 / (natural**2 + 2 * ratio * natural * s + s**2)
-    return [
-        frf(k, driving, order=0, data=np.asarray((shapes[k] * shapes[driving]) @ by_mode, complex)) for k in places
-    ]
+    return [frf(k, driving, order=0, data=np.asarray((shapes[k] * shapes[driving]) @ by_mode, complex)) for k in places]
 
 
 @pytest.mark.parametrize("window_s", [0.3, 1.0])
