@@ -105,7 +105,7 @@ def spectra_of(
     acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
     across_acceleration = np.zeros_like(acceleration)
     for i, sensor in enumerate(sensors):
-        if (other := _sensor_across(across, sensor)) is not None:
+        if across is not None and (other := _sensor_across(across, sensor)) is not None:
             lines = rfft(across.values_of(other) * end_taper, padded_length)[line_numbers]
             across_acceleration[i] = lines * acceleration_per_signal_unit(other, omega)
     quiet_count = quiet_sample_count(forces_n, rate_hz)

@@ -288,7 +288,8 @@ def _without_window(
         first_index = int(np.argmax(is_lighter))
         raise file.error(
             f"exponential_window_s is {window_s:g}, which adds "
-            f"{1 / (2 * np.pi * natural_hz[first_index] * window_s):.3g} to the damping ratio of the mode at {natural_hz[first_index]:.4g} Hz, and the file has "
+            f"{1 / (2 * np.pi * natural_hz[first_index] * window_s):.3g} to the damping ratio of the mode at "
+            f"{natural_hz[first_index]:.4g} Hz, and the file has "
             f"{ratios[first_index]:.3g}; give the time in which the window falls to 37 %, or leave the option out"
         )
     true_hz = np.hypot(natural_hz * np.sqrt(1 - ratios**2), decay_rates_per_s / (2 * np.pi))
