@@ -18,6 +18,7 @@ from rerun.experimental import ViewerClient
 from rig.errors import RigError
 from rig.files import check_source, write_bytes
 from rig.viewer.drawing import TIMELINE
+from rig.viewer.web import LOOPBACK, free_ports, rerun_on_loopback
 
 TIMEOUT_S = 240.0
 SETTLE_S = 2.0
@@ -53,15 +54,25 @@ def view_names(rrd: Path) -> list[str]:
 @contextmanager
 def _opened(rrd: Path) -> Iterator[ViewerClient]:
     check_source(rrd)
-    viewer_path = str(Path(sys.executable).with_name("rerun"))  # beside Python, should no environment be active
-    with ViewerClient.spawn(
-        headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=viewer_path
-    ) as viewer:
+    port, _ = free_ports()
+    deadline_s = time.monotonic() + TIMEOUT_S
+    with rerun_on_loopback("--headless", "--hide-welcome-screen", "--port", str(port)) as process:
+        while not _listens(port):
+            if process.poll() is not None or time.monotonic() > deadline_s:
+                raise RigError("rerun does not start without a screen; it needs a Vulkan driver (mesa-vulkan-drivers)")
+            time.sleep(0.2)
+        viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         viewer.open(str(rrd.resolve()))
-        deadline_s = time.monotonic() + TIMEOUT_S
         while time.monotonic() < deadline_s and not viewer.get_state().views:
             time.sleep(1.0)
         yield viewer
+
+
+def _listens(port: int) -> bool:
+    with suppress(OSError):
+        socket.create_connection((LOOPBACK, port)).close()
+        return True
+    return False
 
 
 def _origins(viewer: ViewerClient) -> list[str]:
@@ -77,12 +88,6 @@ def _maximize_view(viewer: ViewerClient, origin: str) -> str:
             viewer.set_blueprint(blueprint, "recording")
             return str(view.view_id)
     raise RigError(f"there is no view {origin!r}; there are {', '.join(_origins(viewer))}")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def main(words: Sequence[str] | None = None) -> None:

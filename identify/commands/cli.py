@@ -22,6 +22,7 @@ from identify.commands.options import (
 )
 from identify.commands.plan import plan, plan_help_words
 from rig.commands.command_line import (
+    CommandApp,
     Force,
     Json,
     Version,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 else:
     LawReport = Any
 
-app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+app = CommandApp(no_args_is_help=True)
 
 CommandOfOptions = help_filled_by(option_help_words)
 

@@ -16,6 +16,7 @@ from rig.commands.cli_files import draw, export_, fmu, format_help_texts, import
 from rig.commands.cli_init import init
 from rig.commands.cli_view import view
 from rig.commands.command_line import (
+    CommandApp,
     Force,
     Json,
     StoppedError,
@@ -44,7 +45,7 @@ else:
     # what a command needs of the other rooms is imported when it runs: the help is shown at once
     ndarray = Station = Recording = Signals = UserRig = Reference = Any
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+app = CommandApp(no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")]
 

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import msgspec
 import typer
-from typer.core import TyperGroup
 from typer.main import get_group
 
-from rig.commands.command_line import Force, Json, progress_spinner, refuse_existing, say
+from rig.commands.command_line import CommandApp, CommandGroup, Force, Json, progress_spinner, refuse_existing, say
 from rig.model.decoding import explained
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ _EXAMPLES = {
 }
 
 
-class KindGroup(TyperGroup):
+class KindGroup(CommandGroup):
     """Group of one command for each kind of rig, made when one is asked for: the kinds are slow to import."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -54,13 +53,13 @@ class KindGroup(TyperGroup):
             return
         from rig.lab.starting import KINDS
 
-        kinds_app = typer.Typer()
+        kinds_app = CommandApp()
         for kind_name, kind in KINDS.items():
             kinds_app.command(kind_name)(_kind_command(kind_name, kind))
         self.commands.update(get_group(kinds_app).commands)
 
 
-init = typer.Typer(cls=KindGroup, no_args_is_help=True)
+init = CommandApp(cls=KindGroup, no_args_is_help=True)
 
 
 @init.callback()

@@ -11,19 +11,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from inspect import cleandoc
-from io import TextIOWrapper
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import TextWrapper
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
+from rig.commands.streams import prepare_streams
 from rig.errors import RigError, has_no_control_characters, one_line
 from rig.files import check_target, part_path_of
 
@@ -44,9 +44,64 @@ def _say_version(requested: bool) -> bool:
 
 
 Version = Annotated[
-    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version and exit.")
+    bool, typer.Option("--version", "-V", callback=_say_version, is_eager=True, help="Show the version and exit.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+OPTIONS_OF_ONE_MEANING = (
+    {"--duration", "--seconds", "--length", "--time"},
+    {"--out", "--output", "--out-dir", "-o"},
+    {"--force", "--overwrite", "--yes", "-f", "-y"},
+)
+"""Options that other programs, or other commands, have for one thing."""
+
+
+CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
+
+
+class Command(TyperCommand):
+    """Command that says what an option of other programs is called here; its flags have no `<bool>` in the help."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _with_plain_flags(super().get_params(ctx))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:  # the class for an unknown option is typer's own or click's, by typer's version
+            unknown_option = getattr(error, "option_name", None)
+            known_options = {option for parameter in self.get_params(ctx) for option in parameter.opts}
+            for options in OPTIONS_OF_ONE_MEANING:
+                if unknown_option in options - known_options and options & known_options:
+                    error.possibilities = sorted(options & known_options)  # type: ignore[attr-defined]
+            raise
+
+
+class CommandGroup(TyperGroup):
+    """Group of commands, whose flags have no `<bool>` in the help."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _with_plain_flags(super().get_params(ctx))
+
+
+def _with_plain_flags(command_parameters: list[Any]) -> list[Any]:
+    for command_parameter in command_parameters:
+        if getattr(command_parameter, "is_flag", False):
+            command_parameter.metavar = ""
+    return command_parameters
+
+
+class CommandApp(typer.Typer):
+    """Application whose group and commands are of the classes above, unless they name others."""
+
+    def __init__(self, *, cls: type[TyperGroup] = CommandGroup, **options: Any) -> None:
+        super().__init__(cls=cls, pretty_exceptions_enable=False, **options)
+
+    def command(
+        self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **options: Any
+    ) -> Callable[[CommandFunction], CommandFunction]:
+        return super().command(name, cls=cls, **options)
 
 
 def help_filled_by(texts_by_placeholder: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
@@ -55,7 +110,7 @@ def help_filled_by(texts_by_placeholder: Callable[[], Mapping[str, str]]) -> typ
     A paragraph of the help fills the width of the terminal, wherever the lines of the docstring end.
     """
 
-    class FilledHelpCommand(TyperCommand):
+    class FilledHelpCommand(Command):
         def format_help(self, ctx: Any, formatter: Any) -> None:
             text_by_placeholder = texts_by_placeholder()
             paragraphs = cleandoc(self.help or "").split("\n\n")
@@ -81,7 +136,7 @@ def run(app: typer.Typer, command_name: str) -> None:
     _prepare_streams_and_signals(command_name)
     try:
         try:
-            app(prog_name=command_name)
+            app(prog_name=command_name, help_option_names=["--help", "-h"])
         finally:
             sys.stdout.flush()
     except RigError as error:
@@ -96,9 +151,6 @@ def run(app: typer.Typer, command_name: str) -> None:
         exit_status, sentence = INTERRUPTED_STATUS, "interrupted"  # typer has taken the KeyboardInterrupt
     except KeyboardInterrupt:
         exit_status, sentence = INTERRUPTED_STATUS, "interrupted"
-    except BrokenPipeError:  # whoever reads has enough, as `head` has
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        sys.exit(1)
     except OSError as error:
         file_name = "standard output" if error.filename is None else error.filename
         exit_status = 1
@@ -109,17 +161,8 @@ def run(app: typer.Typer, command_name: str) -> None:
 
 
 def _prepare_streams_and_signals(command_name: str) -> None:
-    """Prepare the process: escape unencodable output, turn SIGTERM and SIGHUP into interruptions, silence warnings.
-
-    Exits if standard output is closed.
-    """
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
-    if sys.stdout is None:
-        sys.exit(f"{command_name}: standard output is closed; direct it into a file or to {os.devnull}")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    """Prepare the process: its streams, SIGTERM and SIGHUP as interruptions, no warnings of libraries."""
+    prepare_streams(command_name)
     for signal_name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, signal_name) and signal.getsignal(getattr(signal, signal_name)) == signal.SIG_DFL:
             signal.signal(getattr(signal, signal_name), _interrupt)

@@ -6,15 +6,20 @@
 import os
 import signal
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
+
+from rig.commands.streams import prepare_streams
 
 INTERRUPTED_STATUS = 130
 ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 PYPI_NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
-LIGHT_OPTIONS = {"--help", "--version"}
+HELP_OPTIONS = {"--help", "-h"}
+VERSION_OPTIONS = {"--version", "-V"}
+LIGHT_OPTIONS = HELP_OPTIONS | VERSION_OPTIONS
 """Options that need no libraries."""
 LAST_DATE_S = 253_402_300_800
 """The year 10000."""
@@ -36,11 +41,20 @@ def both() -> None:
         _start(command)
     elif command == "doctor":
         _doctor()
-    elif command == "--version":
-        print(PYPI_NAME, version(PYPI_NAME))
+    elif command in VERSION_OPTIONS:
+        _print_and_exit(PYPI_NAME, _print_version)
     else:
-        print(f"Usage: {PYPI_NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
-        sys.exit(0 if command == "--help" else 2)
+        _print_and_exit(PYPI_NAME, lambda: _print_usage(0 if command in HELP_OPTIONS else 2))
+
+
+def _print_version() -> int:
+    print(PYPI_NAME, version(PYPI_NAME))
+    return 0
+
+
+def _print_usage(exit_status: int) -> int:
+    print(f"Usage: {PYPI_NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
+    return exit_status
 
 
 def _start(command_name: str) -> None:
@@ -79,7 +93,19 @@ def _check_source_date_epoch(command_name: str) -> None:
 def _doctor() -> None:
     from rig.commands.doctor import doctor
 
-    sys.exit(doctor())
+    _print_and_exit(f"{PYPI_NAME} doctor", doctor)
+
+
+def _print_and_exit(command_name: str, printing: Callable[[], int]) -> None:
+    """Exit with the status that a function returns, which prints by itself and needs none of the libraries."""
+    prepare_streams(command_name)
+    try:
+        exit_status = printing()
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
+        sys.exit(f"{command_name}: standard output: cannot be written ({error.strerror}); choose another place")
+    sys.exit(exit_status)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import stage
+from rig.viewer.web import LOOPBACK
 
 MAX_PLOTTED_VALUES = 1_000_000
 """Number of plotted values above which the time series are decimated away from contacts."""
@@ -211,8 +212,8 @@ def _radial_law(law: ContactLaw) -> DeadZone:
 
 
 def open_viewer(path: Path) -> None:
-    """Open the file in the rerun viewer without waiting for it."""
-    subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
+    """Open the file in the rerun viewer, which other computers cannot reach, without waiting for it."""
+    subprocess.Popen([sys.executable, "-m", "rerun", "--bind", LOOPBACK, str(path)], start_new_session=True)
 
 
 def station_title(rig: Rig, station: Station) -> str:

@@ -74,24 +74,32 @@ def _fetch_page_file(address: str) -> PageFile:
 @contextmanager
 def _rerun_server() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
     """Run rerun's web server on the loopback address; yields its port and process."""
-    page_port, data_port = _free_ports()
-    arguments = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page_port), "--port", str(data_port)]
+    page_port, data_port = free_ports()
+    arguments = ["--serve-web", "--web-viewer-port", str(page_port), "--port", str(data_port)]
+    with rerun_on_loopback(*arguments) as process:
+        yield page_port, process
+
+
+@contextmanager
+def rerun_on_loopback(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run rerun, which listens on all addresses unless told otherwise, on the loopback address; yields its process."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "rerun_cli", *arguments],
+        [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # it starts a program of its own, which is to end with it
     )
     try:
-        yield page_port, process
+        yield process
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
         process.wait()
 
 
-def _free_ports() -> tuple[int, int]:
+def free_ports() -> tuple[int, int]:
+    """Two ports of the loopback address that nothing listens on."""
     with socket.create_server((LOOPBACK, 0)) as page_socket, socket.create_server((LOOPBACK, 0)) as data_socket:
         return page_socket.getsockname()[1], data_socket.getsockname()[1]
 

@@ -26,6 +26,10 @@ class Sound:
         return self.folder / "r.mcap"
 
     @property
+    def unsound_recording(self) -> Path:
+        return self.folder / "unsound.mcap"
+
+    @property
     def table(self) -> Path:
         return self.folder / "r.csv"
 
@@ -58,6 +62,7 @@ def sound(tmp_path_factory):
     found = Sound(tmp_path_factory.mktemp("sound"))
     for words in (
         ("rig", "record", "sdof", *SMALL, "--out", found.recording),
+        ("rig", "record", "sdof", *SMALL, "--effect", "force_gain:factor=3", "--out", found.unsound_recording),
         ("rig", "export", found.recording, "--format", "csv", "--out", found.table, "--map", found.map),
     ):
         assert exit_status(*words) == 0

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 START = ["--mass-kg=1", "--frequency-hz=5", "--clearance-m=1e-3", "--stiffness-n-per-m=1e4", "--sample-rate-hz=512"]
+SCRIPTS = Path(sys.executable).parent
 FILES = {
     "record": lambda _, out: ("rig", "record", "sdof", "--plant", "modal", "--duration", 2, "--out", out),
     "view": lambda s, out: ("rig", "view", s.recording, "--out", out),
@@ -71,6 +72,7 @@ def test_a_disk_that_is_full_is_said_and_leaves_nothing_that_is_taken_for_whole(
         lambda s: ("rig", "info", s.recording),
         lambda s: ("rig", "check", s.recording, "--json"),
         lambda s: ("identify", "contact", s.recording),
+        lambda s: ("rig", "doctor"),  # noqa: ARG005
     ],
 )
 @pytest.mark.parametrize("output", ["full", "closed"])
@@ -90,6 +92,37 @@ def test_a_standard_output_that_takes_nothing_is_said(sound, words, output):
     assert done.returncode == 1
     assert done.stderr.startswith(f"{program}: standard output")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("errors", "unbuffered"), [(subprocess.PIPE, ""), (subprocess.STDOUT, "1")], ids=["output", "output and errors"]
+)
+@pytest.mark.parametrize(
+    ("command_line", "status"),
+    [
+        ("rig info {recording}", 0),
+        ("identify check {unsound_recording}", 1),
+        ("rig --help", 0),
+        ("rig-identify doctor", 0),
+        ("rig-identify rig info {recording}", 0),
+    ],
+)
+def test_a_reader_that_leaves_changes_nothing(sound, command_line, status, errors, unbuffered):
+    """As `rig info FILE | head -1`: nothing is said of the pipe, and the status is that of the command."""
+    name, *words = command_line.format(recording=sound.recording, unsound_recording=sound.unsound_recording).split()
+    function = {"rig-identify": "both"}.get(name, name)
+    program = f"import sys; sys.argv = {[name, *words]!r}; from rig.commands.start import {function}; {function}()"
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        stdout=writing,
+        stderr=errors,
+        env=os.environ | {"PYTHONUNBUFFERED": unbuffered, "PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}"},
+        check=False,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr or b"") == (status, b"")
 
 
 @pytest.mark.parametrize("spelling", ["dots", "hard link", "symbolic folder", "relative"])

@@ -102,3 +102,37 @@ def test_a_paragraph_of_the_help_fills_its_lines(capsys):
 
     assert exit_status("rig", "--help", columns=80, main=lambda: app(prog_name="rig")) == 0
     assert "The first line ends here but not in the help." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("rig",), ("identify",), ("rig", "record"), ("identify", "contact"), ("rig", "init"), ("rig", "init", "mass")],
+)
+def test_every_command_has_short_options_for_its_help(capsys, words):
+    said = []
+    for option in ("-h", "--help"):
+        assert exit_status(*words, option) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    assert said[0].split()[:3] == ["Usage:", *words, "[OPTIONS]"][:3]
+    assert "<bool>" not in said[0]
+
+
+@pytest.mark.parametrize("command_name", ["rig", "identify"])
+def test_the_version_has_a_short_option(capsys, command_name):
+    assert exit_status(command_name, "-V") == 0
+    assert capsys.readouterr().out.startswith("rig-identify ")
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("rig", "record", "sdof", "--seconds", "3"), "--duration"),
+        (("rig", "record", "sdof", "-o", "r.mcap"), "--out"),
+        (("rig", "draw", "r.mcap", "--overwrite"), "--force"),
+        (("identify", "law", "r.mcap", "--duration", "3"), "--seconds"),
+    ],
+)
+def test_an_option_of_another_name_is_told_the_one_here(capsys, words, option):
+    assert exit_status(*words) == 2
+    assert f"No such option: {words[3]} (Possible options: {option})" in capsys.readouterr().err

@@ -106,6 +106,8 @@ def test_what_lacks_an_extra_says_which(package, monkeypatch, capsys):
     ("words", "status", "said"),
     [
         (("--version",), 0, "rig-identify "),
+        (("-V",), 0, "rig-identify "),
+        (("-h",), 0, "Usage: rig-identify rig"),
         (("identify", "--version"), 0, "rig-identify "),
         (("rig", "--help"), 0, "Usage: rig "),
         (("doctor",), 0, "installed"),
