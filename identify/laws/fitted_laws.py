@@ -608,6 +608,7 @@ def fitted_friction(samples: ForceSamples, rows: Rows, by_speed: bool) -> Fricti
     if rough_fit.error_n > MAX_REFINED_SHARE * force_deviation_n:
         return rough_fit
     fit = replace(rough_fit, prior_error_n=rough_fit.error_n).fitted()
-    if fit.law.backlash_m < 2 * fit.least_travel_m:  # not seen: the sliding force turns round at once
+    # what is shorter than the spring's travel may as well be a rounded onset, than a sample's nothing at all
+    if fit.law.backlash_m < max(2 * fit.least_travel_m, fit.law.upper_n / fit.law.stiffness_n_per_m):
         fit = fit.without(Part.BACKLASH).fitted()
     return fit.reduced

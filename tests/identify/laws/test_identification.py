@@ -15,11 +15,12 @@ from typer.testing import CliRunner
 
 from identify.checks.findings import Finding
 from identify.commands.cli import app
+from identify.contacts import identify_contact
 from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law
 from identify.laws.report import law_figures, write_page
-from identify.laws.results import LawReport
+from identify.laws.results import MAX_LEFT_SHARE, LawReport
 from identify.laws.symbolic import Formula, search, simplify
-from identify.pages.wording import interval
+from identify.pages.wording import interval, percent
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone, penetration_m
@@ -172,6 +173,38 @@ def test_the_dead_zone_of_one_mass_is_found_exactly(clearance):
     errors = {c.law: c.held_out_error_n for c in law.candidates}
     assert errors[PIECEWISE] < 1e-3 * law.force_rms_n < errors[CUBIC]
     assert clearance.searched_eta_m.size == clearance.searched_force_n.size == law.points
+
+
+def test_intervals_are_those_of_the_contact(clearance):
+    """Tolerances and misfit included: as long as those of contact.json, never the scatter's alone."""
+    (contact,) = identify_contact(mass_with(gap)).report.contacts
+    lower, upper = clearance.result.fitted_knees_m
+    stiffness = clearance.result.fitted_slopes_n_per_m[2]
+    pairs = (
+        (lower, contact.lower_clearance_m),
+        (upper, contact.upper_clearance_m),
+        (stiffness, contact.stiffness_n_per_m),
+    )
+    for by_law, by_contact in pairs:
+        assert 0.7 < by_law.standard_error / by_contact.standard_error < 1.6
+        assert abs(abs(by_law.value) - by_contact.value) < 1.96 * by_contact.standard_error
+
+
+def test_no_law_fits_a_force_that_is_noise(tmp_path):
+    rng = np.random.default_rng(5)
+    laws = identify_law(mass_with(lambda x: 5.0 * rng.standard_normal(x.size)), seconds=1.0)
+    (law,) = laws.report.laws
+    assert not law.fits
+    assert law.sliding is None
+    assert law.verdict.startswith("none of the laws fits: the best, ")
+    left_share = law.candidate(law.best).left_share
+    assert left_share > MAX_LEFT_SHARE
+    assert f"leaves {percent(left_share)} of the force" in law.verdict
+    write_page(laws.report, {}, "mass", tmp_path / "law.html")
+    html = unescape((tmp_path / "law.html").read_text(encoding="utf-8"))
+    assert '<div class="verdict yellow"><b>stop: none of the laws fits</b>' in html
+    assert "value ± 95 %" not in html
+    assert law.formula not in html
 
 
 @pytest.mark.study
