@@ -270,7 +270,12 @@ def test_stamps_in_single_precision_leave_samples_as_they_are(tmp_path, first_s,
             for name, unit, values in (("t", "s", stamps), ("force", "N", force), (A, "m/s^2", acceleration)):
                 file[name] = values
                 file[name].attrs["unit"] = unit
-    text, recording, said = looked_at(folder, "run.csv" if is_text else "run.h5")
+    name = "run.csv" if is_text else "run.h5"
+    changes = {}
+    if is_added_up and first_s == 600.0:  # steps of 1/1024 s, by a last digit of 6e-5 s: nothing tells 1000 from 1024 Hz
+        changes = {'sample_rate_hz = "?"': "sample_rate_hz = 1000.0"}
+        assert "too few digits" in proposed_import_map(folder / name, Sdof(sample_rate_hz=rate_hz).rig()).text
+    text, recording, said = looked_at(folder, name, changes)
     assert "resample" not in text + said
     assert recording.samples == SAMPLES
     np.testing.assert_allclose(recording.force_n, force, atol=1e-8)
@@ -316,7 +321,7 @@ def test_a_time_that_begins_again_is_a_second_record(tmp_path, form):
     if form == "csv":
         (folder / "run.csv").write_text(table_text(["X_Value", "force [N]", f"{A} [m/s^2]"], stamps, force, acceleration))
         with pytest.raises(RigError, match=r"its time begins again after .* 2 records follow .* sample_lines = 900"):
-            looked_at(folder, "run.csv", {", sample_lines = 900": "", "csv = { sample_lines = 900 }": ""})
+            looked_at(folder, "run.csv", {"csv = { sample_lines = 900 }": ""})
         text, recording, _ = looked_at(folder, "run.csv")
         assert "its time begins again in line 902" in text
         assert recording.samples == first_count
