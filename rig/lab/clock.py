@@ -37,6 +37,10 @@ PIECE_SAMPLES, OVERLAP_SAMPLES = 2**18, 64
 """Samples of all channels per spline, and extra knots at its ends, whose influence decays as 0.27^64."""
 
 
+class FewDigitsError(RigError):
+    """Fault of time stamps that have too few digits to tell the sampling rate."""
+
+
 @dataclass(frozen=True)
 class SampleTimes:
     """Times of a channel's samples; stamps_s, s since the first one, is None if they are known to be even.
@@ -330,10 +334,22 @@ def restart_samples(stamps: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " 
     return drops if is_restart.all() else drops[:0]
 
 
+def restart_sentence(elapsed: Float[np.ndarray, " samples"], start: float) -> str:
+    """Sentence that a time begins again; empty if it does not."""
+    restarts = restart_samples(elapsed)
+    if not restarts.size:
+        return ""
+    return (
+        f"its time begins again after {start + elapsed[restarts[0] - 1]:.6f} (sample {restarts[0] - 1}): "
+        f"{restarts.size + 1} records follow one another; export each to a file of its own, or take the first of a text "
+        f"by csv = {{ sample_lines = {restarts[0]} }} in the map"
+    )
+
+
 def _binary_digits(stamps: Float[np.ndarray, " samples"], last_digit: float) -> Float[np.ndarray, " samples"]:
     """Value of the last binary digit of each stamp: in single precision if all can be of it, else in double."""
     singles = stamps.astype(np.float32)
-    is_single = bool(np.isfinite(singles).all() and (np.abs(stamps - singles) <= 0.5 * last_digit).all())
+    is_single = bool(np.isfinite(singles).all() and (np.abs(stamps - singles) <= 0.51 * last_digit).all())
     return np.abs(np.spacing(singles if is_single else stamps)).astype(float)
 
 
@@ -352,7 +368,7 @@ def _even_to_the_last_digit(
     if np.abs(deviations_s).max() <= 1.01 * digit_s and not _has_lost_steps(elapsed_s, digit_s, interval_s):
         is_fine = bool(np.abs(deviations_s).max() <= MAX_JITTER_INTERVALS * interval_s)
         doubt_s = min(digit_s, MAX_JITTER_INTERVALS * interval_s) if is_fine else digit_s
-        if _are_steps_added_up(elapsed_s, digit_s, interval_s):
+        if _are_steps_added_up(elapsed_s, digit_s, interval_s, expected_hz):
             is_fine, doubt_s = False, min(digit_s, 0.3 * interval_s) * interval_count
         rates_hz = (interval_count / (duration_s + doubt_s), interval_count / max(duration_s - doubt_s, 1e-300))
         rate_hz, note = _rate_between(*rates_hz, 1 / interval_s, expected_hz)
@@ -368,11 +384,22 @@ def _even_to_the_last_digit(
     return SampleTimes(elapsed_s.size, rate_hz, note=f"{note}: each step of its stamps is the same to its last digit")
 
 
-def _are_steps_added_up(elapsed_s: Float[np.ndarray, " samples"], digit_s: float, interval_s: float) -> bool:
-    """True if all steps are one number of last digits, and make a rate of many: each may be wrong by its last digit."""
+def _are_steps_added_up(
+    elapsed_s: Float[np.ndarray, " samples"], digit_s: float, interval_s: float, expected_hz: Sequence[float]
+) -> bool:
+    """True if all steps are one number of last digits, of which each may be wrong by one.
+
+    Raises FewDigitsError if the rate that they make is as plausible as another that is expected.
+    """
+    if digit_s <= RATE_TOLERANCE * interval_s or float(np.ptp(np.diff(elapsed_s))) > 0.1 * digit_s:
+        return False
     rate_hz = 1 / interval_s
-    is_round_rate = abs(float(f"{rate_hz:.5g}") / rate_hz - 1) < 1e-9
-    return digit_s > RATE_TOLERANCE * interval_s and not is_round_rate and float(np.ptp(np.diff(elapsed_s))) == 0.0
+    if abs(float(f"{rate_hz:.5g}") / rate_hz - 1) > 2e-6:
+        return True
+    lowest_hz, highest_hz = 1 / (interval_s + digit_s), 1 / max(interval_s - digit_s, 0.5 * interval_s)
+    if any(abs(hz / rate_hz - 1) > RATE_TOLERANCE and lowest_hz <= hz <= highest_hz for hz in expected_hz):
+        raise _few_digits_error(lowest_hz, highest_hz)
+    return False
 
 
 def _has_lost_steps(elapsed_s: Float[np.ndarray, " samples"], digit_s: float, interval_s: float) -> bool:
@@ -393,14 +420,18 @@ def _rate_between(
         if lowest_hz <= candidate_hz <= highest_hz:
             return candidate_hz, note.format(candidate_hz)
     if highest_hz - lowest_hz > MAX_RATE_DOUBT * rate_hz:
-        raise RigError(
-            f"its time stamps have too few digits: by them it is sampled at {lowest_hz:.4g} to {highest_hz:.4g} Hz; give "
-            "sample_rate_hz in the map in place of time"
-        )
+        raise _few_digits_error(lowest_hz, highest_hz)
     for candidate_hz in (float(f"{rate_hz:.{digits}g}") for digits in range(1, 10)):
         if lowest_hz <= candidate_hz <= highest_hz:
             return candidate_hz, note.format(candidate_hz)
     return rate_hz, note.format(rate_hz)
+
+
+def _few_digits_error(lowest_hz: float, highest_hz: float) -> FewDigitsError:
+    return FewDigitsError(
+        f"its time stamps have too few digits: by them it is sampled at {lowest_hz:.4g} to {highest_hz:.4g} Hz; give "
+        "sample_rate_hz in the map in place of time"
+    )
 
 
 def _rate_and_fault(elapsed_s: Float[np.ndarray, " samples"], start_s: float) -> tuple[float, str]:
@@ -408,12 +439,8 @@ def _rate_and_fault(elapsed_s: Float[np.ndarray, " samples"], start_s: float) ->
     intervals_s = np.diff(elapsed_s)
     if not (intervals_s > 0).all():
         fault_index = int(np.argmin(intervals_s > 0))
-        if (restarts := restart_samples(elapsed_s)).size:
-            raise RigError(
-                f"its time begins again after {start_s + elapsed_s[restarts[0] - 1]:.6f} s (sample {restarts[0] - 1}): "
-                f"{restarts.size + 1} records follow one another; export each to a file of its own, or take the first of "
-                f"a text by csv = {{ sample_lines = {restarts[0]} }} in the map"
-            )
+        if sentence := restart_sentence(elapsed_s, start_s):
+            raise RigError(sentence)
         raise RigError(
             f"its time does not increase after {start_s + elapsed_s[fault_index]:.6f} s (sample {fault_index}); sort or "
             "mend it"

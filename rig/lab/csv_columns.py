@@ -228,10 +228,14 @@ class _DateColumns:
         kinds = cell_kind_letters(first_cells, layout.form.decimal)
         self.places = {place for place, kind in enumerate(kinds) if kind == "d" and ":" in first_cells[place]}
         self._first_date_by_place: dict[int, datetime] = {}
+        self._month_first_places: set[int] = set()
 
     def seconds(self, place: int, cell: str) -> float:
         """Seconds since the first date or time of day of a column; NaN if the cell holds none."""
-        found_date = _date_in(cell)
+        found_date = _date_in(cell, place in self._month_first_places)
+        if found_date is None and place not in self._first_date_by_place:
+            self._month_first_places.add(place)
+            found_date = _date_in(cell, is_month_first=True)
         if found_date is None:
             return float("nan")
         return (found_date - self._first_date_by_place.setdefault(place, found_date)).total_seconds()
@@ -244,8 +248,11 @@ class _DateColumns:
         return seconds + DAY_S * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -DAY_S / 2)
 
 
-def _date_in(cell: str) -> datetime | None:
-    """Date, or time of day on the first of January 1970, in a cell; None if it holds none with a time."""
+def _date_in(cell: str, is_month_first: bool) -> datetime | None:
+    """Date, or time of day on the first of January 1970, in a cell; None if it holds none with a time.
+
+    The day stands before the month, or behind it, where the year does not stand first.
+    """
     text = cell.strip().replace(",", ".").replace("/", "-")
     half_of_day = _HALF_OF_DAY.search(text)
     if half_of_day:
@@ -254,31 +261,22 @@ def _date_in(cell: str) -> datetime | None:
     if day_text.count(".") == 2:
         day_text = "-".join(reversed(day_text.split(".")))
     elif day_text.count("-") == 2 and not day_text[:4].isdigit():
-        day_text = "-".join(reversed(day_text.split("-")))
+        first, second, year = day_text.split("-")
+        day_text = f"{year}-{first}-{second}" if is_month_first else f"{year}-{second}-{first}"
+    day_text = re.sub(r"-(\d)(?!\d)", r"-0\1", day_text)
     if ":" not in text:
         return None
     if not day_text and "T" not in text:
         day_text = f"{TIME_OF_DAY_YEAR}-01-01"
     if day_text and time_text.find(":") == 1:
         time_text = f"0{time_text}"
-    for candidate in (f"{day_text}T{time_text}" if day_text else text, _month_first(day_text, time_text)):
-        try:
-            found_date = datetime.fromisoformat(candidate)
-        except ValueError:
-            continue
-        if half_of_day:
-            found_date = found_date.replace(hour=found_date.hour % 12 + (12 if half_of_day[1] in "pP" else 0))
-        return found_date.astimezone(UTC) if found_date.tzinfo else found_date.replace(tzinfo=UTC)
-    return None
-
-
-def _month_first(day_text: str, time_text: str) -> str:
-    """Date whose day and month are exchanged, with leading zeros."""
-    parts = day_text.split("-")
-    if len(parts) != 3:
-        return ""
-    year, month, day = parts
-    return f"{year}-{day.zfill(2)}-{month.zfill(2)}T{time_text}"
+    try:
+        found_date = datetime.fromisoformat(f"{day_text}T{time_text}" if day_text else text)
+    except ValueError:
+        return None
+    if half_of_day:
+        found_date = found_date.replace(hour=found_date.hour % 12 + (12 if half_of_day[1] in "pP" else 0))
+    return found_date.astimezone(UTC) if found_date.tzinfo else found_date.replace(tzinfo=UTC)
 
 
 def _last_digit_value(cell: str, decimal: str, is_date: bool) -> float:

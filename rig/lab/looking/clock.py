@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.errors import RigError
-from rig.lab.clock import LEAST_RATE_SHARE, MAX_DECIMATION, RATE_TOLERANCE, SampleTimes, unit_doubt
+from rig.lab.clock import LEAST_RATE_SHARE, MAX_DECIMATION, RATE_TOLERANCE, FewDigitsError, SampleTimes, unit_doubt
 from rig.lab.csv_layout import TIME_NAME_PATTERN
 from rig.lab.looking.columns import ColumnSummary, FileSummary
 from rig.lab.units import FACTORS, canonical_unit, name_and_unit, quantity_of
@@ -51,6 +51,8 @@ def clocks_of(
     for channel in channels:
         time_column = paired_time_column(channel, file_summary.columns)
         is_by_file = channel.rate_hz is not None and (channel.start_s is not None or time_column is None)
+        if not is_by_file and time_column is None:
+            _check_no_time_begins_again(channel, file_summary)
         if is_by_file or time_column is None:
             clock = _clock_by_rate(channel, file_summary)
         else:
@@ -107,6 +109,12 @@ def _best_of_run(time_columns: Sequence[ColumnSummary], columns: Sequence[Column
     return min(reversed(run), key=lambda column: (column.is_date, quantity_of(column.unit) != "time"))
 
 
+def _check_no_time_begins_again(channel: ColumnSummary, file_summary: FileSummary) -> None:
+    for column in file_summary.columns:
+        if column.restart_sentence and column.line_count == channel.line_count and is_time_column(column):
+            raise RigError(column.restart_sentence)
+
+
 def _clock_by_rate(channel: ColumnSummary, file_summary: FileSummary) -> ClockProposal:
     rate_hz, note = channel.rate_hz, f"{channel.rate_hz or 0:.9g} Hz by the file itself"
     if rate_hz is None:
@@ -133,7 +141,10 @@ def _clock_by_column(
         times = SampleTimes.of_stamps(stamps, 1.0, column.last_digit)
         note = f"{times.rate_hz:.6g} Hz by {label}, if that is in seconds{unit_note}"
         return ClockProposal(column, None, None, note)
-    times = SampleTimes.of_stamps(stamps, FACTORS["time"][unit], column.last_digit, expected_hz)
+    try:
+        times = SampleTimes.of_stamps(stamps, FACTORS["time"][unit], column.last_digit, expected_hz)
+    except FewDigitsError as error:
+        return ClockProposal(None, None, None, f"{label}: {error}")
     note = f"{times.rate_hz:.9g} Hz by {label}{', dates' if column.is_date else ''}{unit_note}"
     note += f"; {times.note}" if times.note else ""
     if stated_rate_hz and abs(times.rate_hz / stated_rate_hz - 1) > 10 * RATE_TOLERANCE:

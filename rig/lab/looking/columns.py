@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
+from rig.lab.clock import restart_sentence
 from rig.lab.csv_text import TextForm
 from rig.lab.recorded import stated_sampling_rate_hz
 from rig.limits import MAX_ITEMS, MAX_NUMBER
@@ -38,6 +39,8 @@ class ColumnSummary:
     group: str = ""
     step: int = 1
     repeat_count: int = 1
+    restart_sentence: str = ""
+    """That it is a time which begins again, if it is a time; empty if it does not."""
     stamps: Float[np.ndarray, " samples"] | None = None
     last_digit: float = 0.0
     is_date: bool = False
@@ -97,6 +100,7 @@ def column_summary(
         group=group,
         step=step,
         repeat_count=1 if fault else repetition_count(values),
+        restart_sentence="" if fault or is_increasing else restart_sentence(values, 0.0),
         stamps=values if is_increasing else None,
         last_digit=column.last_digit,
         is_date=is_date,

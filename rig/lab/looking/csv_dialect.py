@@ -119,14 +119,23 @@ def _check_no_quoted_commas(path: Path, lines: Sequence[str]) -> None:
 
 
 def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, decimal: str) -> int:
-    """First line that has numbers where the samples have them, perhaps with a header beside them."""
+    """First line that has numbers where the samples have them, perhaps with a header beside them.
 
-    def number_columns(line: str) -> set[int]:
-        return {k for k, kind in enumerate(cell_kind_letters(cells_of(line, delimiter), decimal)) if kind == "n"}
+    Lines that have a word in place of one of several numbers are passed over.
+    """
 
-    needed_columns = number_columns(lines[first_line])
-    while first_line and needed_columns <= number_columns(lines[first_line - 1]):
-        first_line -= 1
+    def number_columns(cells: Sequence[str]) -> set[int]:
+        return {k for k, kind in enumerate(cell_kind_letters(cells, decimal)) if kind == "n"}
+
+    first_cells = cells_of(lines[first_line], delimiter)
+    needed_columns = number_columns(first_cells)
+    for line_index in range(first_line - 1, -1, -1):
+        cells = cells_of(lines[line_index], delimiter)
+        present_columns = needed_columns & number_columns(cells)
+        if present_columns == needed_columns:
+            first_line = line_index
+        elif lines[line_index].strip() and (not present_columns or len(cells) != len(first_cells)):
+            break
     return first_line
 
 
