@@ -1,7 +1,7 @@
 """History of a machine as a sentence, a table, a figure, history.csv and the page history.html."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from io import StringIO
 from itertools import cycle
 from pathlib import Path
@@ -50,16 +50,11 @@ def _change_predicate(quantity: QuantityHistory, names: Sequence[str]) -> str:
 def _largest_difference_text(quantity: QuantityHistory, names: Sequence[str]) -> str:
     """Change between the recordings of the smallest and of the largest value ± 95 %, the earlier one first."""
     _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
-    determined = [k for k, value in enumerate(quantity.values) if value is not None]
-    first, last = sorted((min(determined, key=_value_of(quantity)), max(determined, key=_value_of(quantity))))
-    change = unit_factor * (_value_of(quantity)(last) - _value_of(quantity)(first))
+    values = unit_factor * np.array(quantity.values, dtype=float)
+    first, last = sorted((int(np.nanargmin(values)), int(np.nanargmax(values))))
+    change = float(values[last] - values[first])
     error = unit_factor * float(np.hypot(quantity.own_errors[first] or 0.0, quantity.own_errors[last] or 0.0))
     return f"changes by {'+' * (change > 0)}{estimate_words(change, error, unit)} from {names[first]} to {names[last]}"
-
-
-def _value_of(quantity: QuantityHistory) -> Callable[[int], float]:
-    """Value by recording; NaN where it is not determined."""
-    return lambda recording: float("nan") if quantity.values[recording] is None else float(quantity.values[recording])
 
 
 def drift_text(quantity: QuantityHistory) -> str:

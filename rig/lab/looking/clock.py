@@ -176,7 +176,7 @@ def _unit_of_time(column: ColumnSummary, expected_hz: Sequence[float]) -> tuple[
             )
         return unit, ""
     taken = "; the file states no unit of it, and {} is taken"
-    if 0 < samples_per_unit and (epoch := _unit_of_epoch(float(stamps[0]), rate_by_unit)):
+    if samples_per_unit > 0 and (epoch := _unit_of_epoch(float(stamps[0]), rate_by_unit)):
         unit, origin_words = epoch
         return unit, f"; its numbers are {origin_words}"
     for rate_hz in expected_hz:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.clock import restart_sentence
+from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.csv_text import TextForm
 from rig.lab.recorded import stated_sampling_rate_hz
 from rig.limits import MAX_ITEMS, MAX_NUMBER

@@ -15,7 +15,7 @@ from rig.lab.column import missing_row
 from rig.lab.csv_columns import TextColumn, column_of, read_text_columns
 from rig.lab.csv_layout import TIME_NAME_PATTERN, Layout, layout_of
 from rig.lab.csv_text import TextForm
-from rig.lab.looking.columns import ColumnSummary, FileSummary, column_summary
+from rig.lab.looking.columns import FileSummary, column_summary
 from rig.lab.looking.csv_dialect import text_form_of
 from rig.lab.recorded import stated_sampling_rate_hz
 from rig.lab.units import name_and_unit, quantity_of

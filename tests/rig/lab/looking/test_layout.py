@@ -161,7 +161,7 @@ def test_a_mark_of_overload_leaves_its_channel_out_or_stops_the_import(folder, w
     check(recording)
     seen = "it has no number in line 125" if word == "NaN" else f"line 125 has '{word}'"
     assert f"left out: column 4 'tip [m/s^2]' ({seen}" in text
-    tip = f'tip = {{ column = "tip [m/s^2]", quantity = "acceleration", body = "mass", position_m = 0.0 }}'
+    tip = 'tip = { column = "tip [m/s^2]", quantity = "acceleration", body = "mass", position_m = 0.0 }'
     (folder / "map.toml").write_text((folder / "map.toml").read_text() + tip + "\n")
     with pytest.raises(RigError, match=r"line 125 has ") as caught:
         import_file(folder / "run.txt", folder / "map.toml", folder / "other.mcap")
