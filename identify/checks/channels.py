@@ -28,8 +28,9 @@ DELAY_PART_COUNT, MIN_PART_COHERENCE = 8, 0.8
 """Parts of the record in which a delay is fitted; coherence of a channel with its prediction from which it counts."""
 MIN_SLIP_S, MIN_GROWTH_S = 3e-4, 1e-4
 """Change of a channel's delay over the record from which on samples have slipped, or two clocks differ."""
-MAX_GROWTH_DEVIATION = 0.25
-"""Deviation of a steadily growing delay from a line, rms, over its own scatter about its mean."""
+MAX_GROWTH_DEVIATION, MAX_SLIP_DEVIATION = 0.25, 0.4
+"""Deviation (rms) of a steadily growing delay from a line, and of one that changes at once from two constants, over its
+own scatter about its mean."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,20 @@ class DelaysOverTime:
         is_steady = self.delays_s.size > 3 and deviations_s.std() < MAX_GROWTH_DEVIATION * self.delays_s.std()
         if is_steady and abs(growth) * np.ptp(self.times_s) > MIN_GROWTH_S:
             return two_clocks_finding(name, REFERENCE_WORDS, float(first_delay_s), float(growth), self.record_s)
-        if np.ptp(self.delays_s) > MIN_SLIP_S:
-            return slipped_samples_finding(name, float(self.delays_s[-1] - self.delays_s[0]))
+        slip_s, slip_deviation_s = self._slip()
+        if slip_deviation_s < MAX_SLIP_DEVIATION * self.delays_s.std() and abs(slip_s) > MIN_SLIP_S:
+            return slipped_samples_finding(name, slip_s)
         return None
+
+    def _slip(self) -> tuple[float, float]:
+        """Change at the time that leaves least deviation (rms) from one delay before and one after, both in s."""
+
+        def deviation_s(split: int) -> float:
+            parts = np.split(self.delays_s, [split])
+            return float(np.sqrt(sum(np.sum((part - part.mean()) ** 2) for part in parts) / self.delays_s.size))
+
+        split = min(range(1, self.delays_s.size), key=deviation_s)
+        return float(self.delays_s[split:].mean() - self.delays_s[:split].mean()), deviation_s(split)
 
 
 def delays_over_time(spectra: Spectra, measured: Spectrum, predicted: Spectrum, error_scale: PerLine) -> DelaysOverTime:
@@ -207,8 +219,8 @@ def turned_finding(name: str, share: float) -> Finding:
     return Finding(
         cause="turned",
         channels=(name,),
-        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: "
-        f"it shows {100 * share:+.2g} % of the motion across",
+        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: it "
+        f"shows {100 * share:+.2g} % of the motion across",
         mend="align it, or turn both of its directions back by that angle before the import",
     )
 
@@ -354,6 +366,12 @@ def force_finding(
             else f"all sensors deliver {1 / gain:.4g} times what the force and the masses of rig.json make",
             mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
         )
+    undoubted_power = float(np.sum(np.abs((measured - implied) * line_weights) ** 2))
+    fitted = gain * np.exp(-1j * omega * delay_s) * implied
+    remaining_power = float(np.sum(np.abs((measured - fitted) * line_weights) ** 2))
+    if remaining_power > MAX_REMAINING_SHARE * undoubted_power:
+        measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
+        return unexplained_finding(name, float(np.sqrt(undoubted_power / measured_power)))
     if abs(delay_s) > 1e-4:
         changing = delays().finding(name)
         return changing or Finding(

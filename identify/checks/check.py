@@ -230,21 +230,20 @@ def _tolerance_findings(
 ) -> Iterator[Finding]:
     """Findings on broken tolerances: a delay that grows is of two clocks, and what takes little away is no cause."""
     spectra = all_line_spectra()
-    explained_channels = {violation.channel_index for violation in violations if violation.is_material}
+    material_channels = {violation.channel_index for violation in violations if violation.is_material}
     for violation in violations:
-        name = spectra.sensors[violation.channel_index].name
-        if not violation.is_material:
-            if violation.channel_index not in explained_channels:
-                yield unexplained_finding(name, violation.motion_share)
-            continue
+        kind, name = violation.suspect.kind, violation.suspect.of
         changing = None
-        if violation.suspect.kind == "delay":
+        if kind == "delay":
             others = [i for i in channel_indices if i != violation.channel_index]
             changing = channel_delays(rig, all_line_spectra, violation.channel_index, others).finding(name)
-        elif violation.suspect.kind == "force delay":
-            force_index = spectra.force_names.index(violation.suspect.of)
-            changing = force_delays(rig, all_line_spectra, force_index, channel_indices).finding(violation.suspect.of)
-        yield changing or tolerance_finding(violation)
+        elif kind == "force delay":
+            force_index = spectra.force_names.index(name)
+            changing = force_delays(rig, all_line_spectra, force_index, channel_indices).finding(name)
+        if changing or violation.is_material:
+            yield changing or tolerance_finding(violation)
+        elif violation.channel_index not in material_channels:
+            yield unexplained_finding(spectra.sensors[violation.channel_index].name, violation.motion_share)
 
 
 def _broken_tolerances_at_tuned_modes(

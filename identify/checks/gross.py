@@ -101,7 +101,7 @@ def gross_faults(
         *_turned_trials(rig, check, usable_indices, tolerances),
         *rig_trials(rig, spectra, usable_indices),
     ]
-    best_trial = min(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
+    best_trial = _likeliest_trial(trials, misfit)
     if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.misfit_factor > MAX_REMAINING_SHARE_IF_DOUBTED * misfit:
         return GrossFaults((), usable_indices, True)
     if best_trial.misfit >= SOUND_MISFIT:
@@ -112,6 +112,17 @@ def gross_faults(
             return GrossFaults((_unexplained_misfit_finding(misfit),), usable_indices, False)
     is_sound = best_trial.is_rest_right and best_trial.misfit < SOUND_MISFIT
     return GrossFaults(best_trial.findings(), best_trial.trusted_indices, is_sound)
+
+
+def _likeliest_trial(trials: list[Trial], misfit: float) -> Trial:
+    """Trial that leaves least; one whose finding names no cause only if no other leaves little."""
+    ranked = sorted(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
+    for trial in ranked:
+        if trial.misfit * trial.misfit_factor >= MAX_REMAINING_SHARE * misfit:
+            break
+        if any(finding.cause != "unexplained" for finding in trial.findings()):
+            return trial
+    return ranked[0]
 
 
 def _unexplained_misfit_finding(misfit: float) -> Finding:

@@ -237,8 +237,8 @@ class TimeResidual:
         scaled_motion = self._spectra.compared_signals(check.spectra.acceleration[channel_indices] / error_scale)
         duration_s = effective_motion_duration_s(scaled_motion, self._spectra.compared_rate_hz)
         self._count_factor = np.float32(np.sqrt(min(1.0, INDEPENDENT_RATE_HZ * duration_s / len(scaled_motion.T))))
-        self.noise_powers = np.mean((line_noise / error_scale) ** 2, axis=1) * self._count_factor**2
-        """Mean squares of the sensors' noise in the residual, at most: a projection takes some of it."""
+        self.sound_power = float(self._count_factor**2)
+        """Mean square of a residual that a sound record does not exceed."""
         self.motion_powers = np.mean(scaled_motion**2, axis=1) * self._count_factor**2
         """Mean squares of the motion, in the same unit."""
 

@@ -35,7 +35,7 @@ from rig.model.tolerances import Tolerances
 MIN_BROKEN_PULL, MIN_CLOCK_PULL = 5.0, 2.7
 """Smallest scores z of a parameter that is named; a clock is one question, tolerances are many."""
 MIN_REMOVED_SHARE = 0.25
-"""Least share that a named parameter takes away of what is unexplained, beyond noise, at its channels."""
+"""Least share that a named parameter takes away of what a channel has beyond a sound record's residual."""
 MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 """Most parameters that are named, and the smallest score of one as a share of the first one's."""
 BATCH_SAMPLES = 1024
@@ -120,8 +120,8 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -
 class BrokenTolerance:
     """A parameter beyond its tolerance: its error in units of the suspect's column, and its score z (pull).
 
-    channel_index is the channel that it changes most, of which motion_share (rms) is unexplained without it; it
-    takes removed_share of that power away.
+    channel_index is the channel that it changes most, of whose motion motion_share (rms) is unexplained without it. It
+    takes away removed_share of the power that a sound record would not have.
     """
 
     suspect: Suspect
@@ -219,7 +219,7 @@ def _violations_and_pulls(
             time_weights = 1 / np.sqrt(1 + unexplained_power / max(4 * np.median(unexplained_power), np.float32(1)))
             scores = _scores(residual, columns, prior_count, free_indices, time_weights)
         if freed is not None:
-            broken.append(_broken_tolerance(*freed, unexplained, projector))
+            broken.append(_broken_tolerance(*freed, unexplained, time_weights, projector))
         min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
         violated_indices = [
             k
@@ -244,14 +244,16 @@ def _broken_tolerance(
     pull: float,
     unexplained_before: np.ndarray,
     unexplained_after: np.ndarray,
+    time_weights: np.ndarray,
     projector: TimeResidual,
 ) -> BrokenTolerance:
     """Broken tolerance, with what it takes away at the channel that it changes most."""
     power_before, power_after = (
-        float(np.mean(unexplained[channel_index] ** 2)) for unexplained in (unexplained_before, unexplained_after)
+        float(np.mean((unexplained[channel_index] * time_weights) ** 2) / np.mean(time_weights**2))
+        for unexplained in (unexplained_before, unexplained_after)
     )
-    power_beyond_noise = power_before - float(projector.noise_powers[channel_index])
-    removed_share = min((power_before - power_after) / power_beyond_noise, 1.0) if power_beyond_noise > 0 else 1.0
+    excess_power = power_before - projector.sound_power
+    removed_share = min((power_before - power_after) / excess_power, 1.0) if excess_power > 0 else 1.0
     motion_share = float(np.sqrt(power_before / max(float(projector.motion_powers[channel_index]), 1e-300)))
     return BrokenTolerance(suspect, error, pull, channel_index, motion_share, removed_share)
 
