@@ -372,9 +372,15 @@ def force_finding(
     if remaining_power > MAX_REMAINING_SHARE * undoubted_power:
         measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
         return unexplained_finding(name, float(np.sqrt(undoubted_power / measured_power)))
+    changing = delays().finding(name) if abs(delay_s) > 1e-4 else None
+    return changing or _force_calibration_finding(name, gain, delay_s)
+
+
+def _force_calibration_finding(name: str, gain: float, delay_s: float) -> Finding:
+    """Finding: the force is late or early, or its gain is off."""
+    force_words = force_in_words(name)
     if abs(delay_s) > 1e-4:
-        changing = delays().finding(name)
-        return changing or Finding(
+        return Finding(
             cause="delay",
             channels=(name,),
             evidence=f"{force_words} comes {1e3 * abs(delay_s):.3g} ms {'late' if delay_s > 0 else 'early'} against "
