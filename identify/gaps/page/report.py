@@ -46,7 +46,7 @@ CAPTION_BY_FIGURE = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
-    "large_bands": "The share of the acceleration's rms that each rig leaves unexplained, in bands of frequency. "
+    "large_bands": "The share of the rms of the acceleration that each rig leaves unexplained, in bands of frequency. "
     "Tolerances and noise alone stay below the dotted line in 19 of 20 cases. Where a curve is missing, noise hides "
     "the difference.",
     "decided_quantities": "What decides: the difference in the motion and the contact forces, as a share of their rms, "

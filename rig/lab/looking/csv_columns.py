@@ -47,8 +47,8 @@ def summary_of_csv(path: Path) -> FileSummary:
     restart_row = min((row for row in restart_rows if row), default=0)
     if restart_row:
         facts.append(
-            f"its time begins again in line {line_numbers[restart_row]}: records of {restart_row} and more lines follow "
-            "one another, of which the first is taken"
+            f"its time begins again in line {line_numbers[restart_row]}: records of {restart_row} and more lines "
+            "follow one another, of which the first is taken"
         )
         layout = layout_of(path, replace(layout.form, sample_lines=restart_row))
         line_numbers, text_columns = read_text_columns(layout, range(len(layout.names)))

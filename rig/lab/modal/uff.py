@@ -281,7 +281,9 @@ def _without_window(
     if window_s is None:
         return natural_hz, ratios, _window_question(natural_hz, ratios)
     if not 0 < window_s < np.inf:
-        raise RigError(f"exponential_window_s is {window_s}; give the decay time of the window, a finite time above zero")
+        raise RigError(
+            f"exponential_window_s is {window_s}; give the decay time of the window, a finite time above zero"
+        )
     is_elastic = natural_hz > 0
     decay_rates_per_s = 2 * np.pi * natural_hz * ratios - is_elastic / window_s
     if (is_lighter := decay_rates_per_s < 0).any():

@@ -68,7 +68,7 @@ def test_the_sentence_says_what_will_be_told_and_what_helps(plan):
     text = page.sentence(plan)
     assert "contact_1 can be determined, clearance and stiffness within ± 1.0 %" in text  # 1.96 x 500 / 1e5
     assert "contact_2 cannot be determined by this test (it never closes)" in text
-    assert "excite with 28 N rms <2 times>, which tells contact_2, too" in text
+    assert "excite with 28 N rms <2 times>, by which contact_2 can be determined, too" in text
 
 
 def test_rows_have_values_and_half_intervals_in_the_units_of_the_heading(plan):
