@@ -214,15 +214,20 @@ def _turned_explanations(
     )
 
 
+TURNED_MEND = "align it, or turn both of its directions back by that angle before the import"
+
+
+def turned_words(share: float) -> str:
+    """What a sensor does that shows a share of the motion across its direction, in a sentence."""
+    return (
+        f"is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: it shows "
+        f"{100 * share:+.2g} % of the motion across"
+    )
+
+
 def turned_finding(name: str, share: float) -> Finding:
     """Finding: a sensor shows a share of the motion across its direction, as one that is turned."""
-    return Finding(
-        cause="turned",
-        channels=(name,),
-        evidence=f"{name} is turned by {np.degrees(np.arctan(abs(share))):.2g} deg about the axis of its body: it "
-        f"shows {100 * share:+.2g} % of the motion across",
-        mend="align it, or turn both of its directions back by that angle before the import",
-    )
+    return Finding(cause="turned", channels=(name,), evidence=f"{name} {turned_words(share)}", mend=TURNED_MEND)
 
 
 def gain_finding(channel_name: str, gain: float) -> Finding:
@@ -349,23 +354,9 @@ def force_finding(
             f"{100 * max(fit.coherence, 0):.2g} % of the force that moves the rig by all sensors",
             mend="check that it is the channel of the load cell, and of this record",
         )
-    if gain < 0:
-        return Finding(
-            cause="polarity",
-            channels=(name,),
-            evidence=f"{force_words} has the opposite sign of what all sensors imply (gain {gain:.4g})",
-            mend="turn the force with scale = -1 in the import map, or all sensors",
-        )
-    if unit_words := unit_mistake(gain):
-        faulty_words = "it" if is_one_of_several else "the sensors or of the force"
-        return Finding(
-            cause="units",
-            channels=(name,) if is_one_of_several else (),
-            evidence=f"{name} is {gain:.4g} times what all sensors and the other forces imply"
-            if is_one_of_several
-            else f"all sensors deliver {1 / gain:.4g} times what the force and the masses of rig.json make",
-            mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
-        )
+    unit_words = unit_mistake(gain)
+    if gain < 0 or unit_words:
+        return _scaled_force_finding(name, gain, unit_words, is_one_of_several)
     undoubted_power = float(np.sum(np.abs((measured - implied) * line_weights) ** 2))
     fitted = gain * np.exp(-1j * omega * delay_s) * implied
     remaining_power = float(np.sum(np.abs((measured - fitted) * line_weights) ** 2))
@@ -392,6 +383,26 @@ def _force_calibration_finding(name: str, gain: float, delay_s: float) -> Findin
         channels=(name,),
         evidence=f"{force_words} is {gain:.4g} times what all sensors and the masses of rig.json imply",
         mend="calibrate the load cell, or check all masses of rig.json",
+    )
+
+
+def _scaled_force_finding(name: str, gain: float, unit_words: str | None, is_one_of_several: bool) -> Finding:
+    """Finding: the force has the opposite sign, or another unit, than all sensors imply."""
+    if gain < 0:
+        return Finding(
+            cause="polarity",
+            channels=(name,),
+            evidence=f"{force_in_words(name)} has the opposite sign of what all sensors imply (gain {gain:.4g})",
+            mend="turn the force with scale = -1 in the import map, or all sensors",
+        )
+    faulty_words = "it" if is_one_of_several else "the sensors or of the force"
+    return Finding(
+        cause="units",
+        channels=(name,) if is_one_of_several else (),
+        evidence=f"{name} is {gain:.4g} times what all sensors and the other forces imply"
+        if is_one_of_several
+        else f"all sensors deliver {1 / gain:.4g} times what the force and the masses of rig.json make",
+        mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
     )
 
 

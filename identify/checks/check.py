@@ -25,6 +25,7 @@ from identify.checks.pulls import (
 from identify.checks.rigs import Trial
 from identify.checks.spectra import Spectra, quiet_sample_count, spectra_of
 from identify.checks.waveforms import Row, Rows
+from identify.checks.windows import window_finding
 from identify.linear.joined import contact_groups, rig_with_joined_contacts
 from identify.signals.kinematics import MotionQuantity, kinematics
 from identify.signals.measured_base import body_force_count, excitation_names, excitations
@@ -354,6 +355,7 @@ def _first_fault(channel: _Channel) -> Finding | None:
     ]
     if not channel.is_force:
         fault_checks += [
+            lambda: window_finding(channel_name, rate_hz, samples, excitation),
             lambda: waveforms.hum_finding(channel_name, rate_hz, samples, excitation),
             lambda: waveforms.noise_finding(channel_name, rate_hz, samples, excitation, force_names, channel.known),
         ]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.checks.channels import MIN_ERROR_IN_TOLERANCES, turned_finding
+from identify.checks.channels import MIN_ERROR_IN_TOLERANCES, TURNED_MEND, turned_words
 from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.prediction import LinearCheck, TimeResidual, observed_motion
 from identify.linear.model import real_product
@@ -354,8 +354,6 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
         f"comes {1e3 * abs(error):.2g} ms {'late' if error > 0 else 'early'}",
     )
     tolerance_words = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
-    if kind == "cross-axis share":
-        return turned_finding(name, error)
     if kind == "clock":
         return Finding(
             cause="clock",
@@ -390,6 +388,7 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
             f"{delay_words} against the others",
             f"set delay_s = {error:.2g} in rig.json, or synchronise its clock",
         ),
+        "cross-axis share": ("turned", turned_words(error), TURNED_MEND),
         "high-pass": (
             "filtered",
             f"is high-passed at about {abs(error):.2g} Hz",

@@ -220,10 +220,15 @@ def _converter_step(samples: Row) -> float:
     return float(np.median(np.diff(value_levels))) if value_levels.size > 1 else 0.0
 
 
+def neighbour_deviation(samples: Row) -> Float[np.ndarray, " inner"]:
+    """Deviation of each sample from the cubic through its four neighbours; the two at each end have none."""
+    return np.asarray(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
+
+
 def relative_neighbour_deviation(samples: Row) -> Row:
     """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby, and over a
     quarter of the converter's step."""
-    deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
+    deviation = np.abs(neighbour_deviation(samples))
     usual_deviation = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
     usual_deviation = np.maximum(usual_deviation, 0.25 * _converter_step(samples))
     return np.asarray(np.r_[0, 0, deviation / usual_deviation, 0, 0])
