@@ -335,7 +335,7 @@ def force_finding(
 ) -> Finding:
     """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
     name, is_one_of_several = spectra.force_names[force_index], len(spectra.forces) > 1
-    force_words = force_in_words(name)
+    force_in_words(name)
     driven_mask = driven_masks(spectra.forces)[force_index]
     omega, measured = spectra.omega[driven_mask], spectra.forces[force_index][driven_mask]
     implied, line_weights = implied_force[driven_mask], line_weights[driven_mask]
