@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from rig.errors import RigError
 from rig.lab.column import Blocks, Column, ColumnBlock, missing_row
-from rig.lab.csv_layout import Layout, layout_of
+from rig.lab.csv_layout import TextLayout, layout_of
 from rig.lab.csv_text import (
     LINES_PER_BLOCK,
     TextForm,
@@ -90,7 +90,9 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     yield ColumnBlock(layout.names, layout.line_count, read, notes=layout.notes)
 
 
-def column_of(layout: Layout, column_index: int, text_column: TextColumn, values: Float[np.ndarray, " rows"]) -> Column:
+def column_of(
+    layout: TextLayout, column_index: int, text_column: TextColumn, values: Float[np.ndarray, " rows"]
+) -> Column:
     """Column with these values of it, its unit if that is one of a quantity, and its rate and start if stated."""
     unit = "s" if text_column.is_date else layout.unit(column_index)
     return Column(
@@ -104,7 +106,7 @@ def column_of(layout: Layout, column_index: int, text_column: TextColumn, values
 
 
 def read_text_columns(
-    layout: Layout, indices: Sequence[int]
+    layout: TextLayout, indices: Sequence[int]
 ) -> tuple[Int[np.ndarray, " lines"], tuple[TextColumn, ...]]:
     """Numbers of all lines of samples, and the columns with these indices."""
     form = layout.form
@@ -151,7 +153,7 @@ def read_text_columns(
 
 
 def _check_column(
-    layout: Layout,
+    layout: TextLayout,
     name: str,
     column: TextColumn,
     line_numbers: Int[np.ndarray, " lines"],
@@ -183,7 +185,7 @@ def _check_column(
     )
 
 
-def missing_sentence(layout: Layout, name: str, line_number: int, row: int) -> str:
+def missing_sentence(layout: TextLayout, name: str, line_number: int, row: int) -> str:
     """Which line has no number in a column, and what stands there."""
     _, line = next(islice(sample_lines(layout.path, layout.form, layout.first_line - 1), row, None))
     index = layout.names.index(name)
@@ -220,7 +222,7 @@ def _number_table(
 class _DateColumns:
     """Columns whose first cell is a date or a time of day, by their places among those that are read."""
 
-    def __init__(self, layout: Layout, indices: Sequence[int]) -> None:
+    def __init__(self, layout: TextLayout, indices: Sequence[int]) -> None:
         first_lines = sample_lines(layout.path, layout.form, layout.first_line - 1)
         _, line = next(first_lines, (0, ""))
         cells = cells_of(line, layout.form.delimiter)

@@ -1,4 +1,4 @@
-"""Layout of a CSV file of known form: which name, unit, start and rate belongs to which column, and how many lines."""
+"""TextLayout of a CSV file of known form: which name, unit, start and rate belongs to which column, and how many lines."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -49,7 +49,7 @@ _TIME_OF_DAY_PATTERN = re.compile(r"(\d\d?):(\d\d?):(\d\d?(?:[.,]\d+)?)$")
 
 
 @dataclass(frozen=True)
-class Layout:
+class TextLayout:
     """A CSV file: the cells of its header, and the names and units (perhaps empty) of its columns.
 
     units_line is the number of the line of units (None: none), first_line that of the first line behind those skipped;
@@ -105,8 +105,8 @@ class _SampleLines:
     joint: tuple[tuple[int, tuple[str, ...]], ...]
 
 
-def layout_of(path: Path, form: TextForm) -> Layout:
-    """Layout of a file of this form; raises RigError if it is not text in the encoding, or names and cells disagree."""
+def layout_of(path: Path, form: TextForm) -> TextLayout:
+    """TextLayout of a file of this form; raises RigError if it is not text in the encoding, or names and cells disagree."""
     lines = lines_of(path, form.encoding)
     header_lines = list(islice(lines, min(form.lines_before_names, MAX_HEADER_LINES)))
     name_line = next(islice(lines, form.lines_before_names - len(header_lines), None), None)
@@ -138,7 +138,7 @@ def layout_of(path: Path, form: TextForm) -> Layout:
     if form.sample_lines is not None:
         notes = (*notes, f"the first {shape.line_count} lines of samples are read, as sample_lines says")
     rate_hz_by_column, start_s_by_column = _stated_clocks(header, names, form.decimal)
-    return Layout(
+    return TextLayout(
         path=path,
         form=form,
         header=header,

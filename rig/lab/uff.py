@@ -1,6 +1,6 @@
 """Time histories of a UFF file (dataset 58), text or binary, each decoded in place.
 
-Layout: "Universal Dataset Number: 58" and "58b", SDRC; widths of columns are those of its FORTRAN formats.
+TextLayout: "Universal Dataset Number: 58" and "58b", SDRC; widths of columns are those of its FORTRAN formats.
 """
 
 import mmap

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.lab.clock import restart_samples
 from rig.lab.column import missing_row
 from rig.lab.csv_columns import TextColumn, column_of, read_text_columns
-from rig.lab.csv_layout import TIME_NAME_PATTERN, Layout, layout_of
+from rig.lab.csv_layout import TIME_NAME_PATTERN, TextLayout, layout_of
 from rig.lab.csv_text import TextForm
 from rig.lab.looking.columns import FileSummary, column_summary
 from rig.lab.looking.csv_dialect import text_form_of
@@ -75,7 +75,10 @@ class _Rasters:
 
 
 def _summary(
-    layout: Layout, line_numbers: Int[np.ndarray, " lines"], text_columns: Sequence[TextColumn], found: Sequence[str]
+    layout: TextLayout,
+    line_numbers: Int[np.ndarray, " lines"],
+    text_columns: Sequence[TextColumn],
+    found: Sequence[str],
 ) -> FileSummary:
     form, line_count, path = layout.form, layout.line_count, layout.path
     rasters = _rasters(layout, text_columns)
@@ -118,7 +121,7 @@ def _summary(
     return FileSummary(path, tuple(columns), tuple(facts), form, rate_hz)
 
 
-def _rasters(layout: Layout, text_columns: Sequence[TextColumn]) -> _Rasters:
+def _rasters(layout: TextLayout, text_columns: Sequence[TextColumn]) -> _Rasters:
     """Raster of each column: that of the last times before it which increase."""
     is_filled = np.array([np.isfinite(text_column.values) for text_column in text_columns])
     first_rows, counts = is_filled.argmax(axis=1), is_filled.sum(axis=1)
@@ -147,7 +150,7 @@ def _rasters(layout: Layout, text_columns: Sequence[TextColumn]) -> _Rasters:
     return _Rasters(raster, first_rows, end_rows, is_channel)
 
 
-def _is_time(layout: Layout, column_index: int, text_column: TextColumn) -> bool:
+def _is_time(layout: TextLayout, column_index: int, text_column: TextColumn) -> bool:
     name, unit = name_and_unit(layout.names[column_index], guess=True)
     is_time_unit = quantity_of(layout.units[column_index] or unit) == "time"
     return text_column.is_date or is_time_unit or TIME_NAME_PATTERN.search(name) is not None
@@ -163,7 +166,7 @@ def _restart_row(text_column: TextColumn) -> int:
 
 
 def _fault(
-    layout: Layout,
+    layout: TextLayout,
     column_index: int,
     text_column: TextColumn,
     line_numbers: Int[np.ndarray, " lines"],
@@ -200,7 +203,9 @@ def _check_one_block(path: Path, line_numbers: Int[np.ndarray, " lines"], text_c
         )
 
 
-def _form_with_more_skipped_lines(form: TextForm, layout: Layout, skipped_count: int, skipped_rows: int) -> TextForm:
+def _form_with_more_skipped_lines(
+    form: TextForm, layout: TextLayout, skipped_count: int, skipped_rows: int
+) -> TextForm:
     if form.sample_lines is not None:
         form = replace(form, sample_lines=form.sample_lines - skipped_rows)
     if layout.has_names:
@@ -214,7 +219,7 @@ def _encoding_and_delimiter_sentence(form: TextForm) -> str:
     return f"text in {encoding}, {delimiter} between columns, decimal {'comma' if form.decimal == ',' else 'point'}"
 
 
-def _line_layout_sentence(layout: Layout) -> str:
+def _line_layout_sentence(layout: TextLayout) -> str:
     names_words = f"names in line {layout.form.lines_before_names + 1}" if layout.has_names else "no names"
     units_words = f"units in line {layout.units_line}" if layout.units_line else "no line of units"
     return f"{names_words}, {units_words}, samples from line {layout.first_line}"
