@@ -1,4 +1,4 @@
-"""TextLayout of a CSV file of known form: which name, unit, start and rate belongs to which column, and how many lines."""
+"""Layout of a CSV file of known form: which name, unit, start and rate belongs to which column, and how many lines."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -106,7 +106,7 @@ class _SampleLines:
 
 
 def layout_of(path: Path, form: TextForm) -> TextLayout:
-    """TextLayout of a file of this form; raises RigError if it is not text in the encoding, or names and cells disagree."""
+    """Layout of a file of this form; raises RigError if it is not text in the encoding, or names and cells disagree."""
     lines = lines_of(path, form.encoding)
     header_lines = list(islice(lines, min(form.lines_before_names, MAX_HEADER_LINES)))
     name_line = next(islice(lines, form.lines_before_names - len(header_lines), None), None)
