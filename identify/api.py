@@ -75,7 +75,8 @@ def contact(
         tolerances=_tolerances(tolerances),
         progress=progress,
     )
-    law_by_contact = {contact.name: contact.law for contact in record.rig.contacts}
+    is_believed = record.rig.tolerances is None or record.rig.tolerances.contacts_known
+    law_by_contact = {contact.name: contact.law for contact in record.rig.contacts if is_believed}
     return ContactResult(identification, _title([recording], record), law_by_contact, sources=_paths([recording]))
 
 

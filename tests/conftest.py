@@ -57,6 +57,12 @@ def pytest_collection_modifyitems(items):
             item.add_marker("long")
 
 
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch):
+    """A busy machine takes longer than what a line of progress is printed after."""
+    monkeypatch.setattr("rig.commands.command_line.PROGRESS_LINE_PERIOD_S", 1e6)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """Types and shapes of the first calls of every function are checked in every test, but where fakes stand in."""

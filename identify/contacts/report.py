@@ -55,7 +55,7 @@ def write_results(
     """Write contact.html, the figures, the identified rig.json and, last of all, contact.json.
 
     `laws` are the reference values of every contact, and `laws_name` names them: the true ones where they are known,
-    else those of rig.json.
+    else those of rig.json; a contact whose values nobody knows has none.
     """
     from identify.contacts.figures import contact_figures
 
@@ -173,7 +173,7 @@ def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> l
     """Sentence on the reference values that lie outside the intervals, or that none does."""
     compared_count, differing = 0, list[str]()
     for contact in report.contacts:
-        values = [v for v in _compared_values(contact, laws[contact.name]) if np.isfinite(v.reference)]
+        values = [v for v in _compared_values(contact, laws.get(contact.name)) if np.isfinite(v.reference)]
         compared_count += len(values)
         if names := [value.name for value in values if not _is_within_interval(value.estimate, value.reference)]:
             differing.append(f"{joined(names)} of {contact.name}")
@@ -191,10 +191,10 @@ def values_html(report: ContactReport, laws: Laws, laws_name: str) -> str:
     contacts = report.contacts
     if not contacts:
         return ""
-    table_rows = [row for contact in contacts for row in _value_rows(contact, laws[contact.name])]
+    table_rows = [row for contact in contacts for row in _value_rows(contact, laws.get(contact.name))]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
     has_total_play = any(
-        v.name == "clearance" for c in contacts if not c.ring for v in _compared_values(c, laws[c.name])
+        v.name == "clearance" for c in contacts if not c.ring for v in _compared_values(c, laws.get(c.name))
     )
     clearance_words = " The clearance is half the total play." if has_total_play else ""
     if any(c.lower_clearance_m and _is_twice_as_certain(c.clearance_m, c.lower_clearance_m) for c in contacts):
@@ -223,19 +223,18 @@ class _ComparedValue:
     scale: float
 
 
-def _compared_values(contact: ContactEstimate, law: ContactLaw) -> list[_ComparedValue]:
-    """Every identified quantity; where a single stop is touched, its clearance by its side."""
+def _compared_values(contact: ContactEstimate, law: ContactLaw | None) -> list[_ComparedValue]:
+    """Every identified quantity; where a single stop is touched, its clearance by its side. NaN is an unknown value."""
     sides = (contact.lower_clearance_m, contact.upper_clearance_m)
     has_own_clearance = not contact.is_spring and (None in sides) == (sides == (None, None))
-    friction, sliding_speed = (getattr(law, name, 0.0) for name in ("friction_coefficient", "sliding_speed_m_per_s"))
     quantities = (
-        ("clearance", contact.clearance_m if has_own_clearance else None, law.clearance_m, "mm", 1e3),
-        ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
-        ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
-        ("stiffness", contact.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
-        ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
-        ("friction", contact.friction_coefficient, friction, "1", 1.0),
-        ("sliding speed", contact.sliding_speed_m_per_s, sliding_speed, "mm/s", 1e3),
+        ("clearance", contact.clearance_m if has_own_clearance else None, _reference(law, "clearance_m"), "mm", 1e3),
+        ("lower clearance", contact.lower_clearance_m, _reference(law, "lower_clearance_m"), "mm", 1e3),
+        ("upper clearance", contact.upper_clearance_m, _reference(law, "upper_clearance_m"), "mm", 1e3),
+        ("stiffness", contact.stiffness_n_per_m, _reference(law, "stiffness_n_per_m"), "N/m", 1.0),
+        ("damping", contact.damping_n_s_per_m, _reference(law, "damping_n_s_per_m"), "N s/m", 1.0),
+        ("friction", contact.friction_coefficient, _reference(law, "friction_coefficient"), "1", 1.0),
+        ("sliding speed", contact.sliding_speed_m_per_s, _reference(law, "sliding_speed_m_per_s"), "mm/s", 1e3),
     )
     return [
         _ComparedValue(name, estimate, reference, unit, scale)
@@ -244,7 +243,12 @@ def _compared_values(contact: ContactEstimate, law: ContactLaw) -> list[_Compare
     ]
 
 
-def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
+def _reference(law: ContactLaw | None, field: str) -> float:
+    """Reference value of a law; zero of a field that it does not have, NaN without a law."""
+    return np.nan if law is None else getattr(law, field, 0.0)
+
+
+def _value_rows(contact: ContactEstimate, law: ContactLaw | None) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
     for row, value in enumerate(_compared_values(contact, law)):
         has_reference = np.isfinite(value.reference)
@@ -252,7 +256,7 @@ def _value_rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str
             "" if row else contact.name,
             value.name if value.unit == "1" else f"{value.name}, {value.unit.replace(' ', NO_BREAK)}",
             _interval_text(value.estimate, "1", value.scale),
-            number(value.scale * value.reference) if has_reference else "no stop",
+            number(value.scale * value.reference) if has_reference else "unknown" if law is None else "no stop",
             _difference_text(value.estimate, value.reference) if has_reference else "",
         )
 

@@ -15,6 +15,7 @@ from rig.limits import SCHEMA_VERSION
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Rig
+from rig.model.tolerances import LABORATORY
 
 
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -224,7 +225,8 @@ class Segments(msgspec.Struct, frozen=True):
 def identified_rig(rig: Rig, report: ContactReport) -> Rig:
     """Rig with clearance, stiffness, damping and exponent of every identified contact; all else is nominal.
 
-    Where only half the total play is known, the clearances are placed about the nominal middle of the play.
+    Where only half the total play is known, the clearances are placed about the nominal middle of the play. Contacts
+    that were unknown are known, with the usual tolerances, once each of them is identified.
     """
     estimate_by_name = {contact.name: contact for contact in report.contacts}
     contacts = tuple(
@@ -233,7 +235,10 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
         else contact
         for contact in rig.contacts
     )
-    return replace(rig, contacts=contacts)
+    tolerances = rig.tolerances
+    if tolerances is not None and not tolerances.contacts_known and len(estimate_by_name) == len(rig.contacts):
+        tolerances = replace(tolerances, clearance=LABORATORY.clearance, stiffness=LABORATORY.stiffness)
+    return replace(rig, contacts=contacts, tolerances=tolerances)
 
 
 def _identified_law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:

@@ -222,6 +222,11 @@ def _plan_notes(test: PlannedTest, outcomes: Sequence[SimulatedTest], is_truncat
             "no sensor of rig.json states a noise_density or bits: the intervals are those of sensors without noise; "
             "state them"
         )
+    if test.rig.tolerances is not None and not test.rig.tolerances.contacts_known:
+        yield (
+            "rig.json does not know its contacts: the plan is for the clearances and stiffnesses from which it starts; "
+            "state those that you expect"
+        )
     if test.duration_s > LONGEST_SIMULATED_S:
         yield (
             f"{LONGEST_SIMULATED_S:g} s were simulated; for {test.duration_s:g} s scatter and slow motion are taken to "

@@ -1,8 +1,10 @@
 """The command `rig init`: a first rig.json and import map, from options or from questions."""
 
 import json
+import re
 import sys
 from collections.abc import Callable, Mapping
+from decimal import Decimal
 from functools import partial
 from inspect import Parameter, Signature
 from pathlib import Path
@@ -37,6 +39,24 @@ _EXAMPLES = {
 }
 
 
+UNITS_BY_ENDING: dict[str, Mapping[str, str]] = {
+    "_n_per_m": {"N/m": "1", "N/mm": "1e3", "N/um": "1e6", "kN/m": "1e3", "kN/mm": "1e6", "MN/m": "1e6"},
+    "_n_s_per_m": {"Ns/m": "1", "Ns/mm": "1e3", "kNs/m": "1e3"},
+    "_kg_per_m3": {"kg/m^3": "1", "g/cm^3": "1e3"},
+    "_kg_m2": {"kgm^2": "1", "kgmm^2": "1e-6"},
+    "_kg": {"kg": "1", "g": "1e-3", "t": "1e3"},
+    "_hz": {"Hz": "1", "kHz": "1e3"},
+    "_pa": {"Pa": "1", "MPa": "1e6", "GPa": "1e9"},
+    "_m": {"m": "1", "cm": "1e-2", "mm": "1e-3", "um": "1e-6"},
+}
+"""SI value of each unit, by the end of an option's name."""
+UNKNOWN_TEXTS = ("unknown", "?")
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.,].*)")
+_PLAIN_UNIT = str.maketrans(
+    {" ": "", "*": "", "\u00b7": "", "\u00b5": "u", "\u03bc": "u", "\u00b2": "^2", "\u00b3": "^3"}
+)
+
+
 class KindGroup(CommandGroup):
     """Group of one command for each kind of rig, made when one is asked for: the kinds are slow to import."""
 
@@ -64,7 +84,9 @@ init = CommandApp(cls=KindGroup, no_args_is_help=True)
 
 @init.callback()
 def _callback() -> None:
-    """Write a first rig.json and an import map for a rig of your own. All numbers are in SI units.
+    """Write a first rig.json and an import map for a rig of your own.
+
+    Numbers are in SI units, or say theirs: 0.5mm, 100N/mm. What you do not know of a contact, leave out.
 
     Example: rig init mass --help
     """
@@ -78,20 +100,22 @@ def _kind_command(kind_name: str, kind: RigKind) -> Callable[..., None]:
     help_by_field = _help_by_field(kind)
 
     def command(out: Path, force: bool, as_json: bool, **text_by_field: str | None) -> None:
-        for target_path in (out / RIG_NAME, out / MAP_NAME):
-            refuse_existing(target_path, force, new_folder=True)
+        refuse_existing(out / RIG_NAME, force, new_folder=True)
+        keeps_map = (out / MAP_NAME).is_file() and not force
         rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in text_by_field.items() if v is not None})
         with progress_spinner(f"describing a rig of the kind {kind_name}"):
             rig, rig_notes = rig_start.rig_and_notes()
-        written_paths = write_rig_and_map(rig, rig_start.map_text(rig), out)
+        rig_path, map_path = write_rig_and_map(rig, rig_start.map_text(rig), out, keeps_map)
+        if keeps_map:
+            rig_notes = (*rig_notes, f"{map_path}: was there and stays as it is")
         if as_json:
-            print(json.dumps({"rig": str(written_paths[0]), "map": str(written_paths[1]), "notes": rig_notes}))
+            print(json.dumps({"rig": str(rig_path), "map": str(map_path), "notes": rig_notes}))
             return
         for note in rig_notes:
             say(note)
         say(
-            f"{', '.join(map(str, written_paths))}: written; next: rig draw {written_paths[0]}; name your file's "
-            f"columns in {written_paths[1].name}, then rig import FILE --map {written_paths[1]} --out FILE.mcap"
+            f"{rig_path}{'' if keeps_map else f', {map_path}'}: written; next: rig draw {rig_path}; name your file's "
+            f"columns in {map_path.name}, then rig import FILE --map {map_path} --out FILE.mcap"
         )
 
     command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {kind_name} {_EXAMPLES[kind_name]}"
@@ -157,9 +181,32 @@ def _start_from_texts(kind: RigKind, help_by_field: Mapping[str, str], text_by_f
     return kind(**value_by_field)
 
 
+def _in_si(text: str, field_name: str) -> str:
+    """Number in SI units from one that may have its unit behind it, of the quantity that a field's name ends in.
+
+    Raises typer.BadParameter for another unit.
+    """
+    match = _NUMBER_WITH_UNIT.fullmatch(text.strip())
+    if match is None:
+        return text
+    number_text, unit_text = match.groups()
+    unit = unit_text.translate(_PLAIN_UNIT)
+    units = next((units for ending, units in UNITS_BY_ENDING.items() if field_name.endswith(ending)), {})
+    if unit not in units:
+        known_words = f"one of {', '.join(units)}" if units else "none here"
+        raise typer.BadParameter(
+            f"{text!r} has the unit {unit_text!r}; give {known_words}", param_hint=f"--{field_name.replace('_', '-')}"
+        )
+    return str(Decimal(number_text) * Decimal(units[unit]))
+
+
 def _field_value(kind: RigKind, field_name: str, text: str) -> Any:
     """Value of a field from its text (a list: separated by commas); raises typer.BadParameter if it does not fit."""
     field_type = get_type_hints(kind)[field_name]
+    if text.strip() in UNKNOWN_TEXTS and type(None) in get_args(field_type):
+        return None
+    if "float" in str(field_type):
+        text = ",".join(_in_si(number_text, field_name) for number_text in text.split(","))
     raw_value = text.split(",") if "tuple" in str(field_type) else text
     try:
         return msgspec.convert(raw_value, field_type, strict=False, dec_hook=lambda path_type, value: path_type(value))

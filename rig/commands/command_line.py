@@ -5,10 +5,11 @@ import re
 import signal
 import sys
 import threading
+import time
 import warnings
 from _thread import interrupt_main
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from inspect import cleandoc
 from pathlib import Path
@@ -28,6 +29,8 @@ from rig.errors import RigError, has_no_control_characters, one_line
 from rig.files import check_target, part_path_of
 
 INTERRUPTED_STATUS = 130
+PROGRESS_LINE_PERIOD_S = 10.0
+"""Time between two lines of progress where there is no terminal."""
 LOST_INTERRUPT_S = 0.05
 """Time after which a swallowed interrupt is repeated: callbacks are shorter."""
 SPEED_PERIOD_S = 3600.0
@@ -234,12 +237,14 @@ def console_table(
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
-    """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
+    """Progress bar on standard error; yields a function to call with the fraction done. Lines when piped."""
     console = Console(stderr=True)
+    if not console.is_terminal:
+        with _progress_lines(description) as progress_in_lines:
+            yield progress_in_lines
+        return
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    transient_bar = Progress(
-        *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=SPEED_PERIOD_S
-    )
+    transient_bar = Progress(*columns, console=console, transient=True, speed_estimate_period=SPEED_PERIOD_S)
     with transient_bar as progress:
         task_id = progress.add_task(one_line(description), total=1.0)
         yield lambda done_share: progress.update(task_id, completed=done_share)
@@ -247,10 +252,36 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def progress_spinner(description: str) -> Iterator[None]:
-    """Spinner on standard error for work of unknown duration. Silent when piped."""
+    """Spinner on standard error for work of unknown duration. Lines when piped."""
     console = Console(stderr=True)
-    with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
+    with console.status(Text(one_line(description))) if console.is_terminal else _progress_lines(description):
         yield
+
+
+@contextmanager
+def _progress_lines(description: str) -> Iterator[Callable[[float], None]]:
+    """Line on standard error every PROGRESS_LINE_PERIOD_S; yields a function to call with the fraction done."""
+    started_s = time.monotonic()
+    is_done = threading.Event()
+    share_words = ""
+
+    def set_share(done_share: float) -> None:
+        nonlocal share_words
+        share_words = f"{done_share:.0%}, "
+
+    def print_lines() -> None:
+        while not is_done.wait(PROGRESS_LINE_PERIOD_S):
+            with suppress(OSError, ValueError):  # standard error may be full or closed: the work goes on
+                line = f"{one_line(description)}: {share_words}{time.monotonic() - started_s:.0f} s"
+                print(line, file=sys.stderr, flush=True)
+
+    printer = threading.Thread(target=print_lines, daemon=True)
+    printer.start()
+    try:
+        yield set_share
+    finally:
+        is_done.set()
+        printer.join()
 
 
 def check_file_ending(path: Path, endings: Sequence[str], content_words: str) -> None:

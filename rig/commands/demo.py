@@ -72,6 +72,10 @@ def demo(
         (*record_command, "--plant", "modal", *change_options, "--out", changed_path, *force_option),
         ("identify", "gap", changed_path, "--out", out / "gap", *force_option),
     )
+
+    def show_line(text: str) -> None:
+        print(f"{text} ...", file=sys.stderr, flush=True)
+
     console = Console(stderr=True)
     progress_columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Progress(
@@ -83,7 +87,7 @@ def demo(
     ) as progress:
 
         def task_description(task: Any) -> ShowText:
-            return lambda text: progress.update(task, description=text)
+            return show_line if progress.disable else lambda text: progress.update(task, description=text)
 
         with ThreadPoolExecutor(2) as pool:
             chain_futures = [

@@ -5,6 +5,7 @@ The components' structs are in `rig.model.components` and importable from here.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
@@ -70,6 +71,7 @@ __all__ = [
     "from_json",
     "read_rig",
     "rig_stations",
+    "to_brief_json",
     "to_json",
 ]
 
@@ -291,6 +293,30 @@ def to_json(rig: Rig) -> bytes:
     for field in UNWRITTEN_DEFAULTS:
         text = text.replace(field, b"")
     return msgspec.json.format(text, indent=2)
+
+
+def to_brief_json(rig: Rig) -> bytes:
+    """JSON text of a rig for people to write on: without the fields that are at their defaults, but the version."""
+    return msgspec.json.format(
+        msgspec.json.encode(_without_defaults(rig) | {"schema_version": rig.schema_version}), indent=2
+    )
+
+
+def _without_defaults(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_without_defaults(item) for item in value]
+    if not isinstance(value, msgspec.Struct):
+        return value
+    config = value.__struct_config__
+    tag = {config.tag_field: config.tag} if config.tag_field else {}
+    written_fields = [field.name for field in msgspec.structs.fields(value) if not _is_default(field, value)]
+    return tag | {name: _without_defaults(getattr(value, name)) for name in written_fields}
+
+
+def _is_default(field: msgspec.structs.FieldInfo, struct: msgspec.Struct) -> bool:
+    if field.default_factory is not msgspec.NODEFAULT:
+        return bool(getattr(struct, field.name) == field.default_factory())
+    return field.default is not msgspec.NODEFAULT and bool(getattr(struct, field.name) == field.default)
 
 
 def from_json(text: bytes, source_label: str) -> Rig:

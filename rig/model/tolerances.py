@@ -8,6 +8,9 @@ import numpy as np
 from rig.errors import RigError
 from rig.model.toml_file import read_toml
 
+UNKNOWN = 1.0
+"""Relative standard deviation from which on a value is no belief."""
+
 
 def _check_tolerances(label: str, tolerances: msgspec.Struct) -> None:
     for field in tolerances.__struct_fields__:
@@ -70,7 +73,9 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     fifths of those that it has do, as far as they lie beyond the band; of every force at every place. Used by `identify
     check` and `contact`, and of strain gauges by `gap`."""
     clearance: float = 0.01
+    """Clearance of every contact, relative; UNKNOWN or more where the value believed is nothing but a start."""
     stiffness: float = 0.01
+    """Stiffness of every contact, likewise."""
     contact_damping_s: float = 1e-5
     """Damping of a contact over its stiffness."""
     unmodelled: float = 5e-4
@@ -88,6 +93,11 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         _check_tolerances("tolerances", self)
         for name, tolerance in (*self.sensors.items(), *self.modes.items()):
             _check_tolerances(f"tolerances of {name}", tolerance)
+
+    @property
+    def contacts_known(self) -> bool:
+        """True if the description states clearances and stiffnesses that its author believes."""
+        return max(self.clearance, self.stiffness) < UNKNOWN
 
     def of_sensor(self, name: str) -> "Tolerances":
         """Tolerances with the sensor's own values in place of the common ones."""

@@ -15,9 +15,8 @@ from rig.lab.csv_text import TextForm
 from rig.lab.import_map import Source, TimeSource
 from rig.lab.importing import columns_and_si_factors, timed_channels
 from rig.lab.modal.record import MeasuredResponse, fit_record
-from rig.lab.starting.base import Start, contacts_of
+from rig.lab.starting.base import Start, contact_notes, contact_tolerances, contacts_of, starting_law
 from rig.lab.tables import read_table
-from rig.model.contact_laws.dead_zone import symmetric_dead_zone
 from rig.model.description import Rig, Station
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import named_sensor
@@ -49,10 +48,10 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         msgspec.Meta(description="Places of sensors that meet stops on the ground, if there are any."),
     ] = ()
     clearance_m: Annotated[
-        float | None, msgspec.Meta(description="Clearance on each side of a contact, m, if there are any.")
+        float | None, msgspec.Meta(description="Clearance on each side of a contact, m (or 0.5mm); otherwise unknown.")
     ] = None
     stiffness_n_per_m: Annotated[
-        float | None, msgspec.Meta(description="Contact stiffness, N/m, if there are contacts.")
+        float | None, msgspec.Meta(description="Contact stiffness, N/m (or 100N/mm); otherwise unknown.")
     ] = None
     damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
     noise_density: Annotated[
@@ -71,7 +70,12 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         noise_densities = fit.noise_density.tolist()
         if self.noise_density is not None:
             noise_densities = [self.noise_density] * len(noise_densities)
-        law = symmetric_dead_zone(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
+        contact_values = self.clearance_m, self.stiffness_n_per_m
+        law = starting_law(*contact_values, self.damping_n_s_per_m)
+        fitted_tolerances = Tolerances(
+            unmodelled=max(float(f"{fit.unmodelled_share:.2g}"), Tolerances().unmodelled),
+            highest_hz=float(f"{fit.band_hz[1]:.4g}"),
+        )
         stations = [Station(self.name, position_m) for position_m in self.positions_m]
         sensors = (
             replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
@@ -84,10 +88,7 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             force_at=stations[driving_index],
             sensors=tuple(sensors),
             sample_rate_hz=measured.sample_rate_hz,
-            tolerances=Tolerances(
-                unmodelled=max(float(f"{fit.unmodelled_share:.2g}"), Tolerances().unmodelled),
-                highest_hz=float(f"{fit.band_hz[1]:.4g}"),
-            ),
+            tolerances=contact_tolerances(*contact_values, fitted_tolerances) if self.contacts_m else fitted_tolerances,
         )
         repetition_words = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
         first_note = (
@@ -98,7 +99,8 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({frf_misfit:.2%} by the FRFs' modes)"
             for sensor, misfit, frf_misfit in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
         )
-        return rig, (first_note, *_mode_notes(fit.body, fit.band_hz), *misfit_notes)
+        unknown_notes = contact_notes(*contact_values) if self.contacts_m else ()
+        return rig, (first_note, *_mode_notes(fit.body, fit.band_hz), *misfit_notes, *unknown_notes)
 
     def map_text(self, rig: Rig) -> str:
         map_lines = [f"rig = {json.dumps(RIG_NAME)}"]
@@ -124,8 +126,6 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             raise RigError(
                 f"force_m is {self.force_m:g}, where no sensor is; shapes have no scale without the response there"
             )
-        if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
-            raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
         if unsensed_m := [position_m for position_m in self.contacts_m if position_m not in self.positions_m]:
             raise RigError(
                 f"contacts_m has {unsensed_m[0]:g} m, where no sensor is; the shapes are known at sensors alone"

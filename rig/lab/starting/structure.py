@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.lab.modal import Axis, UffSelection, structure_from_uff
-from rig.lab.starting.base import StartWithStops, spread_positions
+from rig.lab.starting.base import StartWithStops, contact_tolerances, spread_positions
 from rig.model.decoding import converted
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
@@ -67,6 +67,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         body, notes, tolerances = self.structure()
+        tolerances = contact_tolerances(self.clearance_m, self.stiffness_n_per_m, tolerances)
         rig = msgspec.structs.replace(self._rig_of(body), tolerances=tolerances)
         return rig, (*notes, *_apparent_mass_note(body), *self.notes())
 

@@ -1,10 +1,13 @@
 """Conventions of all commands: failure and progress."""
 
+import re
 import sys
+import time
 
 import pytest
 import typer
 
+from rig.commands import command_line
 from rig.commands.command_line import StoppedError, fitted, help_filled_by, progress_bar, progress_spinner, run, say
 from rig.errors import RigError
 from tests.running import environment, exit_status
@@ -33,21 +36,31 @@ def test_every_command_fails_in_the_same_way(capsys, error, status, said):
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress_is_for_terminals(capsys, terminal):
-    with environment(**{"FORCE_COLOR": "1"} if terminal else {}), progress_bar("weighing") as progress:
+def test_progress_is_drawn_on_a_terminal(capsys):
+    with environment(FORCE_COLOR="1"), progress_bar("weighing") as progress:
         progress(0.37)
     out, err = capsys.readouterr()
     assert out == ""
-    if terminal:
-        assert "weighing" in err
-        assert "37%" in err
-    else:
-        assert err == ""
+    assert "weighing" in err
+    assert "37%" in err
 
 
-def test_a_sign_of_life_is_silent_when_piped(capsys):
-    with environment(), progress_spinner("weighing"):
+@pytest.mark.parametrize(("bar", "said"), [(True, r"weighing: 37%, \d+ s"), (False, r"weighing: \d+ s")])
+def test_progress_is_lines_without_a_terminal(capsys, monkeypatch, bar, said):
+    monkeypatch.setattr(command_line, "PROGRESS_LINE_PERIOD_S", 0.05)
+    with environment(), progress_bar("weighing") if bar else progress_spinner("weighing") as progress:
+        if bar:
+            progress(0.37)
+        time.sleep(0.3)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) > 1
+    assert all(re.fullmatch(said, line) for line in err.splitlines())
+
+
+@pytest.mark.parametrize("progress_of", [progress_bar, progress_spinner])
+def test_short_work_says_nothing_without_a_terminal(capsys, progress_of):
+    with environment(), progress_of("weighing"):
         pass
     assert capsys.readouterr() == ("", "")
 
