@@ -11,6 +11,7 @@ from identify.checks import waveforms
 from identify.checks.channels import unexplained_finding
 from identify.checks.continuity import discontinuity_findings
 from identify.checks.findings import Finding, merge_by_cause
+from identify.checks.first_modes import first_mode_findings
 from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, channel_delays, force_delays, gross_faults
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import TUNED_KINDS, LinearCheck, linear_check, with_tuned_modes
@@ -62,6 +63,8 @@ EXCLUDING_CAUSES = (
     "drift",
 )
 """Causes for which a channel is excluded from the comparison with the model."""
+MODEL_CAUSES = ("model", "unexplained", "unrelated", "mass", "frequency", "damping", "ends", "clock", "jump", "force")
+"""Causes of which another first frequency is a better account."""
 REST_S_BY_QUANTITY = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
 """First moments of a record in which a rig at rest has not moved yet, by quantity."""
 MIN_RINGING_S, MIN_RINGING_SHARE = 0.25, 0.02
@@ -84,7 +87,11 @@ def check_recording(
     waveform_findings, tolerances = _waveform_findings(recording, use), tolerances or recording.rig.tolerances
     findings = list(waveform_findings)
     for direction in recording.rig.directions:
-        findings += _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
+        first_findings = _first_mode_findings(recording, direction, waveform_findings)
+        model_findings = _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
+        findings += first_findings
+        # a first mode that lies elsewhere is why nothing else fits
+        findings += [f for f in model_findings if not first_findings or f.cause not in MODEL_CAUSES]
     if not any(finding.cause in ("units", "gain") for finding in findings):
         findings += _out_of_range_findings(recording, use)
     return merge_by_cause(_without_explained_findings(findings, recording.force_names), recording.rig)
@@ -128,6 +135,14 @@ def adding_first_finding_to_error(findings: tuple[Finding, ...]) -> Iterator[Non
         if not findings:
             raise
         raise error.with_note(f"(the check of the record found: {findings[0].sentence})") from error
+
+
+def _first_mode_findings(full: Recording, direction: Direction, waveform_findings: list[Finding]) -> list[Finding]:
+    """Findings on first frequencies of one direction, if no sensor is faulty."""
+    faulty_names = _channel_names(finding for finding in waveform_findings if finding.cause in EXCLUDING_CAUSES)
+    if full.rig.base_sensors or faulty_names - {*full.force_names}:
+        return []
+    return list(first_mode_findings(plane_recording(full, direction)))
 
 
 def _excluded_channel_names(finding: Finding, force_names: Sequence[str]) -> tuple[str, ...]:
@@ -344,10 +359,12 @@ def _impact_sensor_names(rig: Rig, channel_name: str) -> frozenset[str]:
 
 def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
+    if channel.is_force and not np.any(channel.excitation):
+        return None  # zeros stand for no force, as in a free decay
     channel_name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
     excitation, force_names = channel.excitation, channel.force_names
     fault_checks: list[Callable[[], Finding | None]] = [
-        lambda: waveforms.dead_finding(channel_name, samples, force_names),
+        lambda: waveforms.dead_finding(channel_name, samples),
         lambda: waveforms.clipped_finding(channel_name, samples),
         lambda: waveforms.repeated_values_finding(channel_name, rate_hz, samples),
         lambda: waveforms.quantised_finding(channel_name, samples),

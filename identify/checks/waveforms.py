@@ -71,7 +71,7 @@ class KnownChannel:
     rests_at_zero: bool = True
 
 
-def dead_finding(name: str, samples: Row, force_names: Sequence[str] = ("force",)) -> Finding | None:
+def dead_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the channel is constant."""
     if np.ptp(samples) > 1e-9 * max(abs(float(samples[0])), 1e-300) and np.ptp(samples) > 0:
         return None
@@ -79,9 +79,7 @@ def dead_finding(name: str, samples: Row, force_names: Sequence[str] = ("force",
         cause="dead",
         channels=(name,),
         evidence=f"{name} stands at {samples[0]:.4g} throughout",
-        mend="check its cable and amplifier, unless it did not act, as in a free decay"
-        if name in force_names
-        else "check its cable and amplifier, or take it out of rig.json",
+        mend="check its cable and amplifier, or take it out of rig.json",
     )
 
 
@@ -421,7 +419,9 @@ def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> F
 def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
     sample_count = samples.size
-    power_by_line = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(sample_count))) ** 2
+    weights = np.hanning(sample_count)
+    mean = np.average(samples, weights=weights)  # that of all samples is no drift of a decay's quiet end
+    power_by_line = np.abs(np.fft.rfft((samples - mean) * weights)) ** 2
     slow_line_end = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
     slow_share = float(np.sqrt(np.sum(power_by_line[1:slow_line_end]) / np.sum(power_by_line)))
     if slow_share < MIN_DRIFT_SHARE:

@@ -83,7 +83,7 @@ def _best_fold(log_levels: Float[np.ndarray, " frames"]) -> _Fold:
         folds.append(_fold(log_levels, block_frames))
         block_frames += 0.25 * block_frames**2 / log_levels.size  # a quarter of a frame over the record
     best_share = max(fold.explained_share for fold in folds)
-    return next(fold for fold in folds if fold.explained_share > 0.9 * best_share)
+    return next(fold for fold in folds if fold.explained_share >= best_share - 0.1 * abs(best_share))
 
 
 def _fold(log_levels: Float[np.ndarray, " frames"], block_frames: float) -> _Fold:

@@ -80,7 +80,13 @@ def spoilt(
     for name in (BEAMS, *MASSES):
         recording, truth = recorded(name, out, seed, 0, duration)
         every = list(alterations(recording.rig, np.random.default_rng(seed)))
-        cases += [of_one(name, a, recording, truth) for a in track(every, name, console=console)]
+        done = _kept(out, seed)
+        for alteration in track(every, name, console=console):
+            case = done.get((name, alteration.name)) or of_one(name, alteration, recording, truth)
+            cases.append(case)
+            if (name, alteration.name) not in done:
+                with _kept_path(out, seed).open("ab") as file:
+                    file.write(msgspec.json.encode(case) + b"\n")
         wrong = []
         for k in track(range(1, sound + 1), f"{name}, sound", console=console):
             wrong += [f.sentence for f in check_recording(recorded(name, out, seed, k, duration)[0])[:1]]
@@ -92,14 +98,27 @@ def spoilt(
     Console().print(table(cases, false))
 
 
+def _kept_path(out: Path, seed: int) -> Path:
+    return out / f"cases_{seed}.jsonl"
+
+
+def _kept(out: Path, seed: int) -> dict[tuple[str, str], Case]:
+    """Cases of an earlier run, by rig and alteration."""
+    path = _kept_path(out, seed)
+    cases = (msgspec.json.decode(line, type=Case) for line in path.read_text().splitlines()) if path.exists() else ()
+    return {(case.rig, case.alteration): case for case in cases}
+
+
 def _told(case: Case) -> str:
     said = f"names {case.findings[0]}" if case.findings else f"silent, {case.worst} standard errors off"
     return f"{case.rig}: {case.alteration}: {said}"
 
 
-def recorded(name: str, out: Path, seed: int, number: int, duration_s: float) -> tuple[Recording, Truth]:
+def recorded(
+    name: str, out: Path, seed: int, number: int, duration_s: float, path: Path | None = None
+) -> tuple[Recording, Truth]:
     """A sound recording as a laboratory makes it, and the true clearance and stiffness of its contacts."""
-    path = out / f"{name.replace(' ', '_').replace(',', '')}_{seed}_{number}.mcap"
+    path = path or out / f"{name.replace(' ', '_').replace(',', '')}_{seed}_{number}.mcap"
     if name == BEAMS:
         drawn = drawn_case("wide", 9000 + seed, number, nulls_only=True)
         rate = drawn.rig.sample_rate_hz
