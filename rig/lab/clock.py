@@ -138,10 +138,12 @@ def samples_on_one_clock(
         slow_hz = slowest.times.rate_hz
         remedy = "leave that channel out"
         if slow_hz >= LEAST_RATE_SHARE * rate_hz:
-            remedy += f", or give rig.json sample_rate_hz {slow_hz:.9g} and the map resample = true, which brings all to it"
+            remedy += (
+                f", or give rig.json sample_rate_hz {slow_hz:.9g} and the map resample = true, which brings all to it"
+            )
         raise RigError(
-            f"{_time_words(groups)}: nothing is known of {slowest.label} above {slow_hz / 2:.6g} Hz, and sample_rate_hz "
-            f"of the rig is {rate_hz:g}; {remedy}"
+            f"{_time_words(groups)}: nothing is known of {slowest.label} above {slow_hz / 2:.6g} Hz, and "
+            f"sample_rate_hz of the rig is {rate_hz:g}; {remedy}"
         )
     if are_on_one_grid([group.times for group in groups]):
         return _cut_to_common_time(groups, start_s, rate_hz, resample)
@@ -173,9 +175,10 @@ def times_in_words(labels_and_times: Sequence[tuple[str, SampleTimes]]) -> str:
     """Rates and times in words; times count from the first start where the clock is that of the day."""
     zero_s = min(times.start_s for _, times in labels_and_times)
     zero_s = zero_s if abs(zero_s) > 1e5 else 0.0
+    spans_s = [(times.start_s - zero_s, times.end_s - zero_s) for _, times in labels_and_times]
     return " and ".join(
-        f"{label} is sampled at {times.rate_hz:.9g} Hz from {times.start_s - zero_s:.9g} to {times.end_s - zero_s:.9g} s"
-        for label, times in labels_and_times
+        f"{label} is sampled at {times.rate_hz:.9g} Hz from {first_s:.9g} to {last_s:.9g} s"
+        for (label, times), (first_s, last_s) in zip(labels_and_times, spans_s, strict=True)
     )
 
 
@@ -206,7 +209,9 @@ def _cut_to_common_time(
     times = SampleTimes.of_rate(record_rate_hz, sample_count, start_s)
     values, steps = even_samples_and_steps(np.concatenate(rows), times, rate_hz, resample)
     names = [name for group in groups for name in group.names]
-    cut_step = f"cut to the time that all share, {sample_count} samples: {_time_words(groups)}; left out: {', '.join(cuts)}"
+    cut_step = (
+        f"cut to the time that all share, {sample_count} samples: {_time_words(groups)}; left out: {', '.join(cuts)}"
+    )
     return dict(zip(names, values, strict=True)), ((cut_step, *steps) if cuts else steps)
 
 
@@ -223,9 +228,8 @@ def _even_from(
     part = offset - first_sample
     if abs(part) > MAX_JITTER_INTERVALS:
         values = np.stack([_shifted(row, part) for row in values])
-        steps.append(
-            f"shifted by {part:.4g} of a sample by a windowed sinc, right within 1e-3 up to {0.45 * times.rate_hz:.6g} Hz"
-        )
+        band_hz = 0.45 * times.rate_hz
+        steps.append(f"shifted by {part:.4g} of a sample by a windowed sinc, right within 1e-3 up to {band_hz:.6g} Hz")
     values = values[:, first_sample:]
     return values, SampleTimes.of_rate(times.rate_hz, values.shape[1], start_s), tuple(steps)
 
@@ -255,7 +259,9 @@ def even_samples_and_steps(
         raise RigError(f"{stamp_fault}; mend the record, or set resample = true in the map")
     is_other_rate = abs(record_rate_hz / rate_hz - 1) > RATE_TOLERANCE
     if is_other_rate and record_rate_hz < rate_hz:
-        remedy = "correct rig.json" if record_rate_hz >= LEAST_RATE_SHARE * rate_hz else unit_doubt(record_rate_hz, rate_hz)
+        remedy = (
+            "correct rig.json" if record_rate_hz >= LEAST_RATE_SHARE * rate_hz else unit_doubt(record_rate_hz, rate_hz)
+        )
         raise RigError(
             f"it is sampled at {record_rate_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; {remedy}"
         )
@@ -335,8 +341,8 @@ def restart_sentence(elapsed: Float[np.ndarray, " samples"], start: float) -> st
         return ""
     return (
         f"its time begins again after {start + elapsed[restarts[0] - 1]:.6f} (sample {restarts[0] - 1}): "
-        f"{restarts.size + 1} records follow one another; export each to a file of its own, or take the first of a text "
-        f"by csv = {{ sample_lines = {restarts[0]} }} in the map"
+        f"{restarts.size + 1} records follow one another; export each to a file of its own, or take the first of a "
+        f"text by csv = {{ sample_lines = {restarts[0]} }} in the map"
     )
 
 
@@ -436,8 +442,8 @@ def _rate_and_fault(elapsed_s: Float[np.ndarray, " samples"], start_s: float) ->
         if sentence := restart_sentence(elapsed_s, start_s):
             raise RigError(sentence)
         raise RigError(
-            f"its time does not increase after {start_s + elapsed_s[fault_index]:.6f} s (sample {fault_index}); sort or "
-            "mend it"
+            f"its time does not increase after {start_s + elapsed_s[fault_index]:.6f} s (sample {fault_index}); sort "
+            "or mend it"
         )
     interval_s = float(np.median(intervals_s))
     duration_s = float(elapsed_s[-1])
@@ -445,9 +451,10 @@ def _rate_and_fault(elapsed_s: Float[np.ndarray, " samples"], start_s: float) ->
     if gap_indices.size:
         _check_unchanged_are_exported(intervals_s)
         widest = int(np.argmax(intervals_s))
+        widest_s = start_s + elapsed_s[widest]
         if intervals_s[widest] > MAX_BRIDGED_INTERVALS * interval_s:
             raise RigError(
-                f"its time stamps have a gap of {intervals_s[widest]:.6g} s after {start_s + elapsed_s[widest]:.6f} s; cut "
+                f"its time stamps have a gap of {intervals_s[widest]:.6g} s after {widest_s:.6f} s; cut "
                 "the record there and import the longer part"
             )
         rate_hz = float(np.divide(float(np.round(intervals_s / interval_s).sum()), duration_s))
@@ -479,6 +486,6 @@ def _check_unchanged_are_exported(intervals_s: Float[np.ndarray, " steps"]) -> N
     is_all_over = min(float(quarter.mean()) if quarter.size else 0.0 for quarter in quarters) > 0.02
     if is_on_grid.mean() > 0.98 and is_all_over and intervals_s.size + 1 < MAX_PRESENT_SHARE * place_count:
         raise RigError(
-            f"its time stamps are {intervals_s.size + 1} of {place_count} places of a grid of {step_s:.6g} s, with gaps "
-            "all over the record: samples that did not change were probably not exported; export every sample"
+            f"its time stamps are {intervals_s.size + 1} of {place_count} places of a grid of {step_s:.6g} s, with "
+            "gaps all over the record: samples that did not change were probably not exported; export every sample"
         )

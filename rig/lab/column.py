@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-
 LEAST_SPARSE_NUMBERS = 8
 """Fewest numbers by which it is told that a channel has one in every second, third, ... line."""
 LEAST_CHANGES = 20

@@ -90,9 +90,7 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     yield ColumnBlock(layout.names, layout.line_count, read, notes=layout.notes)
 
 
-def column_of(
-    layout: Layout, column_index: int, text_column: TextColumn, values: Float[np.ndarray, " rows"]
-) -> Column:
+def column_of(layout: Layout, column_index: int, text_column: TextColumn, values: Float[np.ndarray, " rows"]) -> Column:
     """Column with these values of it, its unit if that is one of a quantity, and its rate and start if stated."""
     unit = "s" if text_column.is_date else layout.unit(column_index)
     return Column(

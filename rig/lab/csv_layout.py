@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 from rig.errors import RigError
@@ -38,8 +38,8 @@ _REMARK_PATTERN = re.compile(r"^\W*(comments?|kommentare?|notes?|remarks?|bemerk
 """Name of a last column that is often empty."""
 _COUNT_PATTERN = re.compile(
     r"^\W*((number|no\.?|#) of (data )?(samples|points|values)|samples|samples (per|/) channel|sample (count|size)|"
-    r"(data )?points|block ?size|record (length|size)|(x-?axis|data) size|anzahl (der )?(messwerte|werte|samples|punkte)"
-    r"|messwerte)\W*(?P<count>\d+)?\s*$",
+    r"(data )?points|block ?size|record (length|size)|(x-?axis|data) size|messwerte|"
+    r"anzahl (der )?(messwerte|werte|samples|punkte))\W*(?P<count>\d+)?\s*$",
     re.IGNORECASE,
 )
 _START_PATTERN = re.compile(r"^\W*(x_?0|h[_ ]?offset|x[_ -]?offset)\W*$", re.IGNORECASE)
@@ -52,10 +52,11 @@ _TIME_OF_DAY_PATTERN = re.compile(r"(\d\d?):(\d\d?):(\d\d?(?:[.,]\d+)?)$")
 class Layout:
     """A CSV file: the cells of its header, and the names and units (perhaps empty) of its columns.
 
-    units_line is the number of the line of units (None: none). first_line is that of the first line behind those skipped; line_count is that of the lines of samples. rate_hz
-    and start_s are those of columns for which the header states different ones. ragged_line has another number of cells
-    (its cells and number). several_sentence says that several records follow one another, the first of record_lines; it
-    is empty if it is not so. notes say what was decided about the header.
+    units_line is the number of the line of units (None: none), first_line that of the first line behind those skipped;
+    line_count is that of the lines of samples. rate_hz_by_column and start_s_by_column are those of columns for which
+    the header states different ones. ragged_line has another number of cells (its cells and number). several_sentence
+    says that several records follow one another, the first of record_lines; it is empty if it is not so. notes say what
+    was decided about the header.
     """
 
     path: Path
@@ -130,7 +131,10 @@ def layout_of(path: Path, form: TextForm) -> Layout:
         several_sentence, note = _count_sentences(record_lines, names, shape, form.decimal)
         notes = (*notes, note) if note else notes
     if len(set(stated_counts)) > 1:
-        notes = (*notes, f"the header states {' and '.join(map(str, dict.fromkeys(stated_counts)))} samples of channels")
+        notes = (
+            *notes,
+            f"the header states {' and '.join(map(str, dict.fromkeys(stated_counts)))} samples of channels",
+        )
     if form.sample_lines is not None:
         notes = (*notes, f"the first {shape.line_count} lines of samples are read, as sample_lines says")
     rate_hz_by_column, start_s_by_column = _stated_clocks(header, names, form.decimal)
@@ -297,7 +301,7 @@ def _is_ascending(cells: Sequence[str], form: TextForm) -> bool | None:
     numbers = [number for cell in cells if (number := finite_number_or_none(cell.strip(), form.decimal)) is not None]
     if len(numbers) < 4:
         return None
-    return all(later > earlier for earlier, later in zip(numbers, numbers[1:], strict=False))
+    return all(later > earlier for earlier, later in pairwise(numbers))
 
 
 def _stated_sample_counts(header: Sequence[Sequence[str]]) -> list[int]:
@@ -319,14 +323,23 @@ def _count_sentences(record_lines: int, names: Sequence[str], shape: _SampleLine
         return "", f"the header states {record_lines} samples, and only {shape.line_count} lines follow"
     cells_by_place = [shape.shown[0], *(cells for _, cells in shape.joint)]
     for k, name in enumerate(names):
-        if TIME_NAME_PATTERN.search(name) and all(k < len(cells) for cells in cells_by_place) and len(cells_by_place) > 3:
-            first, second, last, following = (finite_number_or_none(cells[k].strip(), decimal) for cells in cells_by_place)
+        if (
+            TIME_NAME_PATTERN.search(name)
+            and all(k < len(cells) for cells in cells_by_place)
+            and len(cells_by_place) > 3
+        ):
+            first, second, last, following = (
+                finite_number_or_none(cells[k].strip(), decimal) for cells in cells_by_place
+            )
             if first is None or second is None or last is None or following is None:
                 if all(cell_kind_letters([cells[k]], decimal) == "d" for cells in cells_by_place):
                     return "", ""
                 continue
             if abs((following - last) - (second - first)) <= 0.5 * abs(second - first):
-                return "", f"the header states {record_lines} samples, and {shape.line_count} lines of one record follow"
+                return (
+                    "",
+                    f"the header states {record_lines} samples, and {shape.line_count} lines of one record follow",
+                )
     record_count = -(-shape.line_count // record_lines)
     return (
         f"its header states {record_lines} samples, and {shape.line_count} lines of samples follow: {record_count} "
@@ -362,7 +375,9 @@ def _stated_clocks(
             for start_s, time_s, day in zip(starts_s, times_s, days, strict=True)
         ]
     return (
-        dict(zip(columns, (1 / interval_s for interval_s in intervals_s), strict=True)) if len(set(intervals_s)) > 1 else {},
+        dict(zip(columns, (1 / interval_s for interval_s in intervals_s), strict=True))
+        if len(set(intervals_s)) > 1
+        else {},
         dict(zip(columns, starts_s, strict=True)) if len(set(starts_s)) > 1 else {},
     )
 

@@ -205,6 +205,8 @@ def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def _placeholder_keys(entry: object) -> list[str]:
     if isinstance(entry, dict):
         keys = [key for key, value in entry.items() if value == PLACEHOLDER and key != "column"]
-        nested_keys = ([f"{k} of {key}" for k in _placeholder_keys(v)] for key, v in entry.items() if isinstance(v, dict))
+        nested_keys = (
+            [f"{k} of {key}" for k in _placeholder_keys(v)] for key, v in entry.items() if isinstance(v, dict)
+        )
         return [*keys, *chain.from_iterable(nested_keys)]
     return ["column"] if entry == PLACEHOLDER else []

@@ -52,7 +52,16 @@ def _import(
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        groups, notes = timed_channels(table, columns, si_factors, column_map, rig.sample_rate_hz)
+        time_by_channel = {name: source.time or column_map.time for name, (_, source) in source_by_channel.items()}
+        groups, notes = timed_channels(
+            table,
+            columns,
+            si_factors,
+            time_by_channel,
+            column_map.sample_rate_hz,
+            (rig.sample_rate_hz,),
+            column_map.csv.cut_incomplete_end,
+        )
         row_by_channel, resampling_steps = samples_on_one_clock(groups, rig.sample_rate_hz, column_map.resample)
     except RigError as error:
         raise RigError(f"{source_label}: {error}") from error
@@ -88,15 +97,17 @@ def timed_channels(
     table: Table,
     column_by_name: Mapping[str, Column],
     si_factors: Mapping[str, float],
-    column_map: Map,
-    rig_rate_hz: float,
+    time_by_name: Mapping[str, TimeSource | None],
+    sample_rate_hz: float | None,
+    expected_hz: Sequence[float] = (),
+    is_end_cut: bool = False,
 ) -> tuple[list[TimedChannels], tuple[str, ...]]:
     """Channels in SI, those sampled at the same times together, and what was seen of them in words.
 
-    Raises RigError if the times of a channel are not known, or a number is beyond what anything measures.
+    Times are those of a column, else of sample_rate_hz or of the rate that a column states; of stamps with few digits,
+    one of expected_hz. Raises RigError if the times of a channel are not known, or a number is beyond what anything
+    measures.
     """
-    source_by_name = dict(zip(column_by_name, column_map.forces, strict=False)) | column_map.sensors
-    time_by_name = {name: source_by_name[name].time or column_map.time for name in column_by_name}
     starts_s = _stated_starts_s(column_by_name)
     groups: list[tuple[SampleTimes, list[tuple[str, Bool[np.ndarray, " lines"]]]]] = []
     notes: list[str] = []
@@ -107,16 +118,16 @@ def timed_channels(
         time, _ = raster
         columns = {name: column for name, column in column_by_name.items() if raster_by_name[name] == raster}
         time_column = None if time is None else table.column(time.column)
-        line_count = _line_count(columns, time_column, column_map.csv.cut_incomplete_end, bool(starts_s))
+        line_count = _line_count(columns, time_column, is_end_cut, bool(starts_s))
         longest = max(column.values.size for column in (*columns.values(), *filter(None, [time_column])))
         if line_count is not None and longest > line_count:
             notes.append(f"the last {longest - line_count} lines are incomplete and were left out")
         for name, column in columns.items():
             is_sampled = _is_sampled(column, line_count)
             if time is None or time_column is None:
-                times = _times_of_rate(column, is_sampled, column_map.sample_rate_hz, starts_s.get(name))
+                times = _times_of_rate(column, is_sampled, sample_rate_hz, starts_s.get(name))
             else:
-                times = _times_of_stamps(time, time_column, is_sampled, rig_rate_hz)
+                times = _times_of_stamps(time, time_column, is_sampled, expected_hz)
                 times = replace(times, start_s=starts_s[name]) if len(set(starts_s.values())) > 1 else times
             same = next((channels for other_times, channels in groups if other_times.is_same_as(times)), None)
             if same is None:
@@ -192,8 +203,8 @@ def _line_count(
         if is_shorter or (column.values.size > line_count and not is_end_cut):
             others = f"its time, column {time_column.name!r}," if time_column else "another"
             raise RigError(
-                f"column {column.name!r} has {column.values.size} samples, {others} {line_count}; export them over the same "
-                "time, give the column a time of its own, or cut the record there (of a text: cut_incomplete_end = true)"
+                f"column {column.name!r} has {column.values.size} samples, {others} {line_count}; export them over "
+                "the same time, give it a time of its own, or cut the record (of a text: cut_incomplete_end = true)"
             )
     return line_count
 
@@ -217,17 +228,15 @@ def _times_of_stamps(
     time: TimeSource,
     time_column: Column,
     is_sampled: Bool[np.ndarray, " lines"],
-    rig_rate_hz: float,
+    expected_hz: Sequence[float],
 ) -> SampleTimes:
     """Sampling times by a column of time, at the lines in which a channel has a number."""
     stamps = time_column.values[: is_sampled.size][is_sampled[: time_column.values.size]]
     sample_count = int(is_sampled.sum())
     if stamps.size != sample_count or not np.isfinite(stamps).all():
-        raise RigError(
-            f"its time, column {time_column.name!r}, does not hold {sample_count} finite numbers; repair it"
-        )
+        raise RigError(f"its time, column {time_column.name!r}, does not hold {sample_count} finite numbers; repair it")
     unit_s = time.scale * si_factor("time", time.unit or time_column.unit or "s")
-    return SampleTimes.of_stamps(stamps, unit_s, time_column.last_digit, (rig_rate_hz,))
+    return SampleTimes.of_stamps(stamps, unit_s, time_column.last_digit, expected_hz)
 
 
 def _times_of_rate(
@@ -242,8 +251,8 @@ def _times_of_rate(
         raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")
     if file_rate_hz is not None and abs(file_rate_hz / rate_hz - 1) > RATE_TOLERANCE:
         raise RigError(
-            f"column {column.name!r} is sampled at {file_rate_hz:.6g} Hz by the file, {rate_hz:.6g} Hz by the map; leave "
-            "one out"
+            f"column {column.name!r} is sampled at {file_rate_hz:.6g} Hz by the file, {rate_hz:.6g} Hz by the map; "
+            "leave one out"
         )
     rows = np.flatnonzero(is_sampled)
     step = int(rows[1] - rows[0]) if rows.size > 1 else 1

@@ -162,24 +162,25 @@ def _unit_of_time(column: ColumnSummary, expected_hz: Sequence[float]) -> tuple[
 
     None if it is not told by the file, or if by the file's a rate is far from the expected one.
     """
-    if column.is_date or column.stamps is None:
-        return "s", ""
-    stamps = column.stamps
+    stamps = np.arange(2.0) if column.stamps is None else column.stamps
     samples_per_unit = (len(stamps) - 1) / float(stamps[-1] - stamps[0])
     rate_by_unit = {unit: samples_per_unit / unit_s for unit, unit_s in FACTORS["time"].items()}
-    if quantity_of(column.unit) == "time":
-        unit = canonical_unit(column.unit or "")
+    if column.is_date or quantity_of(column.unit) == "time":
+        unit = "s" if column.is_date else canonical_unit(column.unit or "")
         if expected_hz and is_far(rate_by_unit[unit], expected_hz[-1]):
-            return None, f", and in {unit} {rate_by_unit[unit]:.6g} Hz; {unit_doubt(rate_by_unit['s'], expected_hz[-1])}"
+            return (
+                None,
+                f", and in {unit} {rate_by_unit[unit]:.6g} Hz; {unit_doubt(rate_by_unit['s'], expected_hz[-1])}",
+            )
         return unit, ""
     taken = "; the file states no unit of it, and {} is taken"
-    if 0 < samples_per_unit and (epoch := _unit_of_epoch(float(stamps[0]), rate_by_unit)):
+    if samples_per_unit > 0 and (epoch := _unit_of_epoch(float(stamps[0]), rate_by_unit)):
         unit, origin_words = epoch
         return unit, f"; its numbers are {origin_words}"
-    for rate_hz in expected_hz:
-        for unit, unit_rate_hz in rate_by_unit.items():
-            if abs(unit_rate_hz / rate_hz - 1) < 1e-2:
-                return unit, taken.format(unit)
+    fitting_units = [u for hz in expected_hz for u, unit_hz in rate_by_unit.items() if abs(unit_hz / hz - 1) < 1e-2]
+    if fitting_units or (samples_per_unit >= MIN_RATE_IN_SECONDS_HZ and not expected_hz):
+        unit = next(iter(fitting_units), "s")
+        return unit, taken.format(unit)
     if expected_hz and is_far(rate_by_unit["s"], expected_hz[-1]):
         return None, f"; {unit_doubt(rate_by_unit['s'], expected_hz[-1])}"
     return ("s", taken.format("s")) if samples_per_unit >= MIN_RATE_IN_SECONDS_HZ else (None, "")

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.clock import restart_sentence
+from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.csv_text import TextForm
 from rig.lab.recorded import stated_sampling_rate_hz
 from rig.limits import MAX_ITEMS, MAX_NUMBER
@@ -18,10 +18,10 @@ from rig.limits import MAX_ITEMS, MAX_NUMBER
 class ColumnSummary:
     """A column: its number from 1, and its name, unit, rate, start and date as the file has them.
 
-    group is the path of the struct or group that it is in. Its sample_count numbers stand in every step-th of line_count
-    lines. stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the
-    last digit written of them. repeat_count is how many times each value is repeated. fault says in words why no channel
-    can be made of it; empty if one can.
+    group is the path of the struct or group that it is in. Its sample_count numbers stand in every step-th of
+    line_count lines. stamps are its values if they never decrease, in its unit, or in seconds if they are dates;
+    last_digit is the last digit written of them. repeat_count is how many times each value is repeated. fault says in
+    words why no channel can be made of it; empty if one can.
     """
 
     number: int

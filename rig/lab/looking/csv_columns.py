@@ -15,7 +15,7 @@ from rig.lab.column import missing_row
 from rig.lab.csv_columns import TextColumn, column_of, read_text_columns
 from rig.lab.csv_layout import TIME_NAME_PATTERN, Layout, layout_of
 from rig.lab.csv_text import TextForm
-from rig.lab.looking.columns import ColumnSummary, FileSummary, column_summary
+from rig.lab.looking.columns import FileSummary, column_summary
 from rig.lab.looking.csv_dialect import text_form_of
 from rig.lab.recorded import stated_sampling_rate_hz
 from rig.lab.units import name_and_unit, quantity_of
@@ -47,8 +47,8 @@ def summary_of_csv(path: Path) -> FileSummary:
     restart_row = min((row for row in restart_rows if row), default=0)
     if restart_row:
         facts.append(
-            f"its time begins again in line {line_numbers[restart_row]}: records of {restart_row} and more lines follow "
-            "one another, of which the first is taken"
+            f"its time begins again in line {line_numbers[restart_row]}: records of {restart_row} and more lines "
+            "follow one another, of which the first is taken"
         )
         layout = layout_of(path, replace(layout.form, sample_lines=restart_row))
         line_numbers, text_columns = read_text_columns(layout, range(len(layout.names)))
@@ -130,10 +130,12 @@ def _rasters(layout: Layout, text_columns: Sequence[TextColumn]) -> _Rasters:
         is_behind_time = is_time
     raster = np.array(rasters)
     longest_ends = np.array([end_rows[raster == number].max() for number in raster])
-    is_sparse = np.array([
-        end > 0 and count < end and missing_row(text_column.values[:end]) is None
-        for text_column, end, count in zip(text_columns, end_rows, counts, strict=True)
-    ])
+    is_sparse = np.array(
+        [
+            end > 0 and count < end and missing_row(text_column.values[:end]) is None
+            for text_column, end, count in zip(text_columns, end_rows, counts, strict=True)
+        ]
+    )
     is_channel = (
         ((counts / np.maximum(end_rows - first_rows, 1) >= LEAST_FILLED_SHARE) | is_sparse)
         & (end_rows >= LEAST_LENGTH_SHARE * longest_ends)
@@ -184,9 +186,7 @@ def _fault(
     return f"it has no number in line {line_numbers[first_row + row]}"
 
 
-def _check_one_block(
-    path: Path, line_numbers: Int[np.ndarray, " lines"], text_columns: Sequence[TextColumn]
-) -> None:
+def _check_one_block(path: Path, line_numbers: Int[np.ndarray, " lines"], text_columns: Sequence[TextColumn]) -> None:
     """Raise RigError if lines without any numbers stand between lines of samples."""
     last_end = max(text_column.end for text_column in text_columns)
     has_numbers = np.zeros(last_end, dtype=bool)

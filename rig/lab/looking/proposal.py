@@ -132,7 +132,9 @@ def _check_needed_are_whole(
 ) -> None:
     """Raise RigError if the only force, time or sensor has a word or a number that nothing measures."""
     numbers = {channel.number for channel in channels}
-    faulty = [column for column in columns if column.fault and column.distinct_count > 1 and column.number not in numbers]
+    faulty = [
+        column for column in columns if column.fault and column.distinct_count > 1 and column.number not in numbers
+    ]
     faulty_times = [column for column in faulty if is_time_column(column)]
     faulty_forces = [role.column for role in roles_of(faulty) if role.quantity == "force"]
     faulty_sensors = [role.column for role in roles_of(faulty) if role.quantity not in (None, "force", "time")]

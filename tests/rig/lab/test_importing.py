@@ -214,7 +214,9 @@ def test_tdms(folder):
     mapping = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
     check(imported(folder, mapping, "lab.tdms"))
     write_tdms(folder / "lab.tdms", (RATE_HZ, RATE_HZ, 2 * RATE_HZ))
-    with pytest.raises(RigError, match=r"is sampled at 512 Hz from 0 to .* and column .* is sampled at 1024 Hz from 0 to"):
+    with pytest.raises(
+        RigError, match=r"is sampled at 512 Hz from 0 to .* and column .* is sampled at 1024 Hz from 0 to"
+    ):
         imported(folder, mapping, "lab.tdms")
     write_tdms(folder / "lab.tdms")
     mapping["sensors"][X]["unit"] = "m"

@@ -161,7 +161,7 @@ def test_a_mark_of_overload_leaves_its_channel_out_or_stops_the_import(folder, w
     check(recording)
     seen = "it has no number in line 125" if word == "NaN" else f"line 125 has '{word}'"
     assert f"left out: column 4 'tip [m/s^2]' ({seen}" in text
-    tip = f'tip = {{ column = "tip [m/s^2]", quantity = "acceleration", body = "mass", position_m = 0.0 }}'
+    tip = 'tip = { column = "tip [m/s^2]", quantity = "acceleration", body = "mass", position_m = 0.0 }'
     (folder / "map.toml").write_text((folder / "map.toml").read_text() + tip + "\n")
     with pytest.raises(RigError, match=r"line 125 has ") as caught:
         import_file(folder / "run.txt", folder / "map.toml", folder / "other.mcap")
@@ -181,7 +181,11 @@ def test_a_needed_channel_with_a_mark_of_overload_is_refused(folder, word, place
 
 def test_a_sensor_of_the_rig_that_is_left_out_leaves_a_map_that_imports(folder):
     two = Sensor(name="second", station=RIG.sensors[0].station, quantity="acceleration")
-    rig = Sdof(sensors="acceleration").rig().__class__(**{**{f: getattr(RIG, f) for f in RIG.__struct_fields__}, "sensors": (*RIG.sensors, two)})
+    rig = (
+        Sdof(sensors="acceleration")
+        .rig()
+        .__class__(**{**{f: getattr(RIG, f) for f in RIG.__struct_fields__}, "sensors": (*RIG.sensors, two)})
+    )
     (folder / "rig.json").write_bytes(to_json(rig))
     lines = with_word("OVL", (TIME_S, FORCE, ACC, TIP), 3)
     (folder / "run.csv").write_text("\n".join([f"t [s],force [N],{A} [m/s^2],second [m/s^2]", *lines, ""]))

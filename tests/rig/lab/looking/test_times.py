@@ -193,7 +193,7 @@ def test_a_slower_channel_among_others_is_left_out(tmp_path):
 def test_channels_that_share_no_time_are_refused(tmp_path):
     folder = folder_with(tmp_path)
     csv_pairs(folder / "run.csv", raster(0, SAMPLES), raster(SAMPLES + 10, SAMPLES))
-    with pytest.raises(RigError, match="its channels share no time: .* from 0 to 2.92"):
+    with pytest.raises(RigError, match=r"its channels share no time: .* from 0 to 2\.92"):
         looked_at(folder, "run.csv")
 
 
@@ -219,7 +219,9 @@ def test_units_of_time_are_known_by_name_or_by_their_numbers(tmp_path, unit, fac
     folder = folder_with(tmp_path)
     time_s, force, acceleration = raster(0, SAMPLES)
     stamps = [digits % (zero + (round(t * factor) if digits == "%d" else t * factor)) for t in time_s.tolist()]
-    (folder / "run.csv").write_text(table_text([f"time {unit}", "force [N]", f"{A} [m/s^2]"], stamps, force, acceleration))
+    (folder / "run.csv").write_text(
+        table_text([f"time {unit}", "force [N]", f"{A} [m/s^2]"], stamps, force, acceleration)
+    )
     if not has_rig:
         assert "; 512 Hz by column" in proposed_import_map(folder / "run.csv", None).text
         return
@@ -237,7 +239,9 @@ def test_the_unit_of_time_is_doubted_before_the_rig(tmp_path, stated, factor, un
     folder = folder_with(tmp_path)
     time_s, force, acceleration = raster(0, SAMPLES)
     path = folder / "run.csv"
-    path.write_text(table_text([stated, "force [N]", f"{A} [m/s^2]"], time_s * factor, force, acceleration, formats="%.12g"))
+    path.write_text(
+        table_text([stated, "force [N]", f"{A} [m/s^2]"], time_s * factor, force, acceleration, formats="%.12g")
+    )
     text = proposed_import_map(path, Sdof(sensors="acceleration").rig()).text
     assert "correct it to" not in text
     if stated == "t":  # the rate of the rig tells it
@@ -272,7 +276,9 @@ def test_stamps_in_single_precision_leave_samples_as_they_are(tmp_path, first_s,
                 file[name].attrs["unit"] = unit
     name = "run.csv" if is_text else "run.h5"
     changes = {}
-    if is_added_up and first_s == 600.0:  # steps of 1/1024 s, by a last digit of 6e-5 s: nothing tells 1000 from 1024 Hz
+    if (
+        is_added_up and first_s == 600.0
+    ):  # steps of 1/1024 s, by a last digit of 6e-5 s: nothing tells 1000 from 1024 Hz
         changes = {'sample_rate_hz = "?"': "sample_rate_hz = 1000.0"}
         assert "too few digits" in proposed_import_map(folder / name, Sdof(sample_rate_hz=rate_hz).rig()).text
     text, recording, said = looked_at(folder, name, changes)
@@ -287,7 +293,7 @@ def test_lost_samples_are_no_rounding(tmp_path):
     time_s = np.delete(np.arange(SAMPLES), 700) / 1000.0
     names = ["t [s]", "force [N]", f"{A} [m/s^2]"]
     (folder / "run.csv").write_text(table_text(names, [f"{t:.3f}" for t in time_s], *motion(time_s)))
-    with pytest.raises(RigError, match="1 gaps, the first after 0.699"):
+    with pytest.raises(RigError, match=r"1 gaps, the first after 0\.699"):
         looked_at(folder, "run.csv", {"resample = true": "resample = false"})
 
 
@@ -319,7 +325,9 @@ def test_a_time_that_begins_again_is_a_second_record(tmp_path, form):
     time_s, force, acceleration = raster(0, SAMPLES)
     stamps = np.concatenate([time_s[:first_count], time_s[: SAMPLES - first_count]])
     if form == "csv":
-        (folder / "run.csv").write_text(table_text(["X_Value", "force [N]", f"{A} [m/s^2]"], stamps, force, acceleration))
+        (folder / "run.csv").write_text(
+            table_text(["X_Value", "force [N]", f"{A} [m/s^2]"], stamps, force, acceleration)
+        )
         with pytest.raises(RigError, match=r"its time begins again after .* 2 records follow .* sample_lines = 900"):
             looked_at(folder, "run.csv", {"csv = { sample_lines = 900 }": ""})
         text, recording, _ = looked_at(folder, "run.csv")
@@ -331,7 +339,7 @@ def test_a_time_that_begins_again_is_a_second_record(tmp_path, form):
         for name, unit, values in (("t", "s", stamps), ("force", "N", force), (A, "m/s^2", acceleration)):
             file[name] = values
             file[name].attrs["unit"] = unit
-    with pytest.raises(RigError, match="its time begins again after .* 2 records follow one another"):
+    with pytest.raises(RigError, match=r"its time begins again after .* 2 records follow one another"):
         looked_at(folder, "run.h5")
 
 
