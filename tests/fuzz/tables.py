@@ -118,7 +118,7 @@ def _judged_import(folder: Path, name: str, content: bytes, told: bytes, check: 
 
 
 def times_of_channels(rng: np.random.Generator, folder: Path) -> str:
-    """Channels with a time each: what is imported is of the same instants, whatever the starts, rates, gaps and units."""
+    """Channels with a time each: what is imported is of the same instants, whatever the starts, rates and units."""
     first, rate_ratio = rng.integers(0, 60, 2), rng.choice([1.0, 1.0, 1.0, 2.0, 0.5], 2)
     part = float(rng.choice([0.0, 0.0, 0.4]))
     times_s = [
@@ -134,10 +134,8 @@ def times_of_channels(rng: np.random.Generator, folder: Path) -> str:
     columns = [column for time_s in times_s for column in (time_s / unit_s, _signal(time_s))]
     lines = [",".join(f"{value:.{digits}g}" for value in row) for row in zip(*columns, strict=True)]
     if rng.random() < 0.3:
-        place = int(rng.integers(len(lines)))
-        lines[place] = lines[place].replace(
-            lines[place].split(",")[1], str(rng.choice(["OVL", "", "9.9E+37", "nan"])), 1
-        )
+        place, word = int(rng.integers(len(lines))), str(rng.choice(["OVL", "", "9.9E+37", "nan"]))
+        lines[place] = lines[place].replace(lines[place].split(",")[1], word, 1)
     told = [
         f"resample = {str(bool(rng.random() < 0.5)).lower()}",
         f'force = {{ column = 2, unit = "N", time = {{ column = 1, unit = "{unit}" }} }}',

@@ -67,9 +67,11 @@ def clocks_of(
 
 
 def is_time_column(column: ColumnSummary) -> bool:
-    """True if the name or unit of a column is one of time."""
+    """True if the unit of a column is one of time, or it has none and the name is one."""
+    if column.unit is not None:
+        return quantity_of(column.unit) == "time"
     name, _ = name_and_unit(column.name.removeprefix(column.group).lstrip("/."), guess=True)
-    return quantity_of(column.unit) == "time" or TIME_NAME_PATTERN.search(name) is not None
+    return TIME_NAME_PATTERN.search(name) is not None
 
 
 def paired_time_column(channel: ColumnSummary, columns: Sequence[ColumnSummary]) -> ColumnSummary | None:

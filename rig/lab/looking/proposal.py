@@ -17,11 +17,11 @@ from rig.lab.import_map import PLACEHOLDER
 from rig.lab.looking.clock import ClockProposal, clocks_of, is_far, is_time_column, paired_time_column
 from rig.lab.looking.columns import ColumnSummary, FileSummary, summary_of_blocks
 from rig.lab.looking.csv_columns import summary_of_csv
-from rig.lab.looking.roles import ColumnRole, channel_columns_and_rejections, roles_of
+from rig.lab.looking.roles import ColumnRole, channel_columns_and_rejections, is_called_force, named_quantity, roles_of
 from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
-from rig.lab.units import canonical_unit, quantity_of
+from rig.lab.units import MASS_UNITS, canonical_unit, quantity_of, unit_of_force
 from rig.limits import MAX_NAME_LENGTH
 from rig.model.description import Rig
 from rig.recording import RIG_NAME
@@ -84,7 +84,7 @@ def proposed_import_map(source_path: Path, rig: Rig | None, rig_name: str = RIG_
         f"rig = {json.dumps(rig_name)}" + ("" if rig else "  # the machine and its contacts; rig init writes it"),
         *_clock_lines(clock, channel_clocks, key_by_number, rig),
         *_form_lines(file_summary.form),
-        *_force_lines(roles, key_by_number, rig),
+        *_force_lines(roles, left_out_reasons, key_by_number, rig),
         "",
         "[sensors]",
         *_sensor_lines(roles, key_by_number, rig, clock, clock_by_number),
@@ -130,19 +130,16 @@ def _channels_and_rejections(
 def _check_needed_are_whole(
     source_path: Path, channels: Sequence[ColumnSummary], columns: Sequence[ColumnSummary]
 ) -> None:
-    """Raise RigError if the only force, time or sensor has a word or a number that nothing measures."""
+    """Raise RigError if the only time or sensor has a word or a number that nothing measures."""
     numbers = {channel.number for channel in channels}
     faulty = [
         column for column in columns if column.fault and column.distinct_count > 1 and column.number not in numbers
     ]
     faulty_times = [column for column in faulty if is_time_column(column)]
-    faulty_forces = [role.column for role in roles_of(faulty) if role.quantity == "force"]
     faulty_sensors = [role.column for role in roles_of(faulty) if role.quantity not in (None, "force", "time")]
-    has_force = any(role.quantity == "force" for role in roles_of(channels))
     has_sensor = any(role.quantity != "force" for role in roles_of(channels))
     has_time = any(c.rate_hz or paired_time_column(c, columns) for c in channels)
     kinds = (
-        ("force", faulty_forces, has_force),
         ("time", faulty_times, has_time),
         ("only sensor", faulty_sensors, has_sensor),
     )
@@ -254,8 +251,21 @@ def _form_lines(form: TextForm) -> Iterator[str]:
         yield f"csv = {{ {', '.join(changed)} }}"
 
 
-def _force_lines(roles: Sequence[ColumnRole], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _force_lines(
+    roles: Sequence[ColumnRole],
+    left_out_reasons: Sequence[tuple[ColumnSummary, str]],
+    key_by_number: dict[int, str | int],
+    rig: Rig | None,
+) -> Iterator[str]:
     force_roles = [role for role in roles if role.quantity == "force"]
+    doubts_of_forces = [
+        *((column, f"is left out: {reason}") for column, reason in left_out_reasons if is_called_force(column)),
+        *((role.column, f"is in {role.column.unit}") for role in roles if named_quantity(role.column) == "force"),
+    ]
+    if not force_roles and doubts_of_forces:
+        doubts = "; ".join(f"{_column_label(column)} {doubt}" for column, doubt in doubts_of_forces)
+        yield f'force = "{PLACEHOLDER}"  # {doubts}; name the column of the force and its unit, or export it again'
+        return
     if not force_roles and rig is not None and all(rig.is_on_ground(station) for station in rig.forces):
         yield 'force = "none"  # rig.json has no force_at: its base shakes'
         return
@@ -310,10 +320,16 @@ def _are_same(clock: ClockProposal, other: ClockProposal) -> bool:
 
 def _unit_fields(role: ColumnRole) -> dict[str, object]:
     """Unit of an entry, with a scale where the file's unit is of no quantity."""
-    file_unit = role.column.unit
-    if quantity_of(file_unit):
-        return {"unit": canonical_unit(file_unit or "")}
-    return dict.fromkeys(("unit", "scale") if file_unit else ("unit",), PLACEHOLDER)
+    if _known_unit(role):
+        return {"unit": _known_unit(role)}
+    return dict.fromkeys(("unit", "scale") if role.column.unit else ("unit",), PLACEHOLDER)
+
+
+def _known_unit(role: ColumnRole) -> str | None:
+    """Canonical unit of a column; None if the file has none, or one of no quantity."""
+    file_unit = role.column.unit or ""
+    plain_unit = unit_of_force(file_unit) if role.quantity == "force" else canonical_unit(file_unit)
+    return plain_unit if quantity_of(plain_unit) else None
 
 
 def _place_fields(rig: Rig | None) -> dict[str, object]:
@@ -339,6 +355,9 @@ def _range_text(role: ColumnRole) -> str:
     column = role.column
     unit_text = f" {column.unit}" if column.unit else ""
     range_text = f"{column.lowest:.4g} to {column.highest:.4g}{unit_text}"
-    if unit_text and not quantity_of(column.unit):
+    known_unit = _known_unit(role)
+    if column.unit in MASS_UNITS:
+        range_text += f", and {column.unit} is taken as {known_unit}" if known_unit else ""
+    if unit_text and not known_unit:
         return f"{range_text}; unit is what it measures, scale how much of it one {column.unit} is"
     return range_text if unit_text else f"{range_text}, without a unit in the file"

@@ -8,38 +8,47 @@ from itertools import chain, count
 
 from rig.lab.looking.clock import is_time_column
 from rig.lab.looking.columns import ColumnSummary
-from rig.lab.units import SCALED_UNITS, name_and_unit, quantity_of
+from rig.lab.units import FOREIGN_UNITS, canonical_unit, name_and_unit, quantity_of
 
-_WORDS_BY_QUANTITY = {
-    "force": r"force|kraft|load|last|hammer|shaker|impact|(?<![a-z])f(?![a-z])|(?<![a-z])f[xyz]?\d*(?![a-z])",
-    "acceleration": r"acc|beschl|accel",
-    "velocity": r"vel|geschw|speed",
-    "displacement": r"disp|weg|auslenk|posit|lvdt|laser",
-    "strain": r"strain|dehn|dms",
-}
-"""Words in names, by the quantity that they suggest."""
+_WORDS_OF_QUANTITIES = (
+    ("force", r"force|kraft|load|(?<![bep])last|(?<![a-z])f(?![a-z])|(?<![a-z])f[xyz]?\d*(?![a-z])"),
+    ("acceleration", r"acc|beschl|accel"),
+    ("velocity", r"vel|geschw|speed"),
+    ("displacement", r"disp|weg|auslenk|posit|lvdt|laser"),
+    ("strain", r"strain|dehn|dms"),
+    ("force", r"hammer|shaker|impact"),
+)
+"""Words in names, by the quantity that they suggest, the surest first."""
 
 
 @dataclass(frozen=True)
 class ColumnRole:
-    """A column taken as force or sensor: its quantity (None: unknown) and whether only its name suggests it."""
+    """A column taken as force or sensor of a quantity; None: unknown."""
 
     column: ColumnSummary
     name: str
     quantity: str | None
-    is_by_name: bool
 
 
 def channel_columns_and_rejections(
     columns: Sequence[ColumnSummary],
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
-    """Columns that vary over the samples most of them have, and the others with the reason in words."""
+    """Columns that vary over the samples most of them have, and the others with the reason in words.
+
+    Of forces one that does not vary counts too, if no other does.
+    """
     reasons = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
+    if not any(is_called_force(column) for column in columns if column.number not in reasons):
+        for column in columns:
+            if is_called_force(column) and reasons.get(column.number) == _constancy_reason(column):
+                del reasons[column.number]
     usable_columns = [column for column in columns if column.number not in reasons]
     if usable_columns:
         lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
         (usual_sample_count, usual_rate_hz), _ = lengths_and_rates.most_common(1)[0]
         for column in usable_columns:
+            if is_called_force(column):  # an import says what does not fit, or brings both to one clock
+                continue
             if column.sample_count != usual_sample_count:
                 reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_sample_count}"
             elif column.rate_hz != usual_rate_hz:
@@ -62,24 +71,48 @@ def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
     name_variants = chain([base_name], (f"{base_name}_{number}" for number in count(2)))
     name = next(variant for variant in name_variants if variant not in used_names)
     used_names.add(name)
-    if quantity := quantity_of(column.unit):
-        return ColumnRole(column, name, quantity, is_by_name=False)
-    if column.unit in SCALED_UNITS:
-        return ColumnRole(column, name, None, is_by_name=False)
-    suggested_quantities = (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, header, re.IGNORECASE))
-    return ColumnRole(column, name, next(suggested_quantities, None), is_by_name=True)
+    return ColumnRole(column, name, _quantity(column))
+
+
+def is_called_force(column: ColumnSummary) -> bool:
+    """True if a column is a force by its unit, or by its name and no other unit of a rig's sensors."""
+    return _quantity(column) == "force"
+
+
+def named_quantity(column: ColumnSummary) -> str | None:
+    """Quantity that the name suggests, its last part (group/channel, run.channel) first."""
+    name_parts = re.split(r"[/.]", name_and_unit(column.name, guess=True)[0])
+    suggested_quantities = (
+        quantity
+        for part in reversed(name_parts)
+        for quantity, words in _WORDS_OF_QUANTITIES
+        if re.search(words, part, re.IGNORECASE)
+    )
+    return next(suggested_quantities, None)
+
+
+def _quantity(column: ColumnSummary) -> str | None:
+    return quantity_of(column.unit) or named_quantity(column)
+
+
+def _constancy_reason(column: ColumnSummary) -> str:
+    """Reason why a column is no signal; empty if it takes three values or more."""
+    if column.distinct_count == 1:
+        return f"it is {column.lowest:g} throughout"
+    return f"it is {column.lowest:g} or {column.highest:g}, as a trigger is" if column.distinct_count == 2 else ""
 
 
 def _unfit_reason(column: ColumnSummary) -> str:
     """Reason why a column is no measured channel; empty if it may be one."""
-    is_foreign_unit = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
+    is_foreign = not is_called_force(column) and (
+        quantity_of(column.unit) == "time" or {column.unit, canonical_unit(column.unit or "")} & FOREIGN_UNITS
+    )
     conditions_and_reasons = (
         (column.is_date, "dates"),
         (bool(column.fault), column.fault),
-        (column.distinct_count == 1, f"it is {column.lowest:g} throughout"),
-        (column.distinct_count == 2, f"it is {column.lowest:g} or {column.highest:g}, as a trigger is"),
+        (column.distinct_count < 3, _constancy_reason(column)),
         (column.stamps is not None and column.is_counter, "it counts the samples"),
         (column.stamps is not None and is_time_column(column), "it is a time"),
-        (is_foreign_unit, f"it is in {column.unit}, which no sensor of a rig measures"),
+        (is_foreign, f"it is in {column.unit}, which no sensor of a rig measures"),
     )
     return next((reason for applies, reason in conditions_and_reasons if applies), "")

@@ -10,7 +10,9 @@ from jaxtyping import Float
 Row = Float[np.ndarray, " coordinates"]
 Derivatives = Float[np.ndarray, "3 coordinates"]
 """Rows of w, its slope w' and its curvature w'' at a place, over the coordinates."""
-METRES_BY_UNIT: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
+METRES_BY_UNIT: Mapping[str, float] = {
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "ft": 0.3048, "in": 0.0254, "mil": 2.54e-5,
+}  # fmt: skip
 
 
 def displacement_row(derivatives: Derivatives, _: float) -> Row:
