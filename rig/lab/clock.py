@@ -29,6 +29,8 @@ LEAST_RATE_SHARE = 0.499
 """Least share of the rig's rate at which a record's rate is believed, and not its unit of time doubted."""
 MAX_DECIMATION = 1000
 """Largest ratio of the record's rate to the rig's; beyond, its time is probably in another unit."""
+LEAST_RECORD_SAMPLES = 10
+"""Fewest samples after which a time that falls back begins another record."""
 PASSBAND_SHARE = 0.37
 """Band, as a share of the new rate, in which the resampling filter is flat within 1e-3."""
 SHIFT_HALF_TAPS = 32
@@ -330,7 +332,7 @@ def restart_samples(stamps: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " 
     drops = np.flatnonzero(np.diff(stamps) < 0) + 1
     starts = np.concatenate([[0], drops[:-1]]).astype(int) if drops.size else drops
     passed = stamps[drops - 1] - stamps[starts]
-    is_restart = (stamps[drops - 1] - stamps[drops] > 0.5 * passed) & (drops - starts > 2)
+    is_restart = (stamps[drops - 1] - stamps[drops] > 0.5 * passed) & (drops - starts >= LEAST_RECORD_SAMPLES)
     return drops if is_restart.all() else drops[:0]
 
 

@@ -9,7 +9,7 @@ from rig.errors import RigError
 from rig.lab.clock import LEAST_RATE_SHARE, MAX_DECIMATION, RATE_TOLERANCE, FewDigitsError, SampleTimes, unit_doubt
 from rig.lab.csv_layout import TIME_NAME_PATTERN
 from rig.lab.looking.columns import ColumnSummary, FileSummary
-from rig.lab.units import FACTORS, canonical_unit, is_unit, name_and_unit, quantity_of
+from rig.lab.units import FACTORS, canonical_unit, name_and_unit, quantity_of
 
 MIN_RATE_IN_SECONDS_HZ = 5.0
 """Rate below which a time without unit is not taken for seconds."""
@@ -67,11 +67,11 @@ def clocks_of(
 
 
 def is_time_column(column: ColumnSummary) -> bool:
-    """True if the unit of a column is one of time, or its name if it has no known unit of another quantity."""
-    if column.unit is not None and is_unit(column.unit) and quantity_of(column.unit) != "time":
-        return False
+    """True if the unit of a column is one of time, or it has none and the name is one."""
+    if column.unit is not None:
+        return quantity_of(column.unit) == "time"
     name, _ = name_and_unit(column.name.removeprefix(column.group).lstrip("/."), guess=True)
-    return quantity_of(column.unit) == "time" or TIME_NAME_PATTERN.search(name) is not None
+    return TIME_NAME_PATTERN.search(name) is not None
 
 
 def paired_time_column(channel: ColumnSummary, columns: Sequence[ColumnSummary]) -> ColumnSummary | None:

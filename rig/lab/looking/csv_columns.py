@@ -152,8 +152,9 @@ def _rasters(layout: TextLayout, text_columns: Sequence[TextColumn]) -> _Rasters
 
 def _is_time(layout: TextLayout, column_index: int, text_column: TextColumn) -> bool:
     name, unit = name_and_unit(layout.names[column_index], guess=True)
-    is_time_unit = quantity_of(layout.units[column_index] or unit) == "time"
-    return text_column.is_date or is_time_unit or TIME_NAME_PATTERN.search(name) is not None
+    unit = layout.units[column_index] or unit
+    is_time = quantity_of(unit) == "time" if unit else TIME_NAME_PATTERN.search(name) is not None
+    return text_column.is_date or is_time
 
 
 def _restart_row(text_column: TextColumn) -> int:

@@ -130,19 +130,16 @@ def _channels_and_rejections(
 def _check_needed_are_whole(
     source_path: Path, channels: Sequence[ColumnSummary], columns: Sequence[ColumnSummary]
 ) -> None:
-    """Raise RigError if the only force, time or sensor has a word or a number that nothing measures."""
+    """Raise RigError if the only time or sensor has a word or a number that nothing measures."""
     numbers = {channel.number for channel in channels}
     faulty = [
         column for column in columns if column.fault and column.distinct_count > 1 and column.number not in numbers
     ]
     faulty_times = [column for column in faulty if is_time_column(column)]
-    faulty_forces = [role.column for role in roles_of(faulty) if role.quantity == "force"]
     faulty_sensors = [role.column for role in roles_of(faulty) if role.quantity not in (None, "force", "time")]
-    has_force = any(role.quantity == "force" for role in roles_of(channels))
     has_sensor = any(role.quantity != "force" for role in roles_of(channels))
     has_time = any(c.rate_hz or paired_time_column(c, columns) for c in channels)
     kinds = (
-        ("force", faulty_forces, has_force),
         ("time", faulty_times, has_time),
         ("only sensor", faulty_sensors, has_sensor),
     )

@@ -13,7 +13,8 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from rig.errors import RigError
-from rig.lab.importing import import_file
+from rig.lab.column import Column
+from rig.lab.importing import import_columns, import_file
 from rig.model.description import to_json
 from rig.recording import read
 from rig.simulation.reference import Sdof
@@ -369,3 +370,22 @@ def test_endings_that_do_not_fit_are_refused(folder, capsys):
         assert exit_status("rig", *words) == 1
         assert f"; name it {name}\n" in capsys.readouterr().err
     assert sorted(folder.iterdir()) == kept
+
+
+@pytest.mark.parametrize(("starts_s", "kept"), [((10.25, 10.0, 10.0), SAMPLES - 128), ((7.0, 7.0, 7.0), SAMPLES)])
+def test_columns_that_state_their_starts_are_cut_to_their_common_time(folder, starts_s, kept):
+    columns = [
+        Column(name, values, UNITS[name], RATE_HZ, start_s=start_s)
+        for (name, values), start_s in zip(VALUES.items(), starts_s, strict=True)
+    ]
+    mapping = mapped(time=None, force={"column": "force"}, sensors={n: {"column": n} for n in (X, A)})
+    (folder / "map.toml").write_text("\n".join(f"{key} = {toml(value)}" for key, value in mapping.items()))
+    import_columns(columns, "columns", folder / "map.toml", folder / "r.mcap")
+    surplus = SAMPLES - kept
+    check(read(folder / "r.mcap"), {name: v[:kept] if name == "force" else v[surplus:] for name, v in VALUES.items()})
+    silent = [columns[0], columns[1], Column(A, VALUES[A], "g", RATE_HZ)]
+    if surplus:
+        with pytest.raises(
+            RigError, match=f"it does not say when column '{A}' begins, and other columns begin up to 0.25"
+        ):
+            import_columns(silent, "columns", folder / "map.toml", folder / "other.mcap")
