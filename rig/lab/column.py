@@ -9,9 +9,10 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Column:
-    """A channel; unit, sample rate and start are None, and date_text empty where the file has none.
+    """A channel; unit, sample rate and start are None, date_text and label empty where the file has none.
 
-    start_s is the time of the first sample, s, on a clock that all columns of the file share, whatever its zero.
+    start_s is the time of the first sample, s, on a clock that all columns of the file share, whatever its zero. label
+    is what the file calls the channel beside its name, by which a map finds it.
     """
 
     name: str
@@ -20,19 +21,22 @@ class Column:
     sample_rate_hz: float | None = None
     date_text: str = ""
     start_s: float | None = None
+    label: str = ""
 
 
 @dataclass(frozen=True)
 class ColumnBlock:
     """Columns of equal length that a file stores together; `read` decodes those with the given indices.
 
-    working_bytes is the memory that `read` needs besides the columns themselves.
+    working_bytes is the memory that `read` needs besides the columns themselves. note says in words what the file lacks
+    or holds beyond its samples; empty if nothing.
     """
 
     names: tuple[str, ...]
     sample_count: int
     read: Callable[[Sequence[int]], Sequence[Column]]
     working_bytes: int = 0
+    note: str = ""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rig.limits import MAX_ITEMS
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """A column: its number from 1, and its name, unit, rate and date as the file has them.
+    """A column: its number from 1, and its name, unit, rate, date and label as the file has them.
 
     stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the last
     digit written of them. fault says in words why no channel can be made of it; empty if one can.
@@ -30,6 +30,7 @@ class ColumnSummary:
     """Different values, counted to three."""
     rate_hz: float | None = None
     date_text: str = ""
+    label: str = ""
     stamps: Float[np.ndarray, " samples"] | None = None
     last_digit: float = 0.0
     is_date: bool = False
@@ -77,6 +78,7 @@ def column_summary(
         distinct_count=distinct_count,
         rate_hz=column.sample_rate_hz,
         date_text=column.date_text,
+        label=column.label,
         stamps=values if is_increasing else None,
         last_digit=last_digit,
         is_date=is_date,
@@ -87,12 +89,15 @@ def column_summary(
 def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
     """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
     columns: list[ColumnSummary] = []
-    refusal_facts: list[str] = []
+    facts: list[str] = []
     rate_hz, rate_origin = None, ""
     for block in blocks:
         if isinstance(block, Refused):
-            refusal_facts.append(f"left out: {block.sentence}")
-        elif block.sample_count == 1 and len(block.names) == 1:
+            facts.append(f"left out: {block.sentence}")
+            continue
+        if block.note and block.note not in facts:
+            facts.append(block.note)
+        if block.sample_count == 1 and len(block.names) == 1:
             (single_column,) = block.read([0])
             stated_hz = stated_sampling_rate_hz(
                 [[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], "."
@@ -104,4 +109,4 @@ def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
                 columns.append(column_summary(len(columns) + 1, block.read([column_index])[0]))
                 if len(columns) > MAX_ITEMS:
                     raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
-    return FileSummary(path, tuple(columns), tuple(refusal_facts), rate_hz=rate_hz, rate_origin=rate_origin)
+    return FileSummary(path, tuple(columns), tuple(facts), rate_hz=rate_hz, rate_origin=rate_origin)

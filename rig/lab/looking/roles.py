@@ -66,7 +66,7 @@ def roles_of(columns: Sequence[ColumnSummary]) -> tuple[ColumnRole, ...]:
 
 
 def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
-    header = name_and_unit(column.name, guess=True)[0].strip()
+    header = column.label or name_and_unit(column.name, guess=True)[0].strip()
     base_name = header if header.isprintable() and 0 < len(header) <= 200 else f"channel_{column.number}"
     name_variants = chain([base_name], (f"{base_name}_{number}" for number in count(2)))
     name = next(variant for variant in name_variants if variant not in used_names)
@@ -80,8 +80,8 @@ def is_called_force(column: ColumnSummary) -> bool:
 
 
 def named_quantity(column: ColumnSummary) -> str | None:
-    """Quantity that the name suggests, its last part (group/channel, run.channel) first."""
-    name_parts = re.split(r"[/.]", name_and_unit(column.name, guess=True)[0])
+    """Quantity that the label suggests, or the name, its last part (group/channel, run.channel) first."""
+    name_parts = [*re.split(r"[/.]", name_and_unit(column.name, guess=True)[0]), column.label]
     suggested_quantities = (
         quantity
         for part in reversed(name_parts)
