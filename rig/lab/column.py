@@ -28,15 +28,14 @@ class Column:
 class ColumnBlock:
     """Columns of equal length that a file stores together; `read` decodes those with the given indices.
 
-    working_bytes is the memory that `read` needs besides the columns themselves. note says in words what the file lacks
-    or holds beyond its samples; empty if nothing.
+    working_bytes is the memory that `read` needs besides the columns themselves. notes say what was decided about them.
     """
 
     names: tuple[str, ...]
     sample_count: int
     read: Callable[[Sequence[int]], Sequence[Column]]
     working_bytes: int = 0
-    note: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,7 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] 
             columns |= zip((first_index + index for index in chosen_indices), block.read(chosen_indices), strict=True)
             if missing_count := block.sample_count - columns[first_index + chosen_indices[0]].values.size:
                 notes = (f"the last {missing_count} lines are incomplete and were left out",)
-            if block.note and block.note not in notes:
-                notes = (*notes, block.note)
+            notes = (*notes, *(note for note in block.notes if note not in notes))
     return Table(tuple(column_names), columns, notes)
 
 

@@ -65,20 +65,17 @@ def tdms_blocks(path: Path) -> Blocks:
             if (declared_count := sum(map(len, channels))) > file_bytes:
                 raise UnreadableError(f"it declares {declared_count} values, more than it has bytes")
             surplus_counts = {} if is_closed else _surplus_counts(file)
-            note = ""
-            if not is_closed:
-                surplus_text = (
-                    f"; {max(surplus_counts.values(), default=0)} samples that not all channels have are left"
-                )
-                note = (
-                    f"the file was not closed, as after a crash, and is read to its last whole sample{surplus_text} out"
-                )
+            surplus_text = f"{max(surplus_counts.values(), default=0)} samples that not all channels have are left out"
+            crash_note = (
+                f"the file was not closed, as after a crash, and is read to its last whole sample; {surplus_text}"
+            )
+            notes = () if is_closed else (crash_note,)
             origin = _earliest_start(channels)
             for channel in channels:
-                yield from _channel_blocks(channel, origin, len(channel) - surplus_counts.get(channel.path, 0), note)
+                yield from _channel_blocks(channel, origin, len(channel) - surplus_counts.get(channel.path, 0), notes)
 
 
-def _channel_blocks(channel: Any, origin: tuple[int, int], sample_count: int, note: str) -> Blocks:
+def _channel_blocks(channel: Any, origin: tuple[int, int], sample_count: int, notes: tuple[str, ...]) -> Blocks:
     """Block of the first samples of a channel; nothing if it holds texts, or no samples."""
     name = f"{channel.group_name}/{channel.name}"
     try:
@@ -94,7 +91,7 @@ def _channel_blocks(channel: Any, origin: tuple[int, int], sample_count: int, no
         )
     elif kind in "iufM" and sample_count > 0:
         read = partial(_read_column, channel, name, origin, sample_count)
-        yield ColumnBlock((name,), sample_count, read, 8 * len(channel), note)
+        yield ColumnBlock((name,), sample_count, read, 8 * len(channel), notes)
 
 
 def _read_column(channel: Any, channel_name: str, origin: tuple[int, int], count: int, _: object) -> list[Column]:

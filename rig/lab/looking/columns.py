@@ -95,8 +95,7 @@ def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
         if isinstance(block, Refused):
             facts.append(f"left out: {block.sentence}")
             continue
-        if block.note and block.note not in facts:
-            facts.append(block.note)
+        facts += [note for note in block.notes if note not in facts]
         if block.sample_count == 1 and len(block.names) == 1:
             (single_column,) = block.read([0])
             stated_hz = stated_sampling_rate_hz(
