@@ -117,8 +117,9 @@ def _rate_and_offset(properties: Mapping[str, Any]) -> tuple[float | None, float
         return stated_clock({key: value for key, value in properties.items() if not key.startswith("wf_")})
     if unit_s is None:
         return None, None
-    is_offset = isinstance(offset, int | float) and math.isfinite(offset)
-    return 1 / (interval * unit_s), offset * unit_s if is_offset else None
+    if not isinstance(offset, int | float) or not math.isfinite(offset):
+        return 1 / (interval * unit_s), None
+    return 1 / (interval * unit_s), offset * unit_s
 
 
 def _start_time(properties: Mapping[str, Any]) -> Any:

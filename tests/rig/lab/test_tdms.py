@@ -127,9 +127,9 @@ def test_a_file_that_was_not_closed_is_read_as_far_as_it_is_whole(tmp_path, cut_
     for column in table.columns.values():
         np.testing.assert_array_equal(column.values, expected)
     (note,) = table.notes
-    assert note.startswith("the file was not closed, as after a crash, and is read to its last whole sample")
+    assert note.startswith("the file was not closed, as after a crash; it is read to its last whole sample")
     if lost and cut_bytes < 8 * 60:
-        assert f"; {60 - (kept - 120)} samples" in note
+        assert f", {60 - (kept - 120)} samples" in note
     assert note in proposed_import_map(path, None).text
     assert capfd.readouterr() == ("", "")
 
