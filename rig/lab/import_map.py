@@ -1,6 +1,7 @@
 """Import map: which column of a file is which sensor, its unit, and its place where rig.json does not say it."""
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,11 +21,22 @@ PLACEHOLDER = "?"
 """Value that a proposed map leaves where only the owner knows it."""
 
 
+class TimeSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Column of time stamps, by name or number from 1, with its unit (s if neither says one) and an extra factor."""
+
+    column: str | int
+    unit: str | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _check_scale(self.column, self.scale)
+
+
 class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Column of a file, by name or number from 1, with its unit (if the file has none) and an extra factor.
 
     body and position_m place a sensor or force; without them rig.json does. quantity is that of a sensor which rig.json
-    does not have.
+    does not have. time is its own column of time, where that is not the map's.
     """
 
     column: str | int
@@ -33,6 +45,7 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantity: QuantityName | None = None
     body: str | None = None
     position_m: float | None = None
+    time: TimeSource | None = None
 
     @property
     def station(self) -> Station | None:
@@ -42,8 +55,12 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if (self.body is None) != (self.position_m is None):
             raise RigError(f"column {self.column!r}: only one of body and position_m is given; give both or none")
-        if not (np.isfinite(self.scale) and self.scale != 0):
-            raise RigError(f"column {self.column!r}: scale is {self.scale}; give a finite value other than zero")
+        _check_scale(self.column, self.scale)
+
+
+def _check_scale(column: str | int, scale: float) -> None:
+    if not (np.isfinite(scale) and scale != 0):
+        raise RigError(f"column {column!r}: scale is {scale}; give a finite value other than zero")
 
 
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -56,7 +73,7 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     rig: str = RIG_NAME
     force: Source | tuple[Source, ...] | Literal["none"]
     sensors: dict[str, Source]
-    time: Source | None = None
+    time: TimeSource | None = None
     sample_rate_hz: float | None = None
     resample: bool = False
     csv: TextForm = TextForm()
@@ -66,6 +83,13 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError("time and sample_rate_hz are both given; leave one out")
         if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
             raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+
+    @property
+    def columns(self) -> list[str | int]:
+        """Columns of forces, sensors and times."""
+        sources = (*self.forces, *self.sensors.values())
+        times = (self.time, *(source.time for source in sources))
+        return [source.column for source in (*sources, *times) if source is not None]
 
     @property
     def forces(self) -> tuple[Source, ...]:
@@ -180,5 +204,9 @@ def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _placeholder_keys(entry: object) -> list[str]:
     if isinstance(entry, dict):
-        return [key for key, value in entry.items() if value == PLACEHOLDER and key != "column"]
+        keys = [key for key, value in entry.items() if value == PLACEHOLDER and key != "column"]
+        nested_keys = (
+            [f"{k} of {key}" for k in _placeholder_keys(v)] for key, v in entry.items() if isinstance(v, dict)
+        )
+        return [*keys, *chain.from_iterable(nested_keys)]
     return ["column"] if entry == PLACEHOLDER else []

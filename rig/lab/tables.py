@@ -9,7 +9,8 @@ from typing import TypeVar
 from rig.errors import RigError
 from rig.files import check_source
 from rig.lab.column import Blocks, Column, Refused, UnreadableError
-from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, csv_blocks
+from rig.lab.csv_columns import csv_blocks
+from rig.lab.csv_text import TEXT_SUFFIXES, TextForm
 from rig.lab.hdf5 import hdf5_blocks
 from rig.lab.matlab import matlab_blocks
 from rig.lab.tdms import tdms_blocks
@@ -25,7 +26,7 @@ WORKING_BYTES_PER_SAMPLE = 16
 
 @dataclass(frozen=True)
 class Table:
-    """Names of all columns of a file, the requested columns by index, and what was left out in words."""
+    """Names of all columns of a file, the requested columns by index, and what was decided about it in words."""
 
     names: tuple[str, ...]
     columns: Mapping[int, Column]
@@ -118,8 +119,6 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] 
             memory_label = f"{path}: column {block.names[chosen_indices[-1]]!r}{others_note}"
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, memory_label)
             columns |= zip((first_index + index for index in chosen_indices), block.read(chosen_indices), strict=True)
-            if missing_count := block.sample_count - columns[first_index + chosen_indices[0]].values.size:
-                notes = (f"the last {missing_count} lines are incomplete and were left out",)
             notes = (*notes, *(note for note in block.notes if note not in notes))
     return Table(tuple(column_names), columns, notes)
 

@@ -14,7 +14,7 @@ FACTORS: dict[str, Mapping[str, float]] = {
         "gf": 1e-3 * _KILOGRAM_FORCE, "kgf": _KILOGRAM_FORCE, "tf": 1e3 * _KILOGRAM_FORCE,
         "ozf": _POUND_FORCE / 16, "lbf": _POUND_FORCE, "kip": 1e3 * _POUND_FORCE,
     },
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }  # fmt: skip
 """Value of each unit in SI, by quantity."""
 _PLAIN_BY_SPELLING = {
@@ -163,6 +163,6 @@ def name_and_unit(header: str, guess: bool = False) -> tuple[str, str | None]:
             return header[: match.start()], unit
     if guess and (match := _UNIT_AFTER_UNDERSCORE.match(header)):
         unit = match["unit"]
-        if is_unit(unit) and not unit.isdigit():
+        if is_unit(unit) and not unit.isdigit() and unit not in ("h", "d"):  # acc_h is horizontal
             return match["name"], unit
     return header, None

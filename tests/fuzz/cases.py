@@ -48,7 +48,7 @@ from tests.fuzz.readers import (
     viewed_gap_json,
 )
 from tests.fuzz.records import records_changed, rewritten
-from tests.fuzz.tables import csv_table, hdf5_table, import_map, mat_table, tdms_table, uff_table
+from tests.fuzz.tables import csv_table, hdf5_table, import_map, mat_table, tdms_table, times_of_channels, uff_table
 
 SDOF = Sdof().rig()
 SAMPLES = 5000
@@ -212,6 +212,7 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], str]] = {
         rig_description,
         import_map,
         csv_table,
+        times_of_channels,
         uff_table,
         mat_table,
         tdms_table,

@@ -117,6 +117,51 @@ def _judged_import(folder: Path, name: str, content: bytes, told: bytes, check: 
     return refused_or_right(folder, work)
 
 
+def times_of_channels(rng: np.random.Generator, folder: Path) -> str:
+    """Channels with a time each: what is imported is of the same instants, whatever the starts, rates and units."""
+    first, rate_ratio = rng.integers(0, 60, 2), rng.choice([1.0, 1.0, 1.0, 2.0, 0.5], 2)
+    part = float(rng.choice([0.0, 0.0, 0.4]))
+    times_s = [
+        (begin + part * k + np.arange(FEW) / ratio) / RATE_HZ
+        for k, (begin, ratio) in enumerate(zip(first, rate_ratio, strict=True))
+    ]
+    if rng.random() < 0.2:  # the first record is followed by another
+        times_s = [np.concatenate([time_s, time_s]) for time_s in times_s]
+    unit, unit_s = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("d", 86400.0))[rng.integers(5)]
+    digits = int(rng.integers(8, 17))
+    if rng.random() < 0.2:
+        times_s = [time_s.astype(np.float32).astype(float) for time_s in times_s]
+    columns = [column for time_s in times_s for column in (time_s / unit_s, _signal(time_s))]
+    lines = [",".join(f"{value:.{digits}g}" for value in row) for row in zip(*columns, strict=True)]
+    if rng.random() < 0.3:
+        place, word = int(rng.integers(len(lines))), str(rng.choice(["OVL", "", "9.9E+37", "nan"]))
+        lines[place] = lines[place].replace(lines[place].split(",")[1], word, 1)
+    told = [
+        f"resample = {str(bool(rng.random() < 0.5)).lower()}",
+        f'force = {{ column = 2, unit = "N", time = {{ column = 1, unit = "{unit}" }} }}',
+        "[sensors]",
+        *(
+            f'{name} = {{ column = {4 + k}, unit = "{si}", time = {{ column = 3, unit = "{unit}" }} }}'
+            for k, (name, si) in enumerate(((X, "m"), (A, "m/s^2")))
+        ),
+    ]
+    lines = [f"{line},{line.split(',')[3]}" for line in lines]
+    content = "\n".join(["time 1,F,time 2,x,a", *lines, ""]).encode()
+
+    def check(back: Recording) -> None:
+        later_s = max(time_s[0] for time_s in times_s)
+        expected = _signal(later_s + np.arange(back.samples) / RATE_HZ)
+        inside = slice(40, -40) if back.samples > 100 else slice(0, 0)
+        for group in ("force", "displacement", "acceleration"):
+            np.testing.assert_allclose(back.signals[group].values[0][inside], expected[inside], atol=2e-2)
+
+    return _judged_import(folder, "lab.csv", content, "\n".join(told).encode(), check)
+
+
+def _signal(time_s: np.ndarray) -> np.ndarray:
+    return np.sin(2 * np.pi * 7.3 * time_s) + np.cos(2 * np.pi * 19.1 * time_s + 0.3)
+
+
 @cache
 def uff(binary: int) -> bytes:
     time_s = np.arange(FEW) / RATE_HZ

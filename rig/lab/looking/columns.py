@@ -1,36 +1,47 @@
 """Columns of a file as a look shows them: name, unit, range, and what keeps one from being a measured channel."""
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Blocks, Column, Refused, UnreadableError
+from rig.lab.clock import restart_sentence
+from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.csv_text import TextForm
 from rig.lab.recorded import stated_sampling_rate_hz
-from rig.limits import MAX_ITEMS
+from rig.limits import MAX_ITEMS, MAX_NUMBER
 
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """A column: its number from 1, and its name, unit, rate, date and label as the file has them.
+    """A column: its number from 1, and its name, unit, rate, start, date and label as the file has them.
 
-    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the last
-    digit written of them. fault says in words why no channel can be made of it; empty if one can.
+    group is the path of the struct or group that it is in. Its sample_count numbers stand in every step-th of
+    line_count lines. stamps are its values if they never decrease, in its unit, or in seconds if they are dates;
+    last_digit is the last digit written of them. repeat_count is how many times each value is repeated. fault says in
+    words why no channel can be made of it; empty if one can.
     """
 
     number: int
     name: str
     unit: str | None
     sample_count: int
+    line_count: int
     lowest: float
     highest: float
     distinct_count: int
     """Different values, counted to three."""
     rate_hz: float | None = None
+    start_s: float | None = None
     date_text: str = ""
     label: str = ""
+    group: str = ""
+    step: int = 1
+    repeat_count: int = 1
+    restart_sentence: str = ""
+    """That it is a time which begins again, if it is a time; empty if it does not."""
     stamps: Float[np.ndarray, " samples"] | None = None
     last_digit: float = 0.0
     is_date: bool = False
@@ -56,11 +67,18 @@ class FileSummary:
 
 
 def column_summary(
-    column_number: int, column: Column, last_digit: float = 0.0, is_date: bool = False, fault: str = ""
+    column_number: int, column: Column, is_date: bool = False, fault: str = "", group: str = ""
 ) -> ColumnSummary:
     """Column with its range and, if they never decrease, its values."""
-    values = column.values
+    values, step = column.values, 1
+    if values.size and missing_row(values) is None:
+        filled_rows = np.flatnonzero(np.isfinite(values))
+        step = int(filled_rows[1] - filled_rows[0]) if filled_rows.size > 1 else 1
+        values = values[filled_rows] if step > 1 else values
     numbers = values[np.isfinite(values)]
+    if not fault and numbers.size and np.abs(numbers).max() > MAX_NUMBER:
+        overload = numbers[np.argmax(np.abs(numbers))]
+        fault = f"it is {overload:g} at sample {int(np.argmax(np.abs(values) > MAX_NUMBER))}, which nothing measures"
     if not fault and not numbers.size and values.size:
         fault = "it has no numbers"
     elif not fault and numbers.size < values.size:
@@ -73,14 +91,20 @@ def column_summary(
         name=column.name,
         unit=column.unit,
         sample_count=values.size,
+        line_count=column.values.size,
         lowest=lowest,
         highest=highest,
         distinct_count=distinct_count,
         rate_hz=column.sample_rate_hz,
+        start_s=column.start_s,
         date_text=column.date_text,
         label=column.label,
+        group=group,
+        step=step,
+        repeat_count=1 if fault else repetition_count(values),
+        restart_sentence="" if fault or is_increasing else restart_sentence(values, 0.0),
         stamps=values if is_increasing else None,
-        last_digit=last_digit,
+        last_digit=column.last_digit,
         is_date=is_date,
         fault=fault,
     )
@@ -105,7 +129,13 @@ def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
                 rate_hz, rate_origin = stated_hz, repr(single_column.name)
         else:
             for column_index in range(len(block.names)):
-                columns.append(column_summary(len(columns) + 1, block.read([column_index])[0]))
+                (column,) = block.read([column_index])
+                columns.append(column_summary(len(columns) + 1, column, group=_group_of(block.names[column_index])))
                 if len(columns) > MAX_ITEMS:
                     raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
     return FileSummary(path, tuple(columns), tuple(facts), rate_hz=rate_hz, rate_origin=rate_origin)
+
+
+def _group_of(name: str) -> str:
+    """Path of the group or struct that a column is in, by its name: run of run/acc and run.acc, of run[2] too."""
+    return re.sub(r"(^|[/.])[^/.]*$", "", name) or name.partition("[")[0] * ("[" in name)

@@ -1,52 +1,25 @@
-"""Dialect of a CSV file found from its text: encoding, separators, and the lines of names, units and samples."""
+"""Form of a CSV file found from its text: encoding, separators, and the lines of names and samples."""
 
 import codecs
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
 from rig.errors import RigError
-from rig.lab.csv_text import TextForm, cells_of, is_number, lines_of, names_in
+from rig.lab.csv_layout import HEADER_LINE_COUNT, TIME_NAME_PATTERN, is_units_row
+from rig.lab.csv_text import TextForm, cell_kind_letters, cells_of, is_number, lines_of, names_in
 from rig.lab.recorded import MAX_HEADER_LINES
-from rig.lab.units import is_unit
 
 DELIMITERS_AND_DECIMALS = [(delimiter, decimal) for delimiter in "\t;,| " for decimal in ".," if delimiter != decimal]
 """Delimiters and decimal separators, of which the first of equally good ones is taken."""
 BYTES_PER_READ = 1 << 20
-HEADER_LINE_COUNT = 12
-"""Lines above the samples among which the names and units are."""
 MAX_CELL_COUNT = 100_000
-STAMP_PATTERN = re.compile(
-    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})?[ T]*(\d\d?:\d\d(:\d\d([.,]\d{1,9})?)?)?(Z|[+-]\d\d:?\d\d)?"
-)
-"""A date, a time of day, or both."""
-TIME_NAME_PATTERN = re.compile(
-    r"^\W*(t|time|zeit|temps|tiempo|x_?value|x-?axis|x|second|sek|timestamp|elapsed|datetime|date)(?![a-z])|time|zeit",
-    re.IGNORECASE,
-)
 
 
-@dataclass(frozen=True)
-class CsvDialect:
-    """Form of a CSV file, the names and units above its columns, and the lines before the samples as cells.
-
-    names is empty where the file has none; units has an entry (perhaps empty) for each column where there is a line of
-    units. first_line and last_line are those of the samples, counted from 1.
-    """
-
-    form: TextForm
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    header: tuple[tuple[str, ...], ...]
-    column_count: int
-    first_line: int
-
-
-def dialect_of(path: Path) -> CsvDialect:
-    """Dialect of a CSV file; raises RigError if no lines of numbers are found in it."""
+def text_form_of(path: Path) -> TextForm:
+    """Form of a CSV file; raises RigError if no lines of numbers are found in it."""
     encoding = _text_encoding(path)
     lines = [line.rstrip("\r\n") for line in islice(lines_of(path, encoding), MAX_HEADER_LINES)]
     scored_runs = [(*_longest_numeric_run(lines, *separators), *separators) for separators in DELIMITERS_AND_DECIMALS]
@@ -62,35 +35,18 @@ def dialect_of(path: Path) -> CsvDialect:
     if delimiter == ",":
         _check_no_quoted_commas(path, lines[first_line : last_line + 1])
     first_line = _first_sample_line(lines, first_line, delimiter, decimal)
-    header_cells = [tuple(names_in(line, delimiter)) for line in lines[: first_line + 1]]
-    names_line, units_line = _names_and_units_lines(header_cells[:first_line], sample_cells, decimal)
+    header_cells = [names_in(line, delimiter) for line in lines[: first_line + 1]]
+    names_line = _names_line(header_cells[:first_line], sample_cells, decimal)
     has_names = names_line is not None
     lines_before_names = first_line if names_line is None else names_line
     is_numeric = all(is_number(cell, decimal) for cell in header_cells[first_line] if cell)
-    form = TextForm(
+    return TextForm(
         encoding=encoding,
         delimiter=delimiter,
         decimal=decimal,
         lines_before_names=lines_before_names,
         lines_after_names=first_line - lines_before_names - 1 if has_names else 0,
         names=None if has_names or is_numeric else False,
-    )
-    column_names = header_cells[names_line] if names_line is not None else ()
-    unit_cells = header_cells[units_line] if units_line is not None else ()
-    return CsvDialect(form, column_names, unit_cells, tuple(header_cells), max(map(len, sample_cells)), first_line + 1)
-
-
-def is_date_or_time(cell: str) -> bool:
-    """True if a cell is a date, a time of day, or both."""
-    text = cell.strip()
-    return any(separator in text for separator in ":-/.") and bool(text) and STAMP_PATTERN.fullmatch(text) is not None
-
-
-def cell_kind_letters(cells: Sequence[str], decimal: str) -> str:
-    """Letter for each cell: n for a number, d for a date or time of day, e if it is empty, t for other text."""
-    return "".join(
-        "e" if not cell.strip() else "n" if is_number(cell, decimal) else "d" if is_date_or_time(cell) else "t"
-        for cell in cells
     )
 
 
@@ -163,28 +119,37 @@ def _check_no_quoted_commas(path: Path, lines: Sequence[str]) -> None:
 
 
 def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, decimal: str) -> int:
-    """First line that has numbers where the samples have them, perhaps with a header beside them."""
+    """First line that has numbers where the samples have them, perhaps with a header beside them.
 
-    def number_columns(line: str) -> set[int]:
-        return {k for k, kind in enumerate(cell_kind_letters(cells_of(line, delimiter), decimal)) if kind == "n"}
+    Lines that have a word in place of one of several numbers are passed over.
+    """
 
-    needed_columns = number_columns(lines[first_line])
-    while first_line and needed_columns <= number_columns(lines[first_line - 1]):
-        first_line -= 1
+    def number_columns(cells: Sequence[str]) -> set[int]:
+        return {k for k, kind in enumerate(cell_kind_letters(cells, decimal)) if kind == "n"}
+
+    first_cells = cells_of(lines[first_line], delimiter)
+    needed_columns = number_columns(first_cells)
+    for line_index in range(first_line - 1, -1, -1):
+        cells = cells_of(lines[line_index], delimiter)
+        present_columns = needed_columns & number_columns(cells)
+        if present_columns == needed_columns:
+            first_line = line_index
+        elif lines[line_index].strip() and (not present_columns or len(cells) != len(first_cells)):
+            break
     return first_line
 
 
-def _names_and_units_lines(
+def _names_line(
     header_cells: Sequence[Sequence[str]], sample_cells: Sequence[Sequence[str]], decimal: str
-) -> tuple[int | None, int | None]:
-    """Line of names and line of units in a header; None if there is none.
+) -> int | None:
+    """Line of names in a header; None if there is none.
 
-    A line of names has a text for at least all but one of the columns; of several the one with the most different
-    texts, and of those the lowest.
+    It has a text for at least all but one of the columns and is no line of units; of several the one with the most
+    different texts, and of those the lowest.
     """
     used_columns = {column_index for row in sample_cells for column_index, cell in enumerate(row) if cell.strip()}
     needed_count = max(1, len(used_columns) - 1)
-    names_line, units_line, best_score = None, None, 0.0
+    names_line, best_score = None, 0.0
     for line_index in range(len(header_cells) - 1, max(-1, len(header_cells) - 1 - HEADER_LINE_COUNT), -1):
         cells = header_cells[line_index]
         filled_cells = [cell for cell in cells if cell]
@@ -192,12 +157,8 @@ def _names_and_units_lines(
         is_wide = len(cells) > max(used_columns)
         if not filled_cells or not is_wide or text_count < min(needed_count, max(1, half_count)):
             continue
-        name_cells = [cell for cell in filled_cells if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
-        has_units = len(filled_cells) - len(name_cells) >= half_count and len(cells) > 1
-        if has_units and not any(map(TIME_NAME_PATTERN.search, name_cells)):
-            units_line = line_index if units_line is None else units_line
-        elif len(filled_cells) >= needed_count:
+        if not is_units_row(cells) and len(filled_cells) >= needed_count:
             name_score = len(set(filled_cells)) + (0.5 if any(map(TIME_NAME_PATTERN.search, filled_cells)) else 0.0)
             if name_score > best_score:
                 names_line, best_score = line_index, name_score
-    return names_line, units_line
+    return names_line

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.lab.clock import even_samples_and_steps
+from rig.lab.clock import samples_on_one_clock
 from rig.lab.csv_text import TextForm
-from rig.lab.import_map import Source
-from rig.lab.importing import columns_and_si_factors, rows_in_si, sample_times_of
+from rig.lab.import_map import Source, TimeSource
+from rig.lab.importing import columns_and_si_factors, timed_channels
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
 from rig.lab.tables import read_table
@@ -138,12 +139,12 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             source_by_name[f"sensor {sensor_number}"] = (self.quantity[0], _source(name, self.unit))
         try:
             column_by_name, si_factors = columns_and_si_factors(table, source_by_name)
-            time_source = _source(self.time_column, "s") if self.time_column else None
-            sample_times = sample_times_of(table, list(column_by_name.values()), time_source, self.sample_rate_hz)
-            rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")
-            si_rows, _ = even_samples_and_steps(
-                rows_in_si(column_by_name, si_factors), sample_times, rate_hz, resample=False
-            )
+            time_source = TimeSource(_source(self.time_column, None).column, "s") if self.time_column else None
+            time_by_name = dict.fromkeys(column_by_name, time_source)
+            groups, _ = timed_channels(table, column_by_name, si_factors, time_by_name, self.sample_rate_hz)
+            rate_hz = self.sample_rate_hz or float(f"{groups[0].times.rate_hz:.9g}")
+            row_by_name, _ = samples_on_one_clock(groups, rate_hz, resample=False)
+            si_rows = np.stack([row_by_name[name] for name in column_by_name])
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(si_rows[0], si_rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)

@@ -13,7 +13,8 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from rig.errors import RigError
-from rig.lab.importing import import_file
+from rig.lab.column import Column
+from rig.lab.importing import import_columns, import_file
 from rig.model.description import to_json
 from rig.recording import read
 from rig.simulation.reference import Sdof
@@ -214,7 +215,9 @@ def test_tdms(folder):
     mapping = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
     check(imported(folder, mapping, "lab.tdms"))
     write_tdms(folder / "lab.tdms", (RATE_HZ, RATE_HZ, 2 * RATE_HZ))
-    with pytest.raises(RigError, match="it has columns at 1024 and at 512 Hz"):
+    with pytest.raises(
+        RigError, match=r"is sampled at 512 Hz from 0 to .* and column .* is sampled at 1024 Hz from 0 to"
+    ):
         imported(folder, mapping, "lab.tdms")
     write_tdms(folder / "lab.tdms")
     mapping["sensors"][X]["unit"] = "m"
@@ -275,12 +278,12 @@ def stamps(**changes):
         (mapped(), csv_text() + "0,1,2\n", "the number of columns changed from 4 to 3"),
         (mapped(), csv_text() + "0,1,2,loud\n", "line 2002 has 'loud' in column 'a', which is no number"),
         (mapped(), csv_text(names="t,F,x"), "3 names for 4 columns"),
-        (mapped(), csv_text(values=nan_at(A, 7)), "column 'a' is not a finite number at sample 7"),
+        (mapped(), csv_text(values=nan_at(A, 7)), "line 9 has 'nan' in column 'a', which is no number"),
         (mapped(), csv_text(stamps(_9=1)), f"1 gaps, the first after {8 / RATE_HZ:.6f} s"),
         (mapped(), csv_text(stamps(_9=0.1, _10=-0.1)), f"uneven, by 0.1 of a sampling interval at {9.1 / RATE_HZ:.6f}"),
         (mapped(resample=True), csv_text(stamps(_9=20)), f"a gap of {21 / RATE_HZ:.6g} s after {8 / RATE_HZ:.6f} s"),
         (mapped(resample=True), csv_text(stamps(_9=-1)), f"does not increase after {8 / RATE_HZ:.6f} s (sample 8)"),
-        (mapped(), csv_text(np.where(TIME_S == 1.0, np.nan, TIME_S)), "its time, column 't', does not hold 2000"),
+        (mapped(), csv_text(np.where(TIME_S == 1.0, np.nan, TIME_S)), "line 514 has 'nan' in column 't', which"),
     ],
 )
 def test_what_cannot_be_imported_is_refused_in_one_sentence(folder, mapping, text, sentence):
@@ -367,3 +370,22 @@ def test_endings_that_do_not_fit_are_refused(folder, capsys):
         assert exit_status("rig", *words) == 1
         assert f"; name it {name}\n" in capsys.readouterr().err
     assert sorted(folder.iterdir()) == kept
+
+
+@pytest.mark.parametrize(("starts_s", "kept"), [((10.25, 10.0, 10.0), SAMPLES - 128), ((7.0, 7.0, 7.0), SAMPLES)])
+def test_columns_that_state_their_starts_are_cut_to_their_common_time(folder, starts_s, kept):
+    columns = [
+        Column(name, values, UNITS[name], RATE_HZ, start_s=start_s)
+        for (name, values), start_s in zip(VALUES.items(), starts_s, strict=True)
+    ]
+    mapping = mapped(time=None, force={"column": "force"}, sensors={n: {"column": n} for n in (X, A)})
+    (folder / "map.toml").write_text("\n".join(f"{key} = {toml(value)}" for key, value in mapping.items()))
+    import_columns(columns, "columns", folder / "map.toml", folder / "r.mcap")
+    surplus = SAMPLES - kept
+    check(read(folder / "r.mcap"), {name: v[:kept] if name == "force" else v[surplus:] for name, v in VALUES.items()})
+    silent = [columns[0], columns[1], Column(A, VALUES[A], "g", RATE_HZ)]
+    if surplus:
+        with pytest.raises(
+            RigError, match=f"it does not say when column '{A}' begins, and other columns begin up to 0.25"
+        ):
+            import_columns(silent, "columns", folder / "map.toml", folder / "other.mcap")

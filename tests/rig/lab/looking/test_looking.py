@@ -189,11 +189,12 @@ def test_what_no_map_can_import_is_refused_in_one_sentence(tmp_path, content, se
 
 
 def test_a_hole_in_a_channel_leaves_that_one_out_and_uneven_stamps_are_resampled(tmp_path):
-    lines = rows(np.column_stack([TIME_S + 2e-4 * (np.arange(SAMPLES) % 2), TABLE[:, 1:]])).splitlines()
+    jittered_s = TIME_S + 2e-4 * (np.arange(SAMPLES) % 2)
+    lines = rows(np.column_stack([jittered_s, TABLE[:, 1:], TABLE[:, 2]])).splitlines()
     lines[40] = lines[40].rpartition(",")[0] + ","
-    (tmp_path / "run.csv").write_text("\n".join(["t [s],F [N],a [g]", *lines, ""]))
+    (tmp_path / "run.csv").write_text("\n".join(["t [s],F [N],a [g],b [g]", *lines, ""]))
     text = proposed_import_map(tmp_path / "run.csv", RIG).text
-    assert "left out: column 3 'a [g]' (it has no number in line 42)" in text
+    assert "left out: column 4 'b [g]' (it has no number in line 42)" in text
     assert "resample = true  # its time stamps are uneven" in text
 
 
