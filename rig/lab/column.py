@@ -14,11 +14,12 @@ LEAST_CHANGES = 20
 
 @dataclass(frozen=True)
 class Column:
-    """A channel; unit, sample rate and start are None, and date_text empty where the file has none.
+    """A channel; unit, sample rate and start are None, date_text and label empty where the file has none.
 
     start_s is the time of the first sample, s, on a clock that all columns of the file share, whatever its zero. Values
     are NaN between those of a channel that is slower than its neighbours. last_digit is the value of the last digit
-    written, in the unit of the column; 0 if the numbers are binary.
+    written, in the unit of the column; 0 if the numbers are binary. label is what the file calls the channel beside its
+    name, by which a map finds it.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Column:
     date_text: str = ""
     start_s: float | None = None
     last_digit: float = 0.0
+    label: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,13 @@
 """Date and sampling rate of a record as the header of its file states them, else the file's modification time."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice, zip_longest
 from pathlib import Path
+from typing import TypeGuard
+
+import numpy as np
 
 from rig.lab.column import utf8_or_latin1_text
 from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, finite_number_or_none, lines_of
@@ -31,13 +34,25 @@ _DATE_LABEL = re.compile(
     r"date|datum|start|begin|record|aufge|messzeit|zeitpunkt|created|erstellt|acqui|\bt0\b", re.IGNORECASE
 )
 _TIME_LABEL = re.compile(r"^\W*(?:start|mess|trigger)?[ -]?(?:time|zeit|uhrzeit|startzeit)\b", re.IGNORECASE)
+_UNIT_END = r"(?:[ _(\[]*(?:s|sec|ms|us|µs|ns|k?hz)[)\]]*)?\W*$"
 _RATE_LABEL = re.compile(
-    r"sampl\w*[ _-]*(?:rate|freq\w*)|abtast(?:rate|freq\w*)|messrate|scan[ _]?rate|\bfs\b|^\W*rate\b", re.IGNORECASE
-)
-_INTERVAL_LABEL = re.compile(
-    r"sampl\w*[ _-]*(?:interval|period|time)|abtast(?:intervall|zeit)|delta[ _]?[xt]\b|axis[ _]delta|\bdt\b|increment",
+    r"sampl\w*[ _-]*(?:rate|freq\w*)|abtast(?:rate|freq\w*)|messrate|scan[ _]?rate|\bfs\b|^\W*rate\b"
+    rf"|^\W*(?:s[ _]?freq|s[ _]?rate|sr|f[ _]s|f[ _]?sampl?e?){_UNIT_END}",
     re.IGNORECASE,
 )
+_INTERVAL_LABEL = re.compile(
+    r"sampl\w*[ _-]*(?:interval|period|time)|abtast(?:intervall|zeit)|delta[ _]?[xt]\b|axis[ _]delta|\bdt\b|increment"
+    rf"|^\W*(?:isi|ts|dx|x[ _]?inc\w*|h[ _]?resolution|(?:t[ _]?)?interval|period|time[ _]?step|t[ _]?step){_UNIT_END}",
+    re.IGNORECASE,
+)
+_START_LABEL = re.compile(
+    r"^\W*(?:start|(?:start|begin)[ _]?(?:time|value)|[tx][ _]?0|[tx][ _]?start|x[ _]?min(?:imum)?"
+    rf"|(?:x|t|time|h)[ _]?offset){_UNIT_END}",
+    re.IGNORECASE,
+)
+_START_SAMPLE_LABEL = re.compile(r"^\W*start[ _]?(?:sample|index)\W*$", re.IGNORECASE)
+_SAMPLES_BEFORE_LABEL = re.compile(r"^\W*pre[ _]?(?:sample|trigger)[ _]?(?:count|samples?)?\W*$", re.IGNORECASE)
+_WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])(?!Hz)|_")
 _NUMBER_PATTERN = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _HZ_BY_UNIT = {"ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0, "ms/s": 1e6, "ks/s": 1e3, "s/s": 1.0}
 _S_BY_UNIT = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "s": 1.0}
@@ -90,6 +105,51 @@ def stated_sampling_rate_hz(header_rows: Sequence[Sequence[str]], decimal: str) 
                     if value is not None and 0 < value < 1e12:
                         return value if factor_by_unit is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
     return None
+
+
+def stated_clock(fields: Mapping[str, object]) -> tuple[float | None, float | None]:
+    """Sampling rate (Hz) and time of the first sample (s) that fields of these names state; None where none does.
+
+    A unit stands in the name ("dt_ms"), the value ("5.12 kHz") or a field of its own ("isi_units"). The time is
+    counted from any zero, or from 1970 where it is a date; numbers of samples before the zero count with the rate.
+    """
+    texts = {_WORD_START.sub(" ", name): _field_text(value) for name, value in fields.items()}
+    rate_hz = next(filter(None, (_rate_in(label, text, texts) for label, text in texts.items())), None)
+    starts_s = (_start_in(label, text, texts, rate_hz) for label, text in texts.items())
+    return rate_hz, next((start_s for start_s in starts_s if start_s is not None), None)
+
+
+def _field_text(value: object) -> str:
+    return value[:MAX_LINE_LENGTH] if isinstance(value, str) else repr(float(value)) if is_real(value) else ""
+
+
+def is_real(value: object) -> TypeGuard[float]:
+    """True if a value is a finite real number."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _rate_in(label: str, text: str, texts: Mapping[str, str]) -> float | None:
+    for label_pattern, factor_by_unit in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
+        if match := label_pattern.search(label):
+            value = _quantity_in(text, _unit_text(label, match.start(), texts), factor_by_unit, ".")
+            if value is not None and 0 < value < 1e12:
+                return value if factor_by_unit is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
+    return None
+
+
+def _start_in(label: str, text: str, texts: Mapping[str, str], rate_hz: float | None) -> float | None:
+    if _START_LABEL.search(label):
+        if (date := date_and_ambiguous_text([text])[0]) is not None:
+            return date.replace(tzinfo=date.tzinfo or UTC).timestamp()
+        return _quantity_in(text, _unit_text(label, 0, texts), _S_BY_UNIT, ".")
+    sample_sign = 1 if _START_SAMPLE_LABEL.search(label) else -1 if _SAMPLES_BEFORE_LABEL.search(label) else 0
+    sample_count = _quantity_in(text, "", {}, ".") if sample_sign and rate_hz else None
+    return None if sample_count is None or not rate_hz else sample_sign * sample_count / rate_hz
+
+
+def _unit_text(label: str, label_start: int, texts: Mapping[str, str]) -> str:
+    """Words among which the unit of a field stands: its label and the field of its unit."""
+    return " ".join([texts.get(f"{label} units", ""), texts.get(f"{label} unit", ""), label[label_start:]])
 
 
 def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], decimal: str) -> float | None:

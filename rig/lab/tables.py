@@ -119,7 +119,7 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[ColumnKey] 
             memory_label = f"{path}: column {block.names[chosen_indices[-1]]!r}{others_note}"
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, memory_label)
             columns |= zip((first_index + index for index in chosen_indices), block.read(chosen_indices), strict=True)
-            notes += block.notes
+            notes = (*notes, *(note for note in block.notes if note not in notes))
     return Table(tuple(column_names), columns, notes)
 
 

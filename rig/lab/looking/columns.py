@@ -16,7 +16,7 @@ from rig.limits import MAX_ITEMS, MAX_NUMBER
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """A column: its number from 1, and its name, unit, rate, start and date as the file has them.
+    """A column: its number from 1, and its name, unit, rate, start, date and label as the file has them.
 
     group is the path of the struct or group that it is in. Its sample_count numbers stand in every step-th of
     line_count lines. stamps are its values if they never decrease, in its unit, or in seconds if they are dates;
@@ -36,6 +36,7 @@ class ColumnSummary:
     rate_hz: float | None = None
     start_s: float | None = None
     date_text: str = ""
+    label: str = ""
     group: str = ""
     step: int = 1
     repeat_count: int = 1
@@ -97,6 +98,7 @@ def column_summary(
         rate_hz=column.sample_rate_hz,
         start_s=column.start_s,
         date_text=column.date_text,
+        label=column.label,
         group=group,
         step=step,
         repeat_count=1 if fault else repetition_count(values),
@@ -111,12 +113,14 @@ def column_summary(
 def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
     """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
     columns: list[ColumnSummary] = []
-    refusal_facts: list[str] = []
+    facts: list[str] = []
     rate_hz, rate_origin = None, ""
     for block in blocks:
         if isinstance(block, Refused):
-            refusal_facts.append(f"left out: {block.sentence}")
-        elif block.sample_count == 1 and len(block.names) == 1:
+            facts.append(f"left out: {block.sentence}")
+            continue
+        facts += [note for note in block.notes if note not in facts]
+        if block.sample_count == 1 and len(block.names) == 1:
             (single_column,) = block.read([0])
             stated_hz = stated_sampling_rate_hz(
                 [[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], "."
@@ -129,7 +133,7 @@ def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
                 columns.append(column_summary(len(columns) + 1, column, group=_group_of(block.names[column_index])))
                 if len(columns) > MAX_ITEMS:
                     raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
-    return FileSummary(path, tuple(columns), tuple(refusal_facts), rate_hz=rate_hz, rate_origin=rate_origin)
+    return FileSummary(path, tuple(columns), tuple(facts), rate_hz=rate_hz, rate_origin=rate_origin)
 
 
 def _group_of(name: str) -> str:

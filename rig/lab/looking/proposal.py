@@ -105,18 +105,10 @@ def _channels_and_rejections(
     columns: Sequence[ColumnSummary],
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
     """Columns that are measured channels, in order, and the others with the reason in words; lengths may differ."""
-    columns_by_raster: dict[tuple[int, float | None], list[ColumnSummary]] = {}
-    for column in columns:
-        columns_by_raster.setdefault((column.sample_count, column.rate_hz), []).append(column)
-    chosen: list[ColumnSummary] = []
-    reasons: list[tuple[ColumnSummary, str]] = []
-    for raster_columns in columns_by_raster.values():
-        raster_channels, raster_reasons = channel_columns_and_rejections(raster_columns)
-        chosen += raster_channels
-        reasons += raster_reasons
+    chosen, rejections = channel_columns_and_rejections(columns)
     longest = max((column.line_count for column in chosen), default=0)
     lengths_stated = {c.number for c in chosen if c.rate_hz is not None or paired_time_column(c, columns) is not None}
-    reasons += [
+    reasons = list(rejections) + [
         (column, f"it has {column.sample_count} samples, others {longest}, and no time of its own")
         for column in chosen
         if column.line_count < longest and column.number not in lengths_stated

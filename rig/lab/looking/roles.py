@@ -1,7 +1,6 @@
 """Role that each column of a file is taken for: a force, a sensor of some quantity, or nothing that a rig has."""
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, count
@@ -33,7 +32,7 @@ class ColumnRole:
 def channel_columns_and_rejections(
     columns: Sequence[ColumnSummary],
 ) -> tuple[tuple[ColumnSummary, ...], tuple[tuple[ColumnSummary, str], ...]]:
-    """Columns that vary over the samples most of them have, and the others with the reason in words.
+    """Columns that vary, and the others with the reason in words; their lengths and rates may differ.
 
     Of forces one that does not vary counts too, if no other does.
     """
@@ -42,19 +41,8 @@ def channel_columns_and_rejections(
         for column in columns:
             if is_called_force(column) and reasons.get(column.number) == _constancy_reason(column):
                 del reasons[column.number]
-    usable_columns = [column for column in columns if column.number not in reasons]
-    if usable_columns:
-        lengths_and_rates = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
-        (usual_sample_count, usual_rate_hz), _ = lengths_and_rates.most_common(1)[0]
-        for column in usable_columns:
-            if is_called_force(column):  # an import says what does not fit, or brings both to one clock
-                continue
-            if column.sample_count != usual_sample_count:
-                reasons[column.number] = f"it has {column.sample_count} samples, most have {usual_sample_count}"
-            elif column.rate_hz != usual_rate_hz:
-                reasons[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"
     return (
-        tuple(column for column in usable_columns if column.number not in reasons),
+        tuple(column for column in columns if column.number not in reasons),
         tuple((column, reasons[column.number]) for column in columns if column.number in reasons),
     )
 
@@ -66,7 +54,7 @@ def roles_of(columns: Sequence[ColumnSummary]) -> tuple[ColumnRole, ...]:
 
 
 def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
-    header = name_and_unit(column.name, guess=True)[0].strip()
+    header = column.label or name_and_unit(column.name, guess=True)[0].strip()
     base_name = header if header.isprintable() and 0 < len(header) <= 200 else f"channel_{column.number}"
     name_variants = chain([base_name], (f"{base_name}_{number}" for number in count(2)))
     name = next(variant for variant in name_variants if variant not in used_names)
@@ -80,8 +68,8 @@ def is_called_force(column: ColumnSummary) -> bool:
 
 
 def named_quantity(column: ColumnSummary) -> str | None:
-    """Quantity that the name suggests, its last part (group/channel, run.channel) first."""
-    name_parts = re.split(r"[/.]", name_and_unit(column.name, guess=True)[0])
+    """Quantity that the label suggests, or the name, its last part (group/channel, run.channel) first."""
+    name_parts = [*re.split(r"[/.]", name_and_unit(column.name, guess=True)[0]), column.label]
     suggested_quantities = (
         quantity
         for part in reversed(name_parts)

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import UnreadableError
 from rig.lab.modal.fit import ModalFit, fit_modes, lines_in_band
-from rig.lab.uff import check_uff_is_complete
+from rig.lab.uff import UffUnits, uff_units
 from rig.lab.units import si_factor
 from rig.model.structure import Structure, structure_of
 from rig.model.tolerances import Tolerances
@@ -41,13 +41,12 @@ class UffSelection:
 
 @dataclass(frozen=True)
 class UffFile:
-    """Datasets of a file by type, coordinates of its nodes (m), and its units of length and force per SI unit."""
+    """Datasets of a file by type, coordinates of its nodes (m), and its units."""
 
     path: Path
     datasets: Mapping[int, list[dict[str, Any]]]
     nodes_m: Mapping[int, Float[np.ndarray, " 3"]]
-    length_units: float
-    force_units: float
+    units: UffUnits
 
     def error(self, sentence: str) -> RigError:
         return RigError(f"{self.path}: {sentence}")
@@ -76,11 +75,11 @@ def read_uff(path: Path) -> UffFile:
         import pyuff
 
     try:
-        check_uff_is_complete(path)
+        units = uff_units(path) or UffUnits(1.0, 1.0)
         reader = pyuff.UFF(str(path))
         datasets: dict[int, list[dict[str, Any]]] = {}
         for dataset_index, dataset_type in enumerate(map(int, reader.get_set_types())):
-            if dataset_type in (15, 55, 58, 164, 2411):
+            if dataset_type in (15, 55, 58, 2411):
                 with np.errstate(all="ignore"):  # what is not finite is refused where it is used
                     datasets.setdefault(dataset_type, []).append(reader.read_sets(dataset_index))
         node_coordinates = {
@@ -94,12 +93,10 @@ def read_uff(path: Path) -> UffFile:
         raise RigError(f"{path}: cannot be read as UFF ({error}); export it again") from error
     except Exception as error:  # what the format's library raises on a bad file is not to be listed
         raise RigError(f"{path}: cannot be read as UFF, whole or in part; export it again") from error
-    unit_dataset = datasets.get(164, [{}])[-1]
-    length_units, force_units = (float(unit_dataset.get(name) or 1.0) for name in ("length", "force"))
-    if not (0 < length_units < np.inf and 0 < force_units < np.inf):
+    if not (0 < units.length < np.inf and 0 < units.force < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
-    nodes_m = {node: coordinates / length_units for node, coordinates in node_coordinates.items()}
-    return UffFile(path, datasets, nodes_m, length_units, force_units)
+    nodes_m = {node: coordinates / units.length for node, coordinates in node_coordinates.items()}
+    return UffFile(path, datasets, nodes_m, units)
 
 
 def nodes_along_body(
@@ -203,7 +200,7 @@ def _mode_of(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
             f"{damping_ratio:g}; scale the shapes to unit modal mass and export them again"
         )
     # x = phi q: of length and force units in which the energies m q'^2 / 2 are, phi / sqrt(m) in 1/sqrt(kg)
-    shape_factor = np.sqrt(file.force_units / file.length_units) / np.sqrt(modal_mass)
+    shape_factor = np.sqrt(file.units.force / file.units.length) / np.sqrt(modal_mass)
     shape_vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
     if not np.isfinite(shape_vectors).all():
         raise file.error(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
@@ -372,8 +369,8 @@ def _unit_factors(file: UffFile, frf: Mapping[str, Any], quantity: str) -> tuple
     motion_unit = motion_unit.split("/N")[0].strip("() ") if not force_unit or force_unit == "NONE" else motion_unit
     try:
         return (
-            si_factor(quantity, motion_unit) if motion_unit not in ("", "NONE") else 1 / file.length_units,
-            si_factor("force", force_unit) if force_unit not in ("", "NONE") else 1 / file.force_units,
+            si_factor(quantity, motion_unit) if motion_unit not in ("", "NONE") else 1 / file.units.length,
+            si_factor("force", force_unit) if force_unit not in ("", "NONE") else 1 / file.units.force,
         )
     except RigError as error:
         raise file.error(str(error)) from error
