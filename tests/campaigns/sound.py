@@ -6,7 +6,7 @@ Each is of a machine off by what its tolerances state, by simulators that share 
 plant `modal`. Records that were checked are kept in sound.jsonl, and not made again.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace as with_values
 from functools import partial
 from importlib import import_module
@@ -22,6 +22,7 @@ from rich.progress import track
 from rich.table import Table
 
 from identify.checks import check_recording
+from identify.checks.findings import Finding
 from identify.contacts.acceptance import estimated_contacts
 from rig import RigError
 from rig.commands.command_line import run
@@ -38,6 +39,7 @@ from tests.campaigns.spoilt import recorded as of_the_plant
 from tests.campaigns.worlds.drawing import drawn_case
 from tests.campaigns.worlds.instruments import measured
 from tests.campaigns.worlds.making import write
+from tests.campaigns.worlds.truth import World
 
 SECONDS, SPACE_SECONDS = 14.0, 10.0
 RATE_HZ, STEPS_A_SAMPLE = 1024.0, 16
@@ -108,7 +110,7 @@ def _mass_between_stops(
     return moved
 
 
-def of_a_world(world: str, seed: int, number: int, path: Path) -> None:
+def of_a_world(world: World, seed: int, number: int, path: Path) -> None:
     """A machine without an effect of a world of the blind checks."""
     drawn = drawn_case(world, 7000 + seed, number, nulls_only=True)
     samples = round(SECONDS * drawn.rig.sample_rate_hz)
@@ -179,7 +181,7 @@ def checked(kind: str, number: int, recording: Recording, bits: int) -> Checked:
     return Checked(kind=kind, number=number, bits=bits, findings=tuple(findings), refused=refused)
 
 
-def _false(findings: tuple) -> list:
+def _false(findings: Sequence[Finding]) -> list[Finding]:
     return [finding for finding in findings if finding.cause != "not at rest"]
 
 
