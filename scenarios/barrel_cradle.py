@@ -45,6 +45,8 @@ def barrel_cradle(
     contacts = read_identified(out / "accelerometers", content.rig, content.duration_s)
     write_rrd(content, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified_contacts=contacts)
 
+    by_acceleration.print_answer("by accelerometers alone", out / "accelerometers" / "contact.html")
+
 
 if __name__ == "__main__":
     run(app, "scenarios.barrel_cradle")

@@ -10,9 +10,9 @@ from rich.console import Console
 from identify.contacts import Identification, identify_contact
 from identify.contacts.report import write_results
 from identify.contacts.results import ContactEstimate
-from identify.pages.wording import COVERED
+from identify.pages.wording import COVERED, interval
 from identify.signals.kinematics import MotionQuantity
-from rig.commands.command_line import console_table, progress_bar
+from rig.commands.command_line import console_table, progress_bar, say
 from rig.model.contact_laws import ContactLaw
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.plants import plant_named
@@ -33,6 +33,23 @@ class Comparison:
         """Print clearances and stiffnesses beside the true ones."""
         title = f"{title} (± 95 % with laboratory tolerances)"
         print_estimates(title, self.identification.report.contacts, self.true_laws)
+
+    def print_answer(self, words: str, page_path: Path) -> None:
+        """Print each clearance and stiffness with its interval beside the true one, the page, and what to try next."""
+        print()
+        say(f"The answer, {words}:")
+        for contact in self.identification.report.contacts:
+            law = self.true_laws[contact.name]
+            clearance = interval(1e3 * contact.clearance_m.value, 1e3 * contact.clearance_m.standard_error, "mm")
+            stiffness = interval(contact.stiffness_n_per_m.value, contact.stiffness_n_per_m.standard_error, "N/m")
+            say(
+                f"  {contact.name}: clearance {clearance} (true: {1e3 * law.clearance_m:g} mm), stiffness {stiffness} "
+                f"(true: {law.stiffness_n_per_m:g} N/m)"
+            )
+        for unanswered in self.identification.report.unanswered:
+            say(f"  {unanswered.name}: not told by this record: {unanswered.reason}")
+        say(f"{page_path}: the page of this answer; open it in a browser")
+        say("next: rig demo, which also changes a machine and names the change; then rig init, for a rig of your own")
 
     def print_nifo_forms(self, title: str, band_hz: tuple[float, float] = (0.0, np.inf)) -> None:
         """Print the errors of stiffness and FRF of the main equation, by NIFO in the paper's and in the weak form."""

@@ -35,6 +35,7 @@ def sdof(
     # beyond the paper: the accelerometer alone, with its noise
     by_acceleration = identify_against_truth(recording, use="acceleration", out=out / "accelerometer")
     by_acceleration.print_estimates("One mass, accelerometer alone, with noise")
+    by_acceleration.print_answer("by the accelerometer alone", out / "accelerometer" / "contact.html")
 
 
 if __name__ == "__main__":

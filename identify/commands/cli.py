@@ -19,6 +19,7 @@ from identify.commands.options import (
     checked_use,
     option_help_words,
     print_json,
+    say_written,
 )
 from identify.commands.plan import plan, plan_help_words
 from rig.commands.command_line import (
@@ -134,6 +135,8 @@ def law(
         print_json(law_result.report)
     else:
         print_laws(law_result.report, literal_console())
+        if out is not None:
+            say_written(out, "law.html", "law.json")
 
 
 def print_laws(report: LawReport, console: Console) -> None:

@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
+from identify.commands.options import (
+    ExportOption,
+    TolerancesOption,
+    UseOption,
+    check_export,
+    checked_use,
+    print_json,
+    say_written,
+)
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 
@@ -84,3 +92,6 @@ def contact(
         print_json(file_answer.report)
     else:
         print_report(file_answer.report, literal_console(), details)
+        if out is not None:
+            has_page = (out / "contact.html").exists()  # which a long record, pooled by segments, does not get
+            say_written(out, "contact.html" if has_page else "segments.png", "contact.json", "the identified rig.json")

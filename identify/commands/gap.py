@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
+from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json, say_written
 from rig.commands.command_line import Force, Json, literal_console, print_sentence, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 from rig.errors import RigError
@@ -136,3 +136,5 @@ def gap(
             print_sentence(check_findings_introduction(gap_result.report), console)
         for finding in gap_result.findings:
             print_sentence(f"  {finding.sentence}", console)
+        if out is not None:
+            say_written(out, "gap.html", *(name for name in ("gap.json", "rig.json") if (out / name).exists()))

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
+from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json, say_written
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 OutOption = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
@@ -78,3 +78,5 @@ def _compare_and_print(
             say(f"left out: {observation.name}: {observation.reason}")
         for finding in observation.report.findings if observation.report else ():
             say(f"{observation.name} is not to be relied on: {finding.sentence}")
+    if out is not None:
+        say_written(out, "history.html", "history.csv", "history.json")

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import msgspec
 import typer
 
+from rig.commands.command_line import say
+
 if TYPE_CHECKING:
     from identify.signals.kinematics import MotionQuantity
 else:
@@ -51,6 +53,11 @@ def check_export(export: str | None, out: Path | None) -> None:
     if export is not None and (export not in WRITERS or out is None):
         error_words = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
         raise typer.BadParameter(error_words, param_hint="--export")
+
+
+def say_written(folder: Path, page_name: str, *others: str) -> None:
+    """Print which page was written and is to be opened, and what lies beside it."""
+    say(f"{folder / page_name}: written, open it in a browser; beside it {', '.join(others)}")
 
 
 def print_json(value: Any) -> None:

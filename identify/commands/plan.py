@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from identify.commands.options import TolerancesOption, print_json
+from identify.commands.options import TolerancesOption, print_json, say_written
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 SHOWN_CHANGE_COUNT = 8
@@ -111,3 +111,5 @@ def plan(
         console.print(console_table(title, page.KIND_HEAD, 2, rows=page.effect_kind_rows(report.effects)))
     for sentence in filter(None, (page.idle_sensor_sentence(report), *(f"note: {note}" for note in report.notes))):
         say(sentence)
+    if out is not None:
+        say_written(out, "plan.html", "plan.json")

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from functools import reduce
 from inspect import getdoc
 from pathlib import Path
@@ -37,16 +38,20 @@ from rig.errors import RigError, hint
 if TYPE_CHECKING:
     from numpy import ndarray
 
-    from rig.model.description import Station
+    from rig.model.description import Body, Rig, Station
     from rig.recording import Recording, Signals
     from rig.simulation.own import UserRig
     from rig.simulation.reference import Reference
 else:
     # what a command needs of the other rooms is imported when it runs: the help is shown at once
-    ndarray = Station = Recording = Signals = UserRig = Reference = Any
+    ndarray = Body = Rig = Station = Recording = Signals = UserRig = Reference = Any
 
 app = CommandApp(no_args_is_help=True)
 
+FREQUENCY_COUNT = 4
+"""Frequencies of a body that are printed."""
+LEAST_FREQUENCY_HZ = 1e-3
+"""Frequency up to which a mode is a rigid-body mode, by rounding."""
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")]
 
 
@@ -197,27 +202,50 @@ def _reference_or_user_rig(scenario: str, setting_texts: dict[str, str]) -> Refe
 
 
 @app.command()
-def info(file: File, as_json: Json = False) -> None:
-    """Print the content of a recording.
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file, or a rig.json.")],
+    as_json: Json = False,
+) -> None:
+    """Print the content of a recording, or the rig that a rig.json describes.
 
     Example: rig info barrel_cradle.mcap
     """
-    from rig.model.contact_laws import stop_positions_m_and_sides
+    from rig.model.description import read_rig, to_json
     from rig.recording import read
 
+    if file.suffix.lower() == ".json":
+        described_rig = read_rig(file)
+        if as_json:
+            print(json.dumps({"rig": json.loads(to_json(described_rig))}))
+            return
+        count, rate_hz = len(described_rig.sensors), described_rig.sample_rate_hz
+        say(f"{file}: rig {described_rig.name}, {count} sensor{'s' * (count != 1)} at {rate_hz:g} Hz")
+        _print_rig(described_rig, [_sensor_table(described_rig)])
+        return
     with progress_spinner(f"reading {file.name}"):
         recording = read(file)
     if as_json:
         print(json.dumps(_summary_json(recording)))
         return
-    console, rig = literal_console(), recording.rig
-    say(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
-    body_table = _empty_table("Bodies", "body", "kind", "first frequencies, Hz")
+    say(f"{file}: rig {recording.rig.name}, {recording.duration_s:g} s at {recording.rig.sample_rate_hz:g} Hz")
+    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
+    _print_rig(recording.rig, channel_tables)
+    for key, value in recording.provenance.items():
+        say(f"{key}: {value}")
+
+
+def _print_rig(rig: Rig, channel_tables: Sequence[Table]) -> None:
+    """Print tables of the bodies, of the contacts and of channels."""
+    from rig.model.contact_laws import stop_positions_m_and_sides
+
+    body_table = _empty_table("Bodies, with what holds them", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
-        frequencies_hz = body.frequencies_hz(min(4 + body.rigid_modes, body.max_modes))[body.rigid_modes :]
-        body_table.add_row(body.name, body.kind, ", ".join(f"{frequency_hz:.2f}" for frequency_hz in frequencies_hz))
+        frequency_texts = [f"{frequency_hz:.2f}" for frequency_hz in _first_frequencies_hz(rig, body)]
+        body_table.add_row(body.name, body.kind, ", ".join(frequency_texts))
+    is_believed = rig.tolerances is None or rig.tolerances.contacts_known
+    belief_words = "as rig.json believes" if is_believed else "unknown: where rig.json starts"
     headings = ("contact", "at", "against", "clearance, mm", "stiffness, N/m")
-    contact_table = _empty_table("Contacts, as rig.json believes", *headings)
+    contact_table = _empty_table(f"Contacts, {belief_words}", *headings)
     for contact in rig.contacts:
         law, against_words = contact.law, "ground" if contact.against is None else _station_text(contact.against)
         clearance_words = (
@@ -227,11 +255,17 @@ def info(file: File, as_json: Json = False) -> None:
             clearance_words = f"{1e3 * law.clearance_m:g} all around"
         stiffness_words = f"{law.stiffness_n_per_m:g}"
         contact_table.add_row(contact.name, _station_text(contact.at), against_words, clearance_words, stiffness_words)
-    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
     for content_table in (body_table, contact_table, *channel_tables):
-        console.print(content_table, "")
-    for key, value in recording.provenance.items():
-        say(f"{key}: {value}")
+        literal_console().print(content_table, "")
+
+
+def _first_frequencies_hz(rig: Rig, body: Body) -> list[float]:
+    """First natural frequencies in y of a body with its masses, springs, supports and clamp, its contacts open."""
+    from rig.model.modes import mode_count, modes_of
+
+    frequencies_hz = modes_of(rig, body).frequencies_hz(mode_count(body, FREQUENCY_COUNT + body.rigid_modes))
+    elastic_hz = [float(frequency_hz) for frequency_hz in frequencies_hz if frequency_hz > LEAST_FREQUENCY_HZ]
+    return elastic_hz[:FREQUENCY_COUNT]
 
 
 @app.command()
@@ -290,6 +324,14 @@ def _channel_table(group_name: str, signals: Signals) -> Table:
     table = _empty_table(f"Channels: {group_name}", "channel", "at", f"rms, {channels.unit}")
     for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
         table.add_row(channel_name, "" if station is None else _station_text(station), f"{_rms(samples):.4g}")
+    return table
+
+
+def _sensor_table(rig: Rig) -> Table:
+    table = _empty_table("Sensors", "sensor", "at", "noise density, unit/√Hz")
+    for sensor in rig.sensors:
+        noise_text = f"{sensor.noise_density:g}" if sensor.noise_density else ""
+        table.add_row(sensor.name, _station_text(sensor.station), noise_text)
     return table
 
 

@@ -3,6 +3,7 @@
 import math
 import os
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -54,7 +55,7 @@ def view(
         from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.prediction import WINDOW_S, predicted_motion
         from rig.viewer.viewing import open_viewer, write_rrd
-        from rig.viewer.web import serve
+        from rig.viewer.web import LOOPBACK, serve
 
     if magnification is not None and not 0 < magnification < math.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
@@ -86,8 +87,10 @@ def view(
             prediction=prediction,
             progress=progress,
         )
-    print(f"{rrd_path}: written", flush=True)
+    opens_viewer = out is None and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    next_words = "" if web or opens_viewer else f"; open it: rerun --bind {LOOPBACK} {quote(str(rrd_path))}"
+    print(f"{rrd_path}: written{next_words}", flush=True)
     if web:
         serve(rrd_path, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
-    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    elif opens_viewer:
         open_viewer(rrd_path)

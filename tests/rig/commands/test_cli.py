@@ -1,6 +1,7 @@
 """The command `rig`: what it prints, its exit statuses, and that it overwrites nothing unasked."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from rig.model.description import from_json
+from rig.model.description import Station, Support, from_json, to_json
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
 from rig.viewer import viewing
@@ -74,7 +75,8 @@ def test_from_recording_to_viewing(rig, tmp_path):
     assert f"{np.sqrt(np.mean(recording.force_n**2)):.4g}" in out
 
     status, out, err = rig("view", path)
-    assert (status, out, err) == (0, f"{path.with_suffix('.rrd')}: written\n", "")
+    rrd_path = path.with_suffix(".rrd")
+    assert (status, out, err) == (0, f"{rrd_path}: written; open it: rerun --bind 127.0.0.1 {rrd_path}\n", "")
     assert path.with_suffix(".rrd").stat().st_size > 8 * recording.samples
 
 
@@ -146,6 +148,26 @@ def test_the_tables_fit_a_pipe_and_name_every_channel(rig, barrel):
         (first, *_) = body.frequencies_hz(1 + body.rigid_modes)[body.rigid_modes :]
         assert f"{first:.2f}," in out
     assert "made_by: a test" in out
+
+
+def test_a_rig_json_is_told_with_its_supports(rig, tmp_path):
+    """A free beam on two rollers at its ends has the frequencies of a simply supported one, not its own."""
+    machine = BarrelCradle(sensors="acceleration").rig()
+    barrel = machine.body("barrel")
+    supports = tuple(Support(station=Station("barrel", position_m)) for position_m in (0.0, barrel.length_m))
+    path = tmp_path / "rig.json"
+    path.write_bytes(to_json(msgspec.structs.replace(machine, supports=supports)))
+    status, out, err = rig("info", path)
+    assert (status, err) == (0, "")
+    assert out.startswith(f"{path}: rig barrel_cradle, {len(machine.sensors)} sensors at {machine.sample_rate_hz:g} Hz")
+    assert "barrel_1000mm_acceleration" in out
+    (line,) = [line for line in out.splitlines() if line.split()[:1] == ["barrel"]]
+    told_hz = [float(number) for number in re.findall(r"[\d.]+(?=,|$)", line.strip())]
+    ratios = np.array([1, 2, 3, 4]) ** 2 * np.pi**2 / 4.730041**2  # to the first of the free beam
+    (free_hz,) = barrel.frequencies_hz(3)[2:]
+    np.testing.assert_allclose(told_hz, free_hz * ratios, rtol=5e-3)
+    status, out, _ = rig("info", path, "--json")
+    assert (status, from_json(json.dumps(json.loads(out)["rig"]).encode(), "the JSON").supports) == (0, supports)
 
 
 def test_names_are_printed_as_they_are(rig, tmp_path):
