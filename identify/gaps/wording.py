@@ -44,7 +44,7 @@ ANALYSIS_WORDS = {
 }
 """Side analyses that a note may name."""
 PREDICTION_WORDS = {
-    "not_vetoed": "the prediction does not contradict it",
+    "not_vetoed": "nothing speaks against it",
     "worse": "the corrected rig predicts worse: no explanation",
     "no_improvement": "the prediction would improve if this were all, and does not: no explanation",
     "no_horizon": "null simulations cannot be predicted either",
@@ -97,8 +97,8 @@ def bound_words(bound: Bounded) -> str:
     value, upper, limit = value_bound_and_limit_texts(bound)
     at_most = "with no upper bound" if bound.upper is None else f"at most {upper}"
     if bound.unit == "1":
-        return f"the {bound.name} (error {value}, {at_most}; limit {limit})"
-    return f"the {bound.name} ({value} off, {at_most}; limit {limit}, three tolerances)"
+        return f"the {bound.name} ({value} unexplained, {at_most}; {limit} matters)"
+    return f"the {bound.name} ({value} off, {at_most}; three tolerances are {limit})"
 
 
 def value_bound_and_limit_texts(bound: Bounded) -> list[str]:

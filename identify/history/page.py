@@ -13,9 +13,8 @@ from jaxtyping import Float
 from identify.history.changes import MIN_TREND_COUNT, SIGNIFICANCE_LEVEL, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
-from identify.pages.wording import COVERED, estimate_words, interval, number, p_value_words
+from identify.pages.wording import COVERED, interval, number, p_value_words
 
-UNCHANGED = "a machine that did not change would differ this much"
 ORDER_LABEL = "recording, in order"
 TIME_UNITS_S = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
 WORD_UNIT_FACTOR = {
@@ -29,8 +28,7 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    names = [observation.name for observation in history.compared]
-    change_texts = [f"{quantity_name(q)} {_change_predicate(q, names)}" for q in history.quantities if q.changed]
+    change_texts = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
     changes_text = "; ".join(change_texts) or "nothing changed by more than chance"
     return f"{len(history.compared)} recordings of {history.rig}: {changes_text}."
 
@@ -39,22 +37,11 @@ def quantity_name(quantity: QuantityHistory) -> str:
     return f"{quantity.of}: {WORD_UNIT_FACTOR[quantity.quantity][0]}"
 
 
-def _change_predicate(quantity: QuantityHistory, names: Sequence[str]) -> str:
+def _change_predicate(quantity: QuantityHistory) -> str:
     """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
     if quantity.p_trend is not None and quantity.p_trend < SIGNIFICANCE_LEVEL:
-        p_words = p_value_words(quantity.p_trend, UNCHANGED)
-        return f"drifts by {drift_text(quantity)} from {names[0]} to {names[-1]} ({p_words})"
-    return f"{_largest_difference_text(quantity, names)} ({p_value_words(quantity.p_different or 0.0, UNCHANGED)})"
-
-
-def _largest_difference_text(quantity: QuantityHistory, names: Sequence[str]) -> str:
-    """Change between the recordings of the smallest and of the largest value ± 95 %, the earlier one first."""
-    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
-    values = unit_factor * np.array(quantity.values, dtype=float)
-    first, last = sorted((int(np.nanargmin(values)), int(np.nanargmax(values))))
-    change = float(values[last] - values[first])
-    error = unit_factor * float(np.hypot(quantity.own_errors[first] or 0.0, quantity.own_errors[last] or 0.0))
-    return f"changes by {'+' * (change > 0)}{estimate_words(change, error, unit)} from {names[first]} to {names[last]}"
+        return f"drifts by {drift_text(quantity)} from the first to the last ({p_value_words(quantity.p_trend)})"
+    return f"differs between recordings ({p_value_words(quantity.p_different or 0.0)})"
 
 
 def drift_text(quantity: QuantityHistory) -> str:
@@ -72,7 +59,7 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
     for quantity in history.quantities:
         _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
         p_texts = (
-            "" if p_value is None else p_value_words(p_value).partition(":")[0].removeprefix("p ").removeprefix("= ")
+            "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
             for p_value in (quantity.p_trend, quantity.p_different)
         )
         yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift_text(quantity), *p_texts
@@ -160,21 +147,12 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
         f"{1 / SIGNIFICANCE_LEVEL:.0f} any p falls below {SIGNIFICANCE_LEVEL:g} by chance.</p>"
     )
     headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
-    filled = _filled_columns(headings, list(quantity_rows(history)))
     recordings_html = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
     return [
         ("Over the recordings", page.figure("history", figure, caption)),
-        ("What changed", table_note + page.table(*filled)),
+        ("What changed", table_note + page.table(headings, quantity_rows(history))),
         ("The recordings", recordings_html),
     ]
-
-
-def _filled_columns(
-    headings: Sequence[str], rows: Sequence[Sequence[str]]
-) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and rows without the columns that hold nothing."""
-    kept = [k for k in range(len(headings)) if any(row[k] for row in rows)]
-    return tuple(headings[k] for k in kept), [tuple(row[k] for k in kept) for row in rows]
 
 
 def _recording_rows(history: History) -> Iterator[Sequence[str]]:

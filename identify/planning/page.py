@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 
-from identify.gaps.wording import spoken_effect
 from identify.pages import page
 from identify.pages.drawing import drawing_html
 from identify.pages.wording import COVERED, interval, number, percent
@@ -43,10 +42,8 @@ def sentence(plan: PlanReport) -> str:
     widest = widest_share(plan)
     clauses = []
     if names:
-        clauses.append(
-            f"{', '.join(names)} can be determined, clearance and stiffness within ± {percent(widest)} or better"
-        )
-    clauses += [f"{contact.name} cannot be determined by this test ({contact.reason})" for contact in plan.undetermined]
+        clauses.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
+    clauses += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
     if plan.advice:
         clauses.append(f"what helps most: {change_sentence(plan.advice[0])}")
     elif plan.changes:
@@ -57,8 +54,8 @@ def sentence(plan: PlanReport) -> str:
 def change_sentence(change: TriedChange) -> str:
     """Change, and what it does to the widest interval or to contacts that are not determined."""
     if change.gained:
-        return f"{change.words}, by which {', '.join(change.gained)} can be determined, too"
-    return f"{change.words}, which narrows the widest interval by {percent(1 - change.widest_factor)}"
+        return f"{change.words}, which tells {', '.join(change.gained)}, too"
+    return f"{change.words}, which makes the widest interval {number(change.widest_factor, 2)} times as long"
 
 
 def widest_share(plan: PlanReport) -> float:
@@ -79,7 +76,7 @@ def annular_contact_sentences(plan: PlanReport) -> Iterator[str]:
         names = [name for name in contact.quantities if name not in QUANTITIES]
         words = [f"{PRINTED_QUANTITIES[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
         if names and contact.center_y_m is None:
-            words.append("its centre cannot be determined")
+            words.append("its centre will not be told")
         if words:
             yield f"{contact.name}: {'; '.join(words)}"
 
@@ -110,24 +107,19 @@ def _factor_text(interval_factor: IntervalFactor) -> str:
 def effect_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each effect and place: the smallest size that is named, and what looks like it."""
     for effect in effects:
-        yield (
-            spoken_effect(effect.effect),
-            effect.place,
-            _size_range_text([effect]),
-            ", ".join(map(spoken_effect, effect.alike)),
-        )
+        yield effect.effect, effect.place, _size_range_text([effect]), ", ".join(effect.alike)
 
 
 def effect_kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each kind of effect: the range over all its places."""
     for kind in dict.fromkeys(effect.effect for effect in effects):
         kind_effects = [effect for effect in effects if effect.effect == kind]
-        yield spoken_effect(kind), _size_range_text(kind_effects)
+        yield kind, _size_range_text(kind_effects)
 
 
 def _size_range_text(effects: Sequence[DetectableEffect]) -> str:
     """Smallest named sizes from the best to the worst place."""
-    unit = " of its value in rig.json" if effects[0].unit == "1" else f" {printed_unit(effects[0].unit)}"
+    unit = "" if effects[0].unit == "1" else f" {printed_unit(effects[0].unit)}"
     least_size = min((e.least for e in effects if e.least is not None), default=None)
     if least_size is None:
         return "none of its range"
@@ -187,18 +179,18 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         ]
         for contact in plan.contacts
     }
-    lines |= {contact.name: ("cannot be determined",) for contact in plan.undetermined}
+    lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}
     caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
     advised_sentences = (change_sentence(change) for change in plan.advice[:ADVISED_COUNT])
     sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised_sentences]
     sentences += [f"{contact.name}: {contact.remedy}." for contact in plan.undetermined]
     no_advice_html = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
     advice_html = page.list_html(sentences) if sentences else no_advice_html
-    verdict = f"{'not ' * bool(plan.undetermined)}all contacts can be determined by this test"
+    verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
     page.write(
         path,
         title=f"{plan.rig}: plan of a test",
-        answer=page.Answer("yellow" if plan.undetermined else "green", verdict, [sentence(plan)]),
+        answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
         top_blocks=[f"<figure>{drawing_html(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice_html}"],
         sections=_sections(plan),
         folded_sections=_folded_sections(plan),
@@ -220,9 +212,7 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
         undetermined_rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
-        sections.append(
-            ("What cannot be determined", page.table(("contact", "why", "what would help"), undetermined_rows))
-        )
+        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), undetermined_rows)))
     if plan.effects:
         intro_html = (
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
@@ -236,11 +226,11 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     if plan.changes:
         intro_html = (
             "<p>Each change was simulated and identified under the same draws. Widest interval: the widest of all "
-            "clearances and stiffnesses, as a share of the value; a contact that cannot be determined counts as 100 %. "
+            "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
             f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
             "change.</p>"
         )
-        sections.append(("What was tried, best first", intro_html + page.table(CHANGE_HEAD, change_rows(plan.changes))))
+        sections.append(("What would help, ranked", intro_html + page.table(CHANGE_HEAD, change_rows(plan.changes))))
     if plan.sensors:
         idle_html = f"<p>{escape(idle_sensor_sentence(plan))}</p>" if plan.idle_sensors else ""
         sections.append(("Each sensor left out", idle_html + page.table(SENSOR_HEAD, change_rows(plan.sensors))))

@@ -209,12 +209,6 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """Rig with the effect; raises RigError where the effect does not apply."""
         raise NotImplementedError
 
-    @classmethod
-    def marked_stations(cls, rig: Rig, body_name: str) -> tuple[Station, ...]:
-        """Points of a body that an effect placed on it changes, for drawings; none where it changes the whole body."""
-        del rig, body_name
-        return ()
-
     def missing_place_error(self, rig: Rig, missing_words: str) -> RigError:
         return RigError(
             f"effect {self.name}: rig {rig.name!r} has no {missing_words}; choose another place or another effect"

@@ -72,11 +72,6 @@ class SupportPosition(Effect, frozen=True):
             springs=tuple(self._shifted(spring) if spring in shifted_supports else spring for spring in rig.springs),
         )
 
-    @classmethod
-    def marked_stations(cls, rig: Rig, body_name: str) -> tuple[Station, ...]:
-        """The supports, or springs, where they stand in this rig."""
-        return tuple(support.station for support in _supports_or_springs(rig, body_name))
-
     def _shifted(self, support: SupportOrSpring) -> SupportOrSpring:
         station = support.station
         return replace(support, station=Station(station.body, station.position_m + self.shift_m))

@@ -1,6 +1,6 @@
 """Sentences of a diagnosis, made from the content of gap.json alone."""
 
-from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict
+from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
     MIN_DESCRIPTION_SHARE,
@@ -58,14 +58,13 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
 def _consistent_sentences(gap: Diagnosis) -> list[str]:
     return [
         "The machine is as rig.json says, as far as it matters: "
-        f"{_upper_bound_words(gap.evidence.quantities)}. What is left does not exceed what tolerances and noise may "
-        f"leave ({p_value_words(gap.evidence.p_value)}; below {100 * DIFFERENCE_P_VALUE:g} % it would count as a "
-        "difference)."
+        f"{_upper_bound_words(gap.evidence.quantities)}. What is left is no more than tolerances and "
+        f"noise leave ({p_value_words(gap.evidence.p_value)})."
     ]
 
 
 def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
-    p_words = p_value_words(gap.evidence.p_value)
+    p_words = p_value_words(gap.before.p_value)
     quantities = gap.evidence.quantities
     unsettled_count = sum(not bound.holds for bound in quantities)
     clause = (
@@ -85,7 +84,7 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
     bounds = _upper_bound_words(gap.evidence.quantities)
     if cause := _named_cause(gap):
         return [f"{_subject(cause)} {_inflected(cause, 'is', 'are')} there, too small to matter: {bounds}."]
-    clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)}), by too little to matter"
+    clause = f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter"
     return [
         f"{clause}: {bounds}. {_no_named_effect_sentence(gap)}",
         *([_force_description(gap, "The difference")] if gap.unknown else []),
@@ -111,8 +110,8 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
     ) and not gap.before.contact_shares:  # rings, by their contact fit alone
         return [f"{explained} ({p_words}).", *beyond]
     chance_words = ""
-    if gap.evidence.p_value_after >= USUAL_P_VALUE:
-        chance_words = f", no more than tolerances and noise leave ({p_value_words(gap.evidence.p_value_after)})"
+    if gap.after.p_value >= USUAL_P_VALUE:
+        chance_words = f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
     shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
     strain_words = _strained_tolerance_words(gap) if shares_hold else ""
     return [
@@ -277,14 +276,10 @@ def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
 
 
 def _undetermined_quantity_sentences(gap: Diagnosis) -> list[str]:
-    """Sentences on quantities that the records neither bound nor show, and on what would show them.
-
-    Where effects explain the difference, a share is that of the rig with them, as in the other sentences.
-    """
-    is_explained = gap.verdict in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
-    after = {bound.name: bound for bound in gap.evidence.quantities_after * is_explained}
-    open_bounds = [bound for bound in (after.get(bound.name, bound) for bound in gap.not_seen) if bound.not_seen]
-    return [f"Not settled: {bound_words(bound)}{f'; {bound.remedy}' if bound.remedy else ''}." for bound in open_bounds]
+    """Sentences on quantities that the records neither bound nor show, and on what would show them."""
+    return [
+        f"Not settled: {bound_words(bound)}{f'; {bound.remedy}' if bound.remedy else ''}." for bound in gap.not_seen
+    ]
 
 
 def _force_description(gap: Diagnosis, subject: str) -> str:

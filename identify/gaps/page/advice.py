@@ -67,8 +67,7 @@ def _record_difference_steps(gap: Gap) -> list[str]:
 
 
 def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
-    """Frequency ranges, widest first, whose unexplained share exceeds what null simulations leave, and that of the
-    whole motion from which a difference matters: less is no place to look."""
+    """Frequency ranges, widest first, whose unexplained share exceeds what matters and what null simulations leave."""
     ranges_hz: list[tuple[float, float]] = []
     for band in gap.bands:
         if band.after <= max(band.usual, gap.matters.motion):
@@ -146,7 +145,7 @@ def _small_steps(gap: Gap) -> list[str]:
 def _explained_steps(gap: Gap) -> list[str]:
     effects = "effect" if len(gap.causes[0].named) == 1 else "effects"
     remainder = "Nothing else needs an explanation: what is left is what tolerances and noise leave."
-    if gap.evidence.p_value_after < USUAL_P_VALUE:
+    if gap.after.p_value < USUAL_P_VALUE:
         remainder = (
             f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, but too little to "
             "matter."
@@ -197,7 +196,7 @@ def _unexplained_range_steps(gap: Gap) -> list[str]:
             "cables and cross-axis sensitivity."
         ]
     words = range_words(ranges_hz)
-    return [f"Look for something that acts from {words}: there the rest exceeds what tolerances and noise leave."]
+    return [f"Look for something that acts from {words}: there the rest exceeds what noise leaves, and it matters."]
 
 
 def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:

@@ -18,6 +18,7 @@ from identify.gaps.wording import (
     value_bound_and_limit_texts,
 )
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
+from identify.pages.wording import percent
 
 DrawFunction = Callable[[Any], None]
 
@@ -81,9 +82,11 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
     for label, colour, line_width, line_style, band_shares in drawn_curves:
         line_options = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
         axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, **line_options)
+    limit_label = f"matters above {percent(gap.matters.motion)} (whole motion)"
+    axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=limit_label)
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(band_edges_hz[0], band_edges_hz[-1])
-    axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration's rms, %")
+    axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
     figure.legend(loc="outside upper center", ncols=2)
 
 

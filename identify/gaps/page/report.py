@@ -37,7 +37,6 @@ from identify.pages.machine import DrawnMark
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from identify.pages.wording import change_words, estimate_words, number, percent
-from rig.effects import effects
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, Station, to_json
 from rig.model.layout import station_named
@@ -46,11 +45,11 @@ CAPTION_BY_FIGURE = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
-    "large_bands": "The share of the rms of the acceleration that each rig leaves unexplained, in bands of frequency. "
-    "Tolerances and noise alone stay below the dotted line in 19 of 20 cases. Where a curve is missing, noise hides "
-    "the difference.",
-    "decided_quantities": "What decides: the difference in the motion and the contact forces, as a share of their rms, "
-    "and in the contact parameters. A line goes to the upper end of the 95 % "
+    "large_bands": "The share of the mean square of the acceleration that each rig leaves unexplained, in bands of "
+    "frequency. Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share "
+    "of the whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
+    "decided_quantities": "What decides: the difference in the motion and the contact forces, as a share of the mean "
+    "square (1 % is a tenth of the amplitude), and in the contact parameters. A line goes to the upper end of the 95 % "
     "interval, or to the right edge where nothing bounds it. A quantity is settled as too small to matter if its line "
     "ends left of the dashed one, at its limit. Differences below a hundredth of the limit stand at a hundredth.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
@@ -119,21 +118,16 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     """
     is_doubtful = gap.evidence.vetoed and gap.verdict == Verdict.UNEXPLAINED
     for cause in gap.causes[:1]:
-        for effect, label, effect_words, strength in zip(
-            cause.effects, cause.labels, cause.words, cause.strengths, strict=True
-        ):
+        for label, effect_words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
             if not strength.is_named:
                 continue
             position_share = cause.parameters.get(f"{label}.relative_position")
             names = [name.removesuffix(IN_Z) for key, name in cause.places.items() if key.partition(".")[0] == label]
-            stations = [station for name in names for station in effects()[effect].marked_stations(rig, name)]
-            of_whole_body = not stations and position_share is None
-            of_whole_body = of_whole_body and any(body.name in names and body.length_m for body in rig.bodies)
+            of_whole_body = position_share is None and any(body.name in names and body.length_m for body in rig.bodies)
             length_share = 0.5 if position_share is None else position_share.value
-            named_stations = filter(None, (station_named(rig, name, length_share) for name in names))
-            stations = stations or list(named_stations)[:1]
-            if not stations and cause.places.get(f"{label}.contact") == "all":
-                stations = [contact.at for contact in rig.contacts]
+            station = next(filter(None, (station_named(rig, name, length_share) for name in names)), None)
+            is_on_all = cause.places.get(f"{label}.contact") == "all"
+            stations = [station] if station else [contact.at for contact in rig.contacts if is_on_all]
             for index, station in enumerate(stations):
                 words = "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}"
                 yield DrawnMark(station, words, of_whole_body=of_whole_body)
@@ -218,12 +212,11 @@ def write_page(
     sections.append(("Where does it lie?", "where", location_html(gap.attribution)))
     if gap.notes:
         sections.append(("What could not be computed", "notes", failed_analyses_html(gap)))
-    is_in_doubt = bool(findings) and colour(gap) == "green"
-    heading = f"{verdict_words(gap)}{', but the check has findings' * is_in_doubt}"
+    page_colour = "yellow" if findings and colour(gap) == "green" else colour(gap)
     page.write(
         path,
         title=title,
-        answer=page.Answer("yellow" if is_in_doubt else colour(gap), heading, sentences(gap)),
+        answer=page.Answer(page_colour, verdict_words(gap), sentences(gap)),
         top_blocks=[first_column, second_column],
         sections=[("Which further recording?", experiment_figures)] if experiment_figures else [],
         folded_sections=[

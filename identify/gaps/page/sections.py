@@ -6,7 +6,7 @@ from html import escape
 from msgspec.structs import replace
 
 from identify.gaps import wording
-from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Evidence
+from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded
 from identify.gaps.page.advice import MAX_RANGES, next_steps, place, range_words, unexplained_ranges_hz
 from identify.gaps.results import (
     Attribution,
@@ -64,11 +64,11 @@ def mismatch_size_html(gap: Gap) -> str:
         "record: no parameter was fitted to it.</p>"
     )
     html += page.table((*header, "what matters"), zip(signal_names, *columns, limits, strict=True))
-    html += f"<p>On this record alone: the model as it is {escape(p_value_words(gap.before.p_value))}"
-    html += f"; with the likeliest cause {escape(p_value_words(gap.after.p_value))}.</p>" if is_explained else ".</p>"
+    html += f"<p>{escape(_p_value_sentence('The model as it is', gap.before))}"
+    html += f" {escape(_p_value_sentence('With the likeliest cause, it', gap.after))}</p>" if is_explained else "</p>"
     if ranges_hz := unexplained_ranges_hz(gap)[:MAX_RANGES]:
         words = range_words(ranges_hz)
-        html += f"<p>From {words} the rest is more than null simulations leave.</p>"
+        html += f"<p>From {words} the rest is more than null simulations leave, and enough to matter.</p>"
     if gap.channel_faults:
         html += "<h3>Channels left out</h3>" + page.table(("channel", "fault"), gap.channel_faults.items())
     return html
@@ -108,7 +108,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Is there a difference?",
             _yes_no(criteria.differs),
-            f"all records together: {p_value_words(evidence.p_value)}. Yes below {DIFFERENCE_P_VALUE:g}",
+            f"{p_value_words(evidence.p_value)}. Yes below {DIFFERENCE_P_VALUE:g}",
         ),
         (
             "Is it certainly too small to matter?",
@@ -123,7 +123,8 @@ def decision_html(gap: Gap) -> str:
         (
             "Does it explain enough?",
             _yes_no(criteria.enough) if criteria.named else "",
-            _enough_words(evidence),
+            f"what is left has {p_value_words(evidence.p_value_after)}. Yes from {USUAL_P_VALUE:g} on, or if it is "
+            "certainly too small to matter",
         ),
     ]
     verdict = escape(VERDICT_WORDS[gap.verdict])
@@ -140,16 +141,6 @@ def decision_html(gap: Gap) -> str:
         ]
         html += "<h3>Effects</h3>" + page.table(("effect", "probability", ""), effects)
     return html
-
-
-def _enough_words(evidence: Evidence) -> str:
-    """Reason why the named effects explain enough, or do not."""
-    left = f"what is left: {p_value_words(evidence.p_value_after)}"
-    if evidence.p_value_after >= USUAL_P_VALUE:
-        return f"{left}. Yes from {USUAL_P_VALUE:g} on"
-    if evidence.enough:
-        return f"{left}. More than noise, but every upper bound is below its limit"
-    return f"{left}. Yes from {USUAL_P_VALUE:g} on, or if every upper bound were below its limit"
 
 
 def _yes_no(answer: bool) -> str:
@@ -276,6 +267,13 @@ def failed_analyses_html(gap: Gap) -> str:
 
 def _share_words(unexplained: UnexplainedShares) -> list[str]:
     return [percent(share) for share in (unexplained.share, *unexplained.contact_shares.values())]
+
+
+def _p_value_sentence(rig_words: str, unexplained: UnexplainedShares) -> str:
+    """Sentence on the p-value of the unexplained shares."""
+    amount = "what" if unexplained.p_value >= USUAL_P_VALUE else "more than"
+    frequency = f"they alone would leave as much in {percent(unexplained.p_value)} of all cases (the p-value)"
+    return f"{rig_words} leaves {amount} tolerances and noise explain: {frequency}."
 
 
 def _cause_row(cause: Cause) -> tuple[str, ...]:

@@ -134,7 +134,7 @@ def test_every_number_is_on_the_page(written):
     assert said <= set(page.texts)
     text = " ".join(page.texts)
     assert p_value_words(gap.evidence.p_value) in text
-    assert f"On this record alone: the model as it is {p_value_words(gap.before.p_value)}" in text
+    assert f"they alone would leave as much in {percent(gap.before.p_value)} of all cases" in text
 
 
 def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):

@@ -144,7 +144,7 @@ def test_a_rest_in_the_force_of_a_contact_leads_to_it_and_is_named_with_its_limi
     unbounded = replace(
         rest, after=replace(after, contact_shares={}), evidence=replace(gap.evidence, quantities_after=(motion,))
     )
-    assert "the motion (error 0.1 %, at most 0.6 %; limit 0.5 %) stays unsettled." in sentence(unbounded)
+    assert "the motion (0.1 % unexplained, at most 0.6 %; 0.5 % matters) stays unsettled." in sentence(unbounded)
     step = "Look at contact_2: the rest lies in its force, of which 3.6 % is unexplained."
     assert any(text.startswith(step) and "lateral_motion" in text for text in next_steps(rest))
 
@@ -217,7 +217,7 @@ def test_a_bound_of_zero_is_less_than_a_tenth_of_a_per_cent(gaps):
 )
 def test_a_bound_above_its_limit_does_not_read_as_the_limit(upper, words):
     told = bound_words(Bounded("motion", "1", 0.0, upper, 0.005))
-    assert told == f"the motion (error 0.0 %, at most {words}; limit 0.5 %)"
+    assert told == f"the motion (0.0 % unexplained, at most {words}; 0.5 % matters)"
 
 
 def test_a_mass_has_no_place_along_it():
