@@ -285,8 +285,8 @@ class HistoryResult(Illustrated):
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """Row of each quantity: mean, change from the first recording to the last, and the p-values of both tests."""
-        column_names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
+        """Row of each quantity: mean, largest change with its p-value, and change along the trend with its own."""
+        column_names = ("quantity", "mean", "largest_change", "p_different", "first_to_last", "p_trend")
         return [dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report)]
 
     @cached_property
@@ -308,9 +308,9 @@ class HistoryResult(Illustrated):
         return history_page.sentence(self.report)
 
     def summary(self) -> Summary:
-        """Sentence on what changed, and each quantity with its change and the p-values of both tests."""
-        column_names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-        rows = tuple(dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report))
+        """Sentence on what changed, and each quantity with its changes and their p-values."""
+        headings, rows_of_texts = history_page.quantity_table(self.report)
+        rows = tuple(dict(zip(["quantity", *headings[1:]], row, strict=True)) for row in rows_of_texts)
         return Summary(rows, above=(self.sentence,))
 
 
