@@ -105,7 +105,7 @@ class ContactResult(Illustrated):
             return contact_by_name[name]
         for contact in self.report.unanswered:
             if contact.name == name:
-                raise RigError(f"contact {name!r} is not told by this record: {contact.reason}")
+                raise RigError(f"contact {name!r} is not determined by this record: {contact.reason}")
         raise RigError(f"there is no contact {name!r}; there are {', '.join(contact_by_name) or 'none'}")
 
     @property
@@ -326,4 +326,4 @@ def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
 
 
 def _unanswered_lines(unanswered: Sequence[Unanswered]) -> list[str]:
-    return [f"{contact.name}: not told by this record: {contact.reason}" for contact in unanswered]
+    return [f"{contact.name}: not determined by this record: {contact.reason}" for contact in unanswered]
