@@ -105,7 +105,7 @@ class ContactResult(Illustrated):
             return contact_by_name[name]
         for contact in self.report.unanswered:
             if contact.name == name:
-                raise RigError(f"contact {name!r} is not told by this record: {contact.reason}")
+                raise RigError(f"contact {name!r} is not determined by this record: {contact.reason}")
         raise RigError(f"there is no contact {name!r}; there are {', '.join(contact_by_name) or 'none'}")
 
     @property
@@ -289,8 +289,8 @@ class HistoryResult(Illustrated):
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """Row of each quantity: mean, change from the first recording to the last, and the p-values of both tests."""
-        column_names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
+        """Row of each quantity: mean, largest change with its p-value, and change along the trend with its own."""
+        column_names = ("quantity", "mean", "largest_change", "p_different", "first_to_last", "p_trend")
         return [dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report)]
 
     @cached_property
@@ -312,9 +312,9 @@ class HistoryResult(Illustrated):
         return history_page.sentence(self.report)
 
     def summary(self) -> Summary:
-        """Sentence on what changed, and each quantity with its change and the p-values of both tests."""
-        column_names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-        rows = tuple(dict(zip(column_names, row, strict=True)) for row in history_page.quantity_rows(self.report))
+        """Sentence on what changed, and each quantity with its changes and their p-values."""
+        headings, rows_of_texts = history_page.quantity_table(self.report)
+        rows = tuple(dict(zip(["quantity", *headings[1:]], row, strict=True)) for row in rows_of_texts)
         return Summary(rows, above=(self.sentence,))
 
 
@@ -330,4 +330,4 @@ def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
 
 
 def _unanswered_lines(unanswered: Sequence[Unanswered]) -> list[str]:
-    return [f"{contact.name}: not told by this record: {contact.reason}" for contact in unanswered]
+    return [f"{contact.name}: not determined by this record: {contact.reason}" for contact in unanswered]

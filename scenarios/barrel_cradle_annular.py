@@ -54,7 +54,7 @@ def barrel_cradle_annular(
     for contact in contacts:
         console.print(f"{contact.law_sentence}.", soft_wrap=True)
     for refused in identification.report.unanswered:
-        console.print(f"{refused.name}: not told by this record: {refused.reason}", soft_wrap=True)
+        console.print(f"{refused.name}: not determined by this record: {refused.reason}", soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -86,7 +86,7 @@ class Comparison:
                 table.add_row(
                     equation_result.equation,
                     stiffness.contact,
-                    "not told" if clearance_m is None else f"{100 * (clearance_m / law.clearance_m - 1):+.4f}",
+                    "not determined" if clearance_m is None else f"{100 * (clearance_m / law.clearance_m - 1):+.4f}",
                     f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
                     f"{100 * stiffness.rms_deviation_n_per_m / law.stiffness_n_per_m:.3f}",
                     "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",

@@ -165,7 +165,9 @@ def print_laws(report: LawReport, console: Console) -> None:
             console,
         )
     for unanswered_contact in report.unanswered:
-        print_sentence(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", console)
+        print_sentence(
+            f"{unanswered_contact.name}: not determined by this record: {unanswered_contact.reason}", console
+        )
 
 
 def main() -> None:

@@ -111,7 +111,9 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
     for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
         print_sentence(f"{sentence}.", console)
     for unanswered_contact in report.unanswered:
-        print_sentence(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", console)
+        print_sentence(
+            f"{unanswered_contact.name}: not determined by this record: {unanswered_contact.reason}", console
+        )
     for note in report.notes:
         print_sentence(f"note: {note}", console)
     if details and report.nifo:

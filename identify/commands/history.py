@@ -57,7 +57,7 @@ def _compare_and_print(
     sources: list[Path], out: Path | None, use: str, tolerances: str | None, as_json: bool, force: bool
 ) -> None:
     from identify.api import compare as compare_recordings
-    from identify.history.page import quantity_rows
+    from identify.history.page import quantity_table
 
     motion_quantity = checked_use(use)
     if out is not None:
@@ -71,8 +71,8 @@ def _compare_and_print(
         print_json(history_result.to_dict())
         return
     say(history_result.sentence)
-    headings = ("", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-    literal_console().print(console_table("", headings, rows=quantity_rows(history_result.report)))
+    headings, rows = quantity_table(history_result.report)
+    literal_console().print(console_table("± 95 %", headings, rows=rows))
     for observation in history_result.report.observations:
         if observation.report is None:
             say(f"left out: {observation.name}: {observation.reason}")

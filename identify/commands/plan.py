@@ -99,9 +99,11 @@ def plan(
     for sentence in page.annular_contact_sentences(report):
         say(f"{sentence}.")
     for contact in report.undetermined:
-        say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
-    if report.changes:
-        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGE_COUNT]
+        say(f"{contact.name} cannot be determined by this test: {contact.reason}; {contact.remedy}")
+    if report.changes and not report.advice:
+        say("No change that was tried would help.")
+    if report.advice:
+        change_rows = list(page.change_rows(report.advice))[:SHOWN_CHANGE_COUNT]
         title = "What would help, ranked by the widest interval"
         change_table = console_table(title, page.CHANGE_HEAD, rows=change_rows)
         change_table.columns[-1].justify = "left"

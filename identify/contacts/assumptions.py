@@ -119,8 +119,8 @@ def recommendations(result: Identification) -> Iterator[str]:
         )
     if result.outcomes.estimates:
         yield (
-            "Simulate with the identified rig.json, which stands beside this page. The intervals hold if its bodies "
-            "are right: identify gap checks whether they are."
+            "Simulate with the identified rig.json, which stands beside this page. These intervals assume that its "
+            "masses and stiffnesses are right: test that with identify gap."
         )
 
 

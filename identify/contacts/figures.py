@@ -153,7 +153,7 @@ def _draw_separated_forces(figure: Any, result: Identification, references: Refe
     for axes, group, separated_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
         eta_m = result.eta_m[group.contact_indices[0]][:: result.decimation]
         force_n = separated_n[: eta_m.size]
-        axes.plot(1e3 * eta_m, force_n, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law assumed")
+        axes.plot(1e3 * eta_m, force_n, ".", ms=4, color=GREY, alpha=0.4, label="measured contact force")
         grid_m, law_forces = np.linspace(eta_m.min(), eta_m.max(), 400), []
         for sign, contact_index in zip(group.signs, group.contact_indices, strict=True):
             if estimate := result.outcomes.estimates.get(result.rig.contacts[contact_index].name):

@@ -22,12 +22,13 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
-    "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
-    "the law, if one was found. Within the clearance no force acts; beyond it the slope is the stiffness. The forces "
-    "are separated up to a highest frequency, which rounds the corners of the dots.",
-    "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
-    "section": "What the main modal equation leaves for each contact, over its relative displacement. Dots that fan "
-    "out at one place belong to the ends of the record, where derivatives ring.",
+    "separated": "The contact forces over the relative displacements η: dots, measured, without assuming a law; line, "
+    "the law, if one was found. Within the clearance no force acts; beyond it the slope is the stiffness. The measured "
+    "forces are limited in frequency, so that their corners look rounded.",
+    "histogram": "Left: the relative displacement over time. Right: how often each value occurs; a peak, if there is "
+    "one, marks a stop.",
+    "section": "What the main modal equation leaves for each contact, over its relative displacement. Ignore scatter "
+    "from the first and last seconds of the record: there the filters ring.",
     "surface": "The restoring force that the main modal equation leaves, over its coordinates: flat between the stops, "
     "steep beyond them.",
     "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
@@ -42,7 +43,7 @@ VARIANCE_SOURCES = {
     "scatter": "scatter of the record",
     "tolerances": "tolerances of rig.json",
     "drift": "slow motion",
-    "law": "what the law leaves",
+    "law": "misfit of the contact law",
 }
 """Sources of variance in words."""
 FOOT_TEXT = "Every identified value of this page stands in contact.json, unrounded, with its standard error."
@@ -118,7 +119,7 @@ def drawing_html(rig: Rig, report: ContactReport) -> str:
         stiffness = _interval_text(contact.stiffness_n_per_m, "N/m")
         clearance = () if contact.is_spring else (_interval_text(contact.clearance_m, "mm", 1e3),)
         lines_by_contact[contact.name] = (*clearance, stiffness)
-    lines_by_contact |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
+    lines_by_contact |= {unanswered.name: ("not determined by this record",) for unanswered in report.unanswered}
     interval_words = "; clearance and stiffness with 95 % intervals" if report.contacts else ""
     caption = f"<figcaption>The rig, to scale along the bodies{interval_words}.</figcaption>"
     return f"<figure>{rig_drawing_html(rig, lines_by_contact)}{caption}</figure>"
@@ -140,7 +141,7 @@ def variance_html(shares_by_quantity: Mapping[str, Mapping[str, float]]) -> str:
         for quantity, shares in shares_by_quantity.items()
     ]
     table = page.table(("value", *VARIANCE_SOURCES.values()), table_rows)
-    return f"<p>Where the variance of each value comes from.</p>{table}"
+    return f"<p>What limits the accuracy: the shares of each value's variance.</p>{table}"
 
 
 def answer(report: ContactReport, contact_count: int, laws: Laws, laws_name: str) -> page.Answer:
@@ -179,7 +180,7 @@ def _agreement_sentences(report: ContactReport, laws: Laws, laws_name: str) -> l
             differing.append(f"{joined(names)} of {contact.name}")
     if differing:
         return [f"These {laws_name} values lie outside the 95 % intervals: {'; '.join(differing)}."]
-    return [f"Every 95 % interval holds the {laws_name} value."] if compared_count else []
+    return [f"Every {laws_name} value lies inside its 95 % interval."] if compared_count else []
 
 
 def _interval_text(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
@@ -275,7 +276,7 @@ def _difference_text(estimate: Estimate, reference: float) -> str:
 def refusals_html(report: ContactReport) -> str:
     """Table of the contacts that the record does not determine, and why."""
     rows = [(unanswered.name, unanswered.reason) for unanswered in report.unanswered]
-    return page.table(("contact", "not told by this record, because"), rows)
+    return page.table(("contact", "not determined by this record, because"), rows)
 
 
 def _figures_html(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
@@ -326,7 +327,7 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
     for nifo in report.nifo:
         for name in nifo.nearly_invisible:
             if name not in {stiffness.contact for stiffness in nifo.stiffness}:
-                yield nifo.equation, name, "not told", "", "on a node of this mode"
+                yield nifo.equation, name, "not determined", "", "on a node of this mode"
 
 
 def _paper_clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
@@ -337,4 +338,4 @@ def _paper_clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str
         yield clearance.contact, method, f"{number(1e3 * clearance.clearance_m.value)} mm"
     for contact in report.contacts:
         if contact.name not in {clearance.contact for clearance in surface.histogram}:
-            yield contact.name, "histogram", "not told"
+            yield contact.name, "histogram", "not determined"

@@ -97,7 +97,7 @@ def _draw_normal_force_over_radius(panel: _Panel) -> None:
     axes, estimate = panel.axes, panel.estimate
     radius_m, normal_n, _ = panel.radius_and_forces
     drawn = slice(None, None, max(1, radius_m.size // MAX_POINTS))
-    axes.plot(1e3 * radius_m[drawn], normal_n[drawn], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
+    axes.plot(1e3 * radius_m[drawn], normal_n[drawn], ".", ms=4, color=GREY, alpha=0.4, label="measured contact force")
     radius_grid_m = np.linspace(0, radius_m.max(), 200)
     law_force_n = estimate.values[STIFFNESS] * np.maximum(radius_grid_m - estimate.values[CLEARANCE], 0)
     axes.plot(1e3 * radius_grid_m, law_force_n, color=BLUE, lw=1.2, label="law found (without damping)")
@@ -128,7 +128,7 @@ def _draw_friction_ratio(panel: _Panel) -> None:
     is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius_m > estimate.values[CLEARANCE])
     speed_m_per_s = ((eta_y * rate_z - eta_z * rate_y) / radius_m)[is_closed]
     friction_ratio = tangential_n[is_closed] / normal_n[is_closed]
-    axes.plot(1e3 * speed_m_per_s, friction_ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
+    axes.plot(1e3 * speed_m_per_s, friction_ratio, ".", ms=4, color=GREY, alpha=0.4, label="measured contact force")
     low_m_per_s, high_m_per_s = np.quantile(speed_m_per_s, [0.005, 0.995]) if is_closed.any() else np.zeros(2)
     grid_m_per_s = np.linspace(low_m_per_s, high_m_per_s, 200)
     friction, sliding_m_per_s = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])

@@ -25,7 +25,7 @@ from rig.model.description import to_json
 
 _CAPTIONS = {
     "orbit": "The relative displacement in its ring, coloured by the contact force.",
-    "radial": "The force across the wall, separated without assuming a law, over the radius, and the law found.",
+    "radial": "The measured force across the wall, without assuming a law, over the radius, and the law found.",
     "ring_surface": "The force across the wall over radius and angle.",
     "friction": "The force along the wall over that across it, and the law found.",
     "nifo": "The stiffness over frequency by NIFO, of each direction in the modal equation in which it varies least. "

@@ -7,7 +7,15 @@ from typing import Literal
 
 import msgspec
 
-from identify.gaps.decision_table import Bounded, Evidence, Strength, Verdict
+from identify.gaps.decision_table import (
+    DIFFERENCE_P_VALUE,
+    NAMED_PROBABILITY,
+    USUAL_P_VALUE,
+    Bounded,
+    Evidence,
+    Strength,
+    Verdict,
+)
 from identify.gaps.rollout.results import Rollout
 from rig.limits import SCHEMA_VERSION
 from rig.model.unmeasured_force import UnmeasuredForce, Value
@@ -20,8 +28,8 @@ class UnexplainedShares(msgspec.Struct, frozen=True, kw_only=True):
     """Shares of the validation record that a rig does not explain, beyond the sensors' noise.
 
     share is the unexplained share of the acceleration's root mean square, contact_shares that of each contact force's;
-    p_value is the probability that tolerances and noise alone leave as much; largest_pull is the largest deviation of
-    a toleranced quantity, in its stated standard deviations.
+    p_value is the probability that tolerances and noise alone leave as much on this record, that of all records being
+    in `Evidence`; largest_pull is the largest deviation of a toleranced quantity, in its stated standard deviations.
     """
 
     share: float
@@ -91,14 +99,18 @@ class Share(msgspec.Struct, frozen=True):
 
 
 class Band(msgspec.Struct, frozen=True, kw_only=True):
-    """Unexplained shares of the acceleration in a frequency band: with the nominal rig, with the likeliest cause, and
-    the 95 % quantile of the null simulations."""
+    """Unexplained shares of the acceleration's root mean square in a frequency band: with the nominal rig, with the
+    likeliest cause, and the upper 95 % limit of the null simulations.
+
+    motion_share is the root mean square of the acceleration in the band over that of the whole motion.
+    """
 
     low_hz: float
     high_hz: float
     before: float
     after: float
     usual: float
+    motion_share: float = 1.0
 
 
 class ResidualMap(msgspec.Struct, frozen=True):
@@ -110,7 +122,7 @@ class ResidualMap(msgspec.Struct, frozen=True):
 
 
 class Attribution(msgspec.Struct, frozen=True, kw_only=True):
-    """Location of the mismatch; the shares of each field sum to one.
+    """Location of the mismatch, as shares of a mean square; those of each field sum to one.
 
     surface is the share by cells of relative displacement and velocity of each contact; without contacts, by those of
     displacement and velocity of each single mass.
@@ -222,6 +234,18 @@ class FailedAnalysis(msgspec.Struct, frozen=True):
     reason: str
 
 
+class Conventions(msgspec.Struct, frozen=True):
+    """Probabilities by which every diagnosis decides, those of its intervals and one-sided bounds, and the share of its
+    power that the band of an unmeasured force holds."""
+
+    difference_p_value: float = DIFFERENCE_P_VALUE
+    usual_p_value: float = USUAL_P_VALUE
+    named_probability: float = NAMED_PROBABILITY
+    interval: float = 0.95
+    bound: float = 0.975
+    force_band: float = 0.9
+
+
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """Difference between the nominal rig and the records, judged on the record that was not fitted.
 
@@ -245,6 +269,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     after: UnexplainedShares
     """Shares with the first cause in the rig; equal to `before` where there is none."""
     matters: Matters
+    conventions: Conventions = Conventions()
     causes: tuple[Cause, ...]
     probability_nothing: float
     probability_unknown: float

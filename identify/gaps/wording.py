@@ -13,7 +13,7 @@ from identify.gaps.results import (
     UnexplainedShares,
 )
 from identify.pages import wording
-from identify.pages.wording import change_words, joined, number, percent
+from identify.pages.wording import change_words, joined, number, p_value_words, percent
 from rig.effects import effects
 from rig.model.unmeasured_force import Value
 
@@ -44,7 +44,7 @@ ANALYSIS_WORDS = {
 }
 """Side analyses that a note may name."""
 PREDICTION_WORDS = {
-    "not_vetoed": "nothing speaks against it",
+    "not_vetoed": "with the named effects the motion is predicted no worse than by rig.json within its tolerances",
     "worse": "the corrected rig predicts worse: no explanation",
     "no_improvement": "the prediction would improve if this were all, and does not: no explanation",
     "no_horizon": "null simulations cannot be predicted either",
@@ -90,6 +90,17 @@ def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def model_p_value_words(p_value: float) -> str:
+    """P-value with its meaning: "p = 0.016: a correct model would look this bad in 1.6 % of tests"."""
+    rate = "fewer than 0.1 %" if p_value < 1e-3 else f"{number(100 * p_value, 2)} %"
+    return f"{p_value_words(p_value)}: a correct model would look this bad in {rate} of tests"
+
+
+def share_words(share: float) -> str:
+    """Unexplained share in per cent; "< 0.1 %" where noise hides it, as no record bounds a share by zero."""
+    return percent(max(share, SMALLEST_SHARE))
+
+
 def bound_words(bound: Bounded) -> str:
     """Quantity that is not bounded, in words: its value, upper bound and limit, or the reason why there are none."""
     if bound.why or bound.value is None:
@@ -101,6 +112,15 @@ def bound_words(bound: Bounded) -> str:
     return f"the {bound.name} ({value} off, {at_most}; three tolerances are {limit})"
 
 
+def unsettled_sentence(bound: Bounded) -> str:
+    """Sentence on a quantity that the records neither bound nor show, and on what would show it."""
+    remedy = f"; {bound.remedy}" if bound.remedy else ""
+    if bound.unit != "1" or bound.upper is None or bound.why or bound.value is None:
+        return f"Not settled: {bound_words(bound)}{remedy}."
+    _, upper, limit = value_bound_and_limit_texts(bound)
+    return f"Not tested to your limit: the error of the {bound.name} is at most {upper}, you asked for {limit}{remedy}."
+
+
 def value_bound_and_limit_texts(bound: Bounded) -> list[str]:
     """Value, upper bound and limit of a quantity in words, lengths in mm; more digits where a bound would else read as
     the limit that it exceeds."""
@@ -110,7 +130,7 @@ def value_bound_and_limit_texts(bound: Bounded) -> list[str]:
         if value is None:
             return "no bound"
         if unit == "1":
-            return f"{100 * value:.{digits}g} %" if digits else percent(value)
+            return f"{100 * value:.{digits}g} %" if digits else share_words(value)
         return f"{number(unit_scale * value, digits or 3)} {unit}"
 
     texts = [words(bound.value), words(bound.upper), words(bound.threshold)]
@@ -205,11 +225,30 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
 
     Without what noise hides, whose share is zero; "< 0.1 % of the motion" if noise hides all.
     """
-    words = [f"{percent(unexplained.share)} of the motion"] if unexplained.share > 0 else []
+    words = [f"{share_words(unexplained.share)} of the motion"] if unexplained.share > 0 else []
     forces = [(name, share) for name, share in unexplained.contact_shares.items() if share > 0]
     for index, (name, share) in enumerate(forces):
         words.append(f"{percent(share)} of {'that' if index else 'the force'} of {name}")
-    return joined(words or [f"{percent(SMALLEST_SHARE)} of the motion"])
+    return joined(words or [f"{share_words(0.0)} of the motion"])
+
+
+def error_change_words(before: UnexplainedShares, after: UnexplainedShares) -> str:
+    """Unexplained shares before and after a correction: "the error of the motion falls from 1.6 % to < 0.1 % and that
+    of the force of contact_1 from 2.1 % to 1.8 %"; without those that noise hides in both."""
+    changes = {"the motion": (before.share, after.share)}
+    changes |= {
+        f"the force of {name}": (share, after.contact_shares[name]) for name, share in before.contact_shares.items()
+    }
+    clauses, last_verb = list[str](), ""
+    for name, shares in changes.items():
+        first, last = map(share_words, shares)
+        verb = "stays" if first == last else "falls" if shares[1] < shares[0] else "rises"
+        if any(shares):
+            course = f"at {last}" if first == last else f"from {first} to {last}"
+            said_verb = "" if verb == last_verb else f"{verb} "
+            clauses.append(f"{'that' if clauses else 'the error'} of {name} {said_verb}{course}")
+            last_verb = verb
+    return joined(clauses or ["no error is seen"])
 
 
 def stays_unexplained_words(gap: Diagnosis) -> str:

@@ -60,6 +60,18 @@ class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
     drift: Estimate | None = None
 
     @property
+    def largest_change(self) -> tuple[int, int, Estimate] | None:
+        """Positions of the first recording that determines it and of the one that differs most from that, and the
+        change, with the own errors of both; None with fewer than two."""
+        known = [(index, value) for index, value in enumerate(self.values) if value is not None]
+        if len(known) < 2:
+            return None
+        first_index, first = known[0]
+        last_index, last = max(known[1:], key=lambda one: abs(one[1] - first))
+        error = np.hypot(self.own_errors[first_index] or 0.0, self.own_errors[last_index] or 0.0)
+        return first_index, last_index, Estimate(last - first, float(error))
+
+    @property
     def changed(self) -> bool:
         return any(p_value is not None and p_value < SIGNIFICANCE_LEVEL for p_value in (self.p_different, self.p_trend))
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from identify.contacts.results import Estimate
 from identify.history.changes import MIN_TREND_COUNT, SIGNIFICANCE_LEVEL, History, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
@@ -28,7 +29,8 @@ WORD_UNIT_FACTOR = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    change_texts = [f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed]
+    names = [observation.name for observation in history.compared]
+    change_texts = [f"{quantity_name(q)} {_change_predicate(q, names)}" for q in history.quantities if q.changed]
     changes_text = "; ".join(change_texts) or "nothing changed by more than chance"
     return f"{len(history.compared)} recordings of {history.rig}: {changes_text}."
 
@@ -37,32 +39,65 @@ def quantity_name(quantity: QuantityHistory) -> str:
     return f"{quantity.of}: {WORD_UNIT_FACTOR[quantity.quantity][0]}"
 
 
-def _change_predicate(quantity: QuantityHistory) -> str:
-    """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
+def _change_predicate(quantity: QuantityHistory, recordings: Sequence[str]) -> str:
+    """Predicate on a quantity that changed: its drift if the trend is significant, else its largest change."""
     if quantity.p_trend is not None and quantity.p_trend < SIGNIFICANCE_LEVEL:
         return f"drifts by {drift_text(quantity)} from the first to the last ({p_value_words(quantity.p_trend)})"
-    return f"differs between recordings ({p_value_words(quantity.p_different or 0.0)})"
+    return f"changes by {change_text(quantity, recordings)} ({p_value_words(quantity.p_different or 0.0)})"
+
+
+def change_text(quantity: QuantityHistory, recordings: Sequence[str]) -> str:
+    """Largest change from the first recording ± 95 %, its recordings, and the value that it has now: "+0.0202 ± 0.0003
+    mm to 0.5204 mm in day3 against day1"."""
+    if quantity.largest_change is None:
+        return ""
+    first_index, last_index, change = quantity.largest_change
+    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
+    value_text = f"{number(unit_factor * (quantity.values[last_index] or 0.0))} {unit}"
+    places_text = f"in {recordings[last_index]} against {recordings[first_index]}"
+    return f"{_signed_interval(quantity, change)} to {value_text} {places_text}"
+
+
+def _signed_interval(quantity: QuantityHistory, change: Estimate) -> str:
+    """Change with its sign and 95 % interval, lengths below a tenth of a millimetre in micrometres."""
+    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
+    if unit == "mm" and abs(change.value) < 1e-4:
+        unit, unit_factor = "µm", 1e6
+    value, error = unit_factor * change.value, unit_factor * change.standard_error
+    words = f"{number(value, 2)} {unit}" if error == 0 else interval(value, error, unit)
+    return "+" * (value > 0) + words
 
 
 def drift_text(quantity: QuantityHistory) -> str:
     """Change along the trend ± 95 %, in its unit and, if smaller than the mean, in per cent of it."""
     if quantity.drift is None:
         return ""
-    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
-    change, standard_error = quantity.drift.value, quantity.drift.standard_error
+    change = quantity.drift.value
     percent_phrase = f" ({100 * change / quantity.mean:+.2g} %)" if abs(change) < abs(quantity.mean) else ""
-    return interval(unit_factor * change, unit_factor * standard_error, unit) + percent_phrase
+    return _signed_interval(quantity, quantity.drift) + percent_phrase
+
+
+QUANTITY_HEADINGS = ("", "mean", "largest change", "p", "first to last, along the trend", "p of the trend")
 
 
 def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
-    """Yield for each quantity its name, mean, change along the trend, p of the trend and p of the differences."""
+    """Yield for each quantity its name, mean, largest change, p of that, change along the trend, and p of the trend."""
+    recordings = [observation.name for observation in history.compared]
     for quantity in history.quantities:
         _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
-        p_texts = (
-            "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
-            for p_value in (quantity.p_trend, quantity.p_different)
+        p_different, p_trend = (
+            "" if p_value is None else p_value_words(p_value).removeprefix("p ").removeprefix("= ")
+            for p_value in (quantity.p_different, quantity.p_trend)
         )
-        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift_text(quantity), *p_texts
+        mean, change = f"{number(unit_factor * quantity.mean)} {unit}", change_text(quantity, recordings)
+        yield quantity_name(quantity), mean, change, p_different, drift_text(quantity), p_trend
+
+
+def quantity_table(history: History) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the quantities, without the columns that are empty."""
+    rows = [*quantity_rows(history)]
+    filled = [0, *(column for column in range(1, len(QUANTITY_HEADINGS)) if any(row[column] for row in rows))]
+    return [QUANTITY_HEADINGS[column] for column in filled], [[row[column] for column in filled] for row in rows]
 
 
 def history_csv(history: History) -> bytes:
@@ -109,7 +144,7 @@ def history_figure(history: History) -> Picture:
                 deviations, half_widths = 100 * (values / series.mean - 1), 100 * COVERED * errors / series.mean
                 style = {"fmt": fmt, "color": colour, "label": series.of, "ms": 4, "lw": 0.8, "capsize": 2}
                 axes.errorbar(x, deviations, half_widths, **style)
-            axes.set_ylabel(f"{WORD_UNIT_FACTOR[quantity][0]}, % off its mean")
+            axes.set_ylabel(f"{WORD_UNIT_FACTOR[quantity][0]} less its mean, % of the mean")
         panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         panels[1].set_xlabel(axis_label)
         if axis_label == ORDER_LABEL:
@@ -138,19 +173,18 @@ def write_page(history: History, figure: Picture, path: Path) -> None:
 def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     """Sections of the page: headings and HTML."""
     caption = (
-        "Every recording's value against the mean of all. Bars: 95 % intervals of the differences between recordings, "
-        "without what rig.json may have wrong, which is the same in all of them."
+        "Every recording's value less the mean of all, in % of that. Bars: 95 % intervals of the differences between "
+        "recordings, without what rig.json may have wrong, which is the same in all of them."
     )
     table_note = (
-        f"<p>± 95 %. A trend is tested from {MIN_TREND_COUNT} recordings on. p is the chance of such a trend, or of "
-        f"such differences, in a machine that does not change, corrected for the number of tests: in one history of "
+        f"<p>± 95 %. A trend is tested from {MIN_TREND_COUNT} recordings on. p is the chance of such a change, or of "
+        f"such a trend, in a machine that does not change, corrected for the number of tests: in one history of "
         f"{1 / SIGNIFICANCE_LEVEL:.0f} any p falls below {SIGNIFICANCE_LEVEL:g} by chance.</p>"
     )
-    headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
     recordings_html = page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history))
     return [
         ("Over the recordings", page.figure("history", figure, caption)),
-        ("What changed", table_note + page.table(headings, quantity_rows(history))),
+        ("What changed", table_note + page.table(*quantity_table(history))),
         ("The recordings", recordings_html),
     ]
 

@@ -9,15 +9,6 @@ COVERED = 1.96
 """Half-width of the 95 % interval of a normal distribution in standard errors."""
 PLAIN_DIGITS = 3
 """Significant digits of a value in a sentence that has no interval. Display."""
-P_VALUE_WORDS = (
-    (0.001, "chance alone would do this in fewer than 1 of 1000 machines"),
-    (0.01, "chance alone would do this in fewer than 1 of 100 machines"),
-    (0.05, "chance alone would do this in fewer than 1 of 20 machines"),
-    (0.2, "chance alone would do this in fewer than 1 of 5 machines"),
-    (0.8, "as likely by chance as not"),
-    (math.inf, "tolerances and noise mostly leave more"),
-)
-"""Words for a p-value below each of these."""
 SMALLEST_P_VALUE = 1e-12
 """Smallest p-value that is written as a number: the tails of no distribution are known further out."""
 LARGEST_LENGTH_RATIO = 100.0
@@ -87,9 +78,8 @@ def joined(words: Sequence[str], conjunction: str = "and") -> str:
 
 
 def p_value_words(p_value: float) -> str:
-    """P-value with its meaning: "p = 0.43: as likely by chance as not", "p < 1e-12: chance alone would do this ..."."""
-    size = f"p < {SMALLEST_P_VALUE:g}" if p_value < SMALLEST_P_VALUE else f"p = {number(p_value, 2)}"
-    return f"{size}: {next(words for limit, words in P_VALUE_WORDS if p_value < limit)}"
+    """P-value as it is written everywhere: "p = 0.43", "p < 1e-12"."""
+    return f"p < {SMALLEST_P_VALUE:g}" if p_value < SMALLEST_P_VALUE else f"p = {number(p_value, 2)}"
 
 
 def record_length_words(length_ratio: float | None) -> str:

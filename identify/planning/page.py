@@ -4,12 +4,16 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 
+from identify.gaps.decision.causes import MILLI_UNITS
+from identify.gaps.wording import spoken_effect
 from identify.pages import page
 from identify.pages.drawing import drawing_html
-from identify.pages.wording import COVERED, interval, number, percent
+from identify.pages.wording import COVERED, interval, joined, number, percent
 from identify.planning.detectable import DetectableEffect
 from identify.planning.expectation import QUANTITIES, ExpectedQuantity
-from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, PlanReport, TriedChange
+from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, PlanReport, TriedChange
+from rig.effects import effects as effect_types
+from rig.effects.base import parameters_of
 from rig.model.description import Rig
 from rig.model.quantities import printed_unit
 
@@ -30,10 +34,10 @@ LIMIT_TEXTS = {
 ADVISED_COUNT = 3
 """Number of changes in the sentence."""
 CONTACT_HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
-CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
+CHANGE_HEAD = ("change", "widest interval", "than without it", "changes most")
 KIND_HEAD = ("effect", "smallest that is named")
 EFFECT_HEAD = ("effect", "at", "smallest that is named", "looks like")
-SENSOR_HEAD = ("without", "widest interval", "times", "changes most")
+SENSOR_HEAD = ("without", "widest interval", "than with it", "changes most")
 
 
 def sentence(plan: PlanReport) -> str:
@@ -42,20 +46,20 @@ def sentence(plan: PlanReport) -> str:
     widest = widest_share(plan)
     clauses = []
     if names:
-        clauses.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
-    clauses += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
+        clauses.append(f"{joined(names)} can be determined, clearance and stiffness to ± {percent(widest)} or better")
+    clauses += [f"{contact.name} cannot be determined by this test ({contact.reason})" for contact in plan.undetermined]
     if plan.advice:
         clauses.append(f"what helps most: {change_sentence(plan.advice[0])}")
     elif plan.changes:
-        clauses.append("of the changes that were tried, none shortens the widest interval by a tenth")
+        clauses.append("of the changes that were tried, none narrows the widest interval by a tenth")
     return "; ".join(clauses) + "."
 
 
 def change_sentence(change: TriedChange) -> str:
     """Change, and what it does to the widest interval or to contacts that are not determined."""
     if change.gained:
-        return f"{change.words}, which tells {', '.join(change.gained)}, too"
-    return f"{change.words}, which makes the widest interval {number(change.widest_factor, 2)} times as long"
+        return f"{change.words}, which determines {joined(change.gained)}, too"
+    return f"{change.words}, which narrows the widest interval by {100 * (1 - change.widest_factor):.0f} %"
 
 
 def widest_share(plan: PlanReport) -> float:
@@ -76,7 +80,7 @@ def annular_contact_sentences(plan: PlanReport) -> Iterator[str]:
         names = [name for name in contact.quantities if name not in QUANTITIES]
         words = [f"{PRINTED_QUANTITIES[name][0]} {_interval_text(contact.quantities[name], name)}" for name in names]
         if names and contact.center_y_m is None:
-            words.append("its centre will not be told")
+            words.append("its centre cannot be determined")
         if words:
             yield f"{contact.name}: {'; '.join(words)}"
 
@@ -92,43 +96,59 @@ def _interval_text(quantity: ExpectedQuantity, quantity_name: str, *, without_un
 def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
     """Row of each change: what, the widest interval, its factor, and the interval that changes most."""
     for change in changes:
-        interval_notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
-        if change.largest and abs(change.largest.factor - 1) > 0.01:
-            interval_notes.append(_factor_text(change.largest))
+        interval_notes = [f"determines {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
+        if (largest := change.largest) and abs(largest.factor - 1) > 0.01:
+            quantity_name, _, _ = PRINTED_QUANTITIES[largest.quantity]
+            interval_notes.append(f"{quantity_name} of {largest.contact}: {_width_change_text(largest.factor)}")
         share_text = f"± {number(100 * change.widest_share, 2)} %"
-        yield change.words, share_text, number(change.widest_factor, 3), "; ".join(interval_notes)
+        yield change.words, share_text, _width_change_text(change.widest_factor), "; ".join(interval_notes)
 
 
-def _factor_text(interval_factor: IntervalFactor) -> str:
-    quantity_name, _, _ = PRINTED_QUANTITIES[interval_factor.quantity]
-    return f"{interval_factor.contact}: {quantity_name} times {number(interval_factor.factor, 2)}"
+def _width_change_text(factor: float) -> str:
+    """Change of an interval's width by a factor: "14 % narrower", "5 % wider", "3.1 times as wide"."""
+    if factor >= 2:
+        return f"{number(factor, 2)} times as wide"
+    share = f"{100 * abs(factor - 1):.0f} %"
+    return "the same" if share == "0 %" else f"{share} {'narrower' if factor < 1 else 'wider'}"
 
 
 def effect_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each effect and place: the smallest size that is named, and what looks like it."""
     for effect in effects:
-        yield effect.effect, effect.place, _size_range_text([effect]), ", ".join(effect.alike)
+        alike = (name.partition(":") for name in effect.alike)
+        alike_words = ", ".join(f"{spoken_effect(kind)} ({place or 'all'})" for kind, _, place in alike)
+        yield spoken_effect(effect.effect), effect.place, _size_range_text([effect]), alike_words
 
 
 def effect_kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each kind of effect: the range over all its places."""
     for kind in dict.fromkeys(effect.effect for effect in effects):
         kind_effects = [effect for effect in effects if effect.effect == kind]
-        yield kind, _size_range_text(kind_effects)
+        yield spoken_effect(kind), _size_range_text(kind_effects)
 
 
 def _size_range_text(effects: Sequence[DetectableEffect]) -> str:
     """Smallest named sizes from the best to the worst place."""
-    unit = "" if effects[0].unit == "1" else f" {printed_unit(effects[0].unit)}"
-    least_size = min((e.least for e in effects if e.least is not None), default=None)
-    if least_size is None:
+    sizes = [size for effect in effects for size in (effect.least, effect.greatest) if size is not None]
+    if not sizes:
         return "none of its range"
-    if any(e.greatest is None for e in effects):
-        return f"{number(least_size, 2)}{unit}, at some places none"
-    greatest_size = max(e.greatest for e in effects if e.greatest is not None)
-    if greatest_size < 1.1 * least_size:
-        return f"{number(least_size, 2)}{unit}"
-    return f"{number(least_size, 2)} to {number(greatest_size, 2)}{unit}"
+    unit_factor, unit = _factor_and_unit(effects[0], max(sizes))
+    least, greatest = (number(unit_factor * size, 2) for size in (min(sizes), max(sizes)))
+    if any(effect.greatest is None for effect in effects):
+        return f"{least}{unit}, at some places none"
+    return f"{least}{unit}" if max(sizes) < 1.1 * min(sizes) else f"{least} to {greatest}{unit}"
+
+
+def _factor_and_unit(effect: DetectableEffect, size: float) -> tuple[float, str]:
+    """Factor and unit in which the sizes of an effect are printed: of a ratio to rig.json per cent."""
+    strength = next(p for p in parameters_of(effect_types()[effect.effect]) if p.neutral is not None)
+    if strength.name == "factor":
+        return 100.0, " %"
+    if effect.unit == "1/min":
+        return 100.0, " % a minute"
+    if effect.unit in MILLI_UNITS and size < 1:
+        return 1e3, f" {MILLI_UNITS[effect.unit]}"
+    return 1.0, "" if effect.unit == "1" else f" {printed_unit(effect.unit)}"
 
 
 def idle_sensor_sentence(plan: PlanReport) -> str:
@@ -179,24 +199,27 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         ]
         for contact in plan.contacts
     }
-    lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}
+    lines |= {contact.name: ("cannot be determined",) for contact in plan.undetermined}
     caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
     advised_sentences = (change_sentence(change) for change in plan.advice[:ADVISED_COUNT])
     sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised_sentences]
     sentences += [f"{contact.name}: {contact.remedy}." for contact in plan.undetermined]
-    no_advice_html = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
-    advice_html = page.list_html(sentences) if sentences else no_advice_html
-    verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
+    advice_html = page.list_html(sentences) if sentences else no_advice_html()
+    verdict = f"{'not ' * bool(plan.undetermined)}all contacts can be determined"
     page.write(
         path,
         title=f"{plan.rig}: plan of a test",
-        answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
+        answer=page.Answer("yellow" if plan.undetermined else "green", verdict, [sentence(plan)]),
         top_blocks=[f"<figure>{drawing_html(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice_html}"],
         sections=_sections(plan),
         folded_sections=_folded_sections(plan),
         foot_text="Made by identify plan; the numbers are in plan.json.",
         sources=sources,
     )
+
+
+def no_advice_html() -> str:
+    return f"<p>No change that was tried narrows the widest interval by {100 * (1 - HELPS_FACTOR):.0f} %.</p>"
 
 
 def _sections(plan: PlanReport) -> list[tuple[str, str]]:
@@ -212,7 +235,9 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)) + rings_html)]
     if plan.undetermined:
         undetermined_rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
-        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), undetermined_rows)))
+        sections.append(
+            ("What cannot be determined", page.table(("contact", "why", "what would help"), undetermined_rows))
+        )
     if plan.effects:
         intro_html = (
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
@@ -226,11 +251,12 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     if plan.changes:
         intro_html = (
             "<p>Each change was simulated and identified under the same draws. Widest interval: the widest of all "
-            "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
-            f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
-            "change.</p>"
+            "clearances and stiffnesses, as a share of the value; a contact that is not determined counts as "
+            f"100 %. A change helps if it narrows that by {100 * (1 - HELPS_FACTOR):.0f} %; less may be chance where "
+            "force, band or place change.</p>"
         )
-        sections.append(("What would help, ranked", intro_html + page.table(CHANGE_HEAD, change_rows(plan.changes))))
+        table_html = page.table(CHANGE_HEAD, change_rows(plan.advice)) if plan.advice else no_advice_html()
+        sections.append(("What would help, ranked", intro_html + table_html))
     if plan.sensors:
         idle_html = f"<p>{escape(idle_sensor_sentence(plan))}</p>" if plan.idle_sensors else ""
         sections.append(("Each sensor left out", idle_html + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
@@ -238,10 +264,16 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
 
 
 def _folded_sections(plan: PlanReport) -> list[tuple[str, str]]:
-    intro = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
+    intro = "<p>Each effect at each of its places, and what the record cannot distinguish from it.</p>"
     table_html = page.table(EFFECT_HEAD, effect_rows(plan.effects))
     effect_sections = [("Which effects would be named, place by place", intro + table_html)] if plan.effects else []
-    return [*effect_sections, *_interval_limit_sections(plan)]
+    idle = [change for change in plan.changes if not change.helps]
+    idle_html = (
+        "<p>Tried, too, on one record each. Of another record the interval may be wider by chance alone.</p>"
+        + page.table(CHANGE_HEAD, change_rows(idle))
+    )
+    idle_sections = [("What would not help", idle_html)] if idle else []
+    return [*idle_sections, *effect_sections, *_interval_limit_sections(plan)]
 
 
 def _interval_limit_sections(plan: PlanReport) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 Notes for maintainers
 1. A change is compared with the unchanged test under the same seeds, on records of at most
    `MAX_TRIED_SAMPLES`: where the motion stays as it is (tolerances, noise, sensors), chance cancels.
-2. Where it does not (force, band, place, duration), one record's interval may be short by chance: all changes are tried
+2. Where it does not (force, band, place), one record's interval may be short by chance: all changes are tried
    under the force whose intervals are usual among several, and the best ones under the others, too.
 3. Medians are taken: a part of one record may tell so little that its interval is several times as long.
 """
@@ -121,7 +121,10 @@ def _tried_changes(
     seed_order = sorted(range(SIMULATION_COUNT), key=lambda index: _widest_interval_share(unchanged[index]))
     usual_index = seed_order.pop(SIMULATION_COUNT // 2)
     first_runs = [_changed_test_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
-    outcome_lists = [[outcome] for outcome in run_all(first_runs, SIMULATION_COUNT)]
+    outcome_lists = [
+        [_of_the_same_record(change, test, unchanged[usual_index], outcome)]
+        for change, outcome in zip(changes, run_all(first_runs, SIMULATION_COUNT), strict=True)
+    ]
     reference = [unchanged[usual_index], *(unchanged[index] for index in seed_order)]
     tried_changes = [
         _tried_change(change, reference[:1], outcomes) for change, outcomes in zip(changes, outcome_lists, strict=True)
@@ -132,9 +135,27 @@ def _tried_changes(
     ]
     further_outcomes = iter(run_all(further_runs, SIMULATION_COUNT + len(changes)))
     for k in finalists:
-        outcome_lists[k] += [next(further_outcomes) for _ in seed_order]
+        outcome_lists[k] += [
+            _of_the_same_record(changes[k], test, unchanged[index], next(further_outcomes)) for index in seed_order
+        ]
         tried_changes[k] = _tried_change(changes[k], reference, outcome_lists[k])
     return tried_changes
+
+
+def _of_the_same_record(
+    change: PlannedChange, test: PlannedTest, before: SimulatedTest, after: SimulatedTest
+) -> SimulatedTest:
+    """Outcome of a change. Of a longer record, what it determines alone; the other intervals are those of the shorter
+    one for longer, as another record's may be wider by chance."""
+    if change.kind != "duration":
+        return after
+    length_ratio = change.test.duration_s / test.duration_s
+    longer = {
+        name: {quantity: parts.for_longer_record(length_ratio) for quantity, parts in quantity_parts.items()}
+        for name, quantity_parts in before.error_parts.items()
+    }
+    refused = {name: refusal for name, refusal in after.refused_contacts.items() if name not in longer}
+    return SimulatedTest({**after.error_parts, **longer}, refused)
 
 
 def _changed_test_run(test: PlannedTest, changed_test: PlannedTest, simulator: str, seed: int) -> SimulationRun:

@@ -184,6 +184,12 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         ]
 
     @classmethod
+    def stations_on(cls, rig: Rig, body_name: str) -> tuple[Station, ...]:
+        """Stations of a body at which the effect acts; empty for one of the whole body, or of a place of its own."""
+        del rig, body_name
+        return ()
+
+    @classmethod
     def with_ranges(cls, **range_by_parameter: tuple[float, float]) -> ParameterSet:
         """The declared parameters, some with other ranges."""
         return parameters_of(cls).with_ranges(range_by_parameter)

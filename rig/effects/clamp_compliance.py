@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.effects.base import Effect
 from rig.errors import RigError
-from rig.model.description import Clamp, Rig
+from rig.model.description import Clamp, Rig, Station
 from rig.model.parameters import Parameter
 
 
@@ -20,6 +20,12 @@ class ClampCompliance(Effect, frozen=True):
     )
     compliance: Annotated[float, Parameter("1", 0.002, 0.3, 0.0)] = 0.03
     beam: str | None = None
+
+    @classmethod
+    def stations_on(cls, rig: Rig, body_name: str) -> tuple[Station, ...]:
+        """Left end of the body, where it is clamped."""
+        del rig
+        return (Station(body_name, 0.0),)
 
     def applied_to(self, rig: Rig) -> Rig:
         if self.compliance <= 0:

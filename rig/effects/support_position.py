@@ -53,6 +53,11 @@ class SupportPosition(Effect, frozen=True):
         del sensors
         return [{"body": body.name} for body in rig.bodies if body.length_m and _supports_or_springs(rig, body.name)]
 
+    @classmethod
+    def stations_on(cls, rig: Rig, body_name: str) -> tuple[Station, ...]:
+        """Stations of the supports or springs that hold the body."""
+        return tuple(support.station for support in _supports_or_springs(rig, body_name))
+
     def supported_body(self, rig: Rig) -> str:
         """Name of the body, by default the first that is supported; raises RigError if there is none."""
         for place in self.placements(rig, ()):

@@ -143,7 +143,7 @@ def told_of_gap(recording: Recording, gap: Gap) -> Told:
     """The verdict and the first cause, if it explains something; of an unmeasured force what it is and where."""
     words: dict[str, str] = {"verdict": gap.verdict}
     numbers = rms_of(recording) | {
-        "p-value of the believed rig": Number(gap.before.p_value),
+        "p-value of the believed rig": Number(gap.evidence.p_value),
         "-2 ln p of the believed rig": Number(gap.nothing_minus_two_log),
         "probability of the believed rig": Number(gap.probability_nothing),
         "probability of something unknown": Number(gap.probability_unknown),

@@ -1,4 +1,4 @@
-"""Causes in gap.json: effects in words ("an added mass of 0.150 ± 0.012 kg on the barrel at 1.000 ± 0.013 m"), with
+"""Causes in gap.json: effects in words ("an added mass of 150 ± 12 g on the barrel at 1.000 ± 0.013 m"), with
 parameters and shares."""
 
 from collections.abc import Sequence
@@ -73,12 +73,12 @@ def _value_words(parameter: Parameter, value: float, standard_error: float) -> s
     if parameter.unit == "1/min":
         return f"{estimate_words(100 * value, 100 * standard_error, '%')} a minute"
     if parameter.unit in MILLI_UNITS and 0 < abs(value) < 1:
-        return estimate_words(1e3 * value, 1e3 * standard_error, f"m{parameter.unit}")
+        return estimate_words(1e3 * value, 1e3 * standard_error, MILLI_UNITS[parameter.unit])
     return estimate_words(value, standard_error, parameter.unit)
 
 
-MILLI_UNITS = ("m", "s")
-"""Units that are stated in thousandths."""
+MILLI_UNITS = {"m": "mm", "s": "ms", "kg": "g"}
+"""Units of values below one that are stated in thousandths."""
 
 
 def _place_words(field: str, place: str | None, rig: Rig) -> str:
@@ -108,13 +108,13 @@ def is_at_limit(parameter: Parameter, parameter_value: float) -> bool:
     return parameter.name != "relative_position" and (is_at_low_end or parameter_value > parameter.high - margin)
 
 
-def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
-    """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
+def unexplained_shares(misfit: Misfit, rig: Rig, null_reference: NullReference) -> UnexplainedShares:
+    """Unexplained shares of a misfit of the validation record, its p-value and the largest deviation of a tolerance."""
     contact_names = [contact.name for contact in rig_with_joined_contacts(rig).contacts]
     return UnexplainedShares(
         share=misfit.unexplained_share,
         contact_shares=dict(zip(contact_names, misfit.unexplained_contact_shares.tolist(), strict=True)),
-        p_value=p_value,
+        p_value=p_value(null_reference, misfit),
         largest_pull=float(np.max(np.abs(misfit.pulls), initial=0.0)),
     )
 
@@ -162,7 +162,7 @@ def cause_of(
         places=places,
         explained=explained_share(*misfit_pair, matters),
         interval_95=explained_share_interval(*misfit_pair, matters),
-        left=unexplained_shares(validated.misfit, validated.rig, p_value(null_reference, validated.misfit)),
+        left=unexplained_shares(validated.misfit, validated.rig, null_reference),
         log_prior=validated.log_prior,
         minus_two_log=validated.misfit.minus_two_log,
     )
@@ -176,6 +176,7 @@ def unexplained_bands(
         nominal_misfit.share_by_band,
         corrected_misfit.share_by_band,
         null_reference.null_share_upper_limits(),
+        np.sqrt(nominal_misfit.power_by_band / max(nominal_misfit.power_by_band.sum(), 1e-300)),
         strict=False,
     )
     return tuple(
@@ -185,8 +186,9 @@ def unexplained_bands(
             before=float(before),
             after=float(after),
             usual=float(usual),
+            motion_share=float(motion_share),
         )
-        for band_index, (before, after, usual) in enumerate(shares_by_band)
+        for band_index, (before, after, usual, motion_share) in enumerate(shares_by_band)
     )
 
 

@@ -5,14 +5,17 @@ from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
     MIN_DESCRIPTION_SHARE,
     MIN_HINT_SHARE,
-    SMALLEST_SHARE,
     between_records_sentence,
     bound_words,
     capitalised,
+    error_change_words,
+    model_p_value_words,
     named_effects_with_look_alikes,
     probability,
+    share_words,
     stays_unexplained_words,
     unexplained_words,
+    unsettled_sentence,
 )
 from identify.pages.wording import joined, number, p_value_words, percent
 
@@ -58,13 +61,13 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
 def _consistent_sentences(gap: Diagnosis) -> list[str]:
     return [
         "The machine is as rig.json says, as far as it matters: "
-        f"{_upper_bound_words(gap.evidence.quantities)}. What is left is no more than tolerances and "
-        f"noise leave ({p_value_words(gap.evidence.p_value)})."
+        f"{_upper_bound_words(gap.evidence.quantities)}. The remaining error is at noise level "
+        f"({model_p_value_words(gap.evidence.p_value)})."
     ]
 
 
 def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
-    p_words = p_value_words(gap.before.p_value)
+    p_words = model_p_value_words(gap.evidence.p_value)
     quantities = gap.evidence.quantities
     unsettled_count = sum(not bound.holds for bound in quantities)
     clause = (
@@ -84,7 +87,7 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
     bounds = _upper_bound_words(gap.evidence.quantities)
     if cause := _named_cause(gap):
         return [f"{_subject(cause)} {_inflected(cause, 'is', 'are')} there, too small to matter: {bounds}."]
-    clause = f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter"
+    clause = f"The machine differs from rig.json ({model_p_value_words(gap.evidence.p_value)}), by too little to matter"
     return [
         f"{clause}: {bounds}. {_no_named_effect_sentence(gap)}",
         *([_force_description(gap, "The difference")] if gap.unknown else []),
@@ -94,7 +97,7 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
 def _explained_sentences(gap: Diagnosis) -> list[str]:
     cause = gap.causes[0]
     explained, them = f"{_subject(cause)} {_inflected(cause, 'explains', 'explain')} the difference", _pronoun(cause)
-    p_words = p_value_words(gap.evidence.p_value)
+    p_words = model_p_value_words(gap.evidence.p_value)
     if not gap.evidence.held_back_shows:
         return [
             f"{explained} ({p_words}), by all records together: the one that was not fitted shows too little of it."
@@ -109,14 +112,13 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
         beyond := _deviating_parameters_sentence(gap)
     ) and not gap.before.contact_shares:  # rings, by their contact fit alone
         return [f"{explained} ({p_words}).", *beyond]
-    chance_words = ""
-    if gap.after.p_value >= USUAL_P_VALUE:
-        chance_words = f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
+    p_value_after = gap.evidence.p_value_after
+    level = "noise level" if p_value_after >= USUAL_P_VALUE else "too little to matter"
     shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
     strain_words = _strained_tolerance_words(gap) if shares_hold else ""
     return [
-        f"{explained}: with {them} the model leaves {unexplained_words(gap.after)} unexplained{chance_words}; without "
-        f"{them} {unexplained_words(gap.before)}{strain_words}{_tolerance_absorption_words(gap)}."
+        f"{explained}: with {them} {error_change_words(gap.before, gap.after)}, {level} "
+        f"({p_value_words(p_value_after)} of what is left){strain_words}{_tolerance_absorption_words(gap)}."
     ]
 
 
@@ -136,7 +138,7 @@ def _tolerance_absorption_words(gap: Diagnosis) -> str:
 def _strained_tolerance_words(gap: Diagnosis) -> str:
     if gap.before.largest_pull < STRAINED_DEVIATIONS:
         return ""
-    return f", with a tolerance off by {number(gap.before.largest_pull, 2)} standard deviations"
+    return f"; without it a tolerance would be off by {number(gap.before.largest_pull, 2)} standard deviations"
 
 
 def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
@@ -151,7 +153,7 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
 
 
 def _unexplained_sentences(gap: Diagnosis) -> list[str]:
-    clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
+    clause = f"The machine differs from rig.json ({model_p_value_words(gap.evidence.p_value)})"
     verdict_sentences = [
         f"{clause}, but noise hides by how much: no motion is left beyond it{_strained_tolerance_words(gap)}."
         if _is_mismatch_below_noise(gap)
@@ -262,24 +264,26 @@ def _ruled_out_sentence(gap: Diagnosis) -> list[str]:
 
 
 def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
-    """Upper bounds: "at most 0.3 % of the motion and less than 0.1 % of the force of contact_1 differ"."""
+    """Upper bounds: "the error of the motion is at most 0.3 % and that of the force of contact_1 less than 0.1 %"."""
     share_bounds = [bound for bound in quantities if bound.unit == "1"]
-    names_by_share: dict[str, list[str]] = {}
-    for bound in share_bounds:
-        if bound.upper is not None:
-            share = percent(max(bound.upper, SMALLEST_SHARE))
-            names_by_share.setdefault(share, []).append(f"of the {bound.name}")
-    words = joined([f"at most {share} {joined(names)}" for share, names in names_by_share.items()]) + " differ"
+    uppers = [(bound.name, bound.upper) for bound in share_bounds if bound.upper is not None]
+    clauses = [f"that of the {name} at most {share_words(upper)}" for name, upper in uppers]
+    words = joined(clauses or ["no error is seen"]).replace("that of the motion", "the error of the motion is", 1)
     if len(quantities) > len(share_bounds):
-        words += ", and no clearance, stiffness or damping by more than three tolerances"
+        words += ", and no clearance, stiffness or damping is off by more than three tolerances"
     return words.replace("at most < ", "less than ")
 
 
 def _undetermined_quantity_sentences(gap: Diagnosis) -> list[str]:
-    """Sentences on quantities that the records neither bound nor show, and on what would show them."""
-    return [
-        f"Not settled: {bound_words(bound)}{f'; {bound.remedy}' if bound.remedy else ''}." for bound in gap.not_seen
-    ]
+    """Sentences on quantities that the records neither bound nor show, and on what would show them: with the named
+    effects where these correct the rig."""
+    bounds = gap.not_seen
+    if gap.verdict in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED):
+        parameters = tuple(bound for bound in bounds if bound.unit != "1")
+        shares = tuple(bound for bound in gap.evidence.quantities_after if bound.unit == "1" and bound.not_seen)
+        # of a part that is left, the verdict's own sentence names the shares
+        bounds = parameters if gap.verdict == Verdict.PARTLY_EXPLAINED else (*shares, *parameters)
+    return [unsettled_sentence(bound) for bound in bounds]
 
 
 def _force_description(gap: Diagnosis, subject: str) -> str:

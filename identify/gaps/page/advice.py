@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from identify.gaps.decision_table import USUAL_P_VALUE, Verdict
-from identify.gaps.results import Gap
+from identify.gaps.results import Band, Gap
 from identify.gaps.wording import (
     MIN_DESCRIPTION_SHARE,
     MIN_HINT_SHARE,
@@ -67,13 +67,22 @@ def _record_difference_steps(gap: Gap) -> list[str]:
 
 
 def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
-    """Frequency ranges, widest first, whose unexplained share exceeds what matters and what null simulations leave."""
-    ranges_hz: list[tuple[float, float]] = []
-    for band in gap.bands:
-        if band.after <= max(band.usual, gap.matters.motion):
+    """Frequency ranges, widest first, whose bands all leave more than null simulations do and together a share of the
+    whole motion that matters; none where the whole rest does not matter or is at noise level."""
+    is_motion_left = gap.after.share > gap.matters.motion and gap.evidence.p_value_after < USUAL_P_VALUE
+    bands_by_range: list[list[Band]] = []
+    for band in gap.bands if is_motion_left else ():
+        if band.after <= band.usual:
             continue
-        is_adjacent = ranges_hz and band.low_hz - ranges_hz[-1][1] < BRIDGED_HZ
-        ranges_hz.append((ranges_hz.pop()[0] if is_adjacent else band.low_hz, band.high_hz))
+        if bands_by_range and band.low_hz - bands_by_range[-1][-1].high_hz < BRIDGED_HZ:
+            bands_by_range[-1].append(band)
+        else:
+            bands_by_range.append([band])
+    ranges_hz = [
+        (bands[0].low_hz, bands[-1].high_hz)
+        for bands in bands_by_range
+        if math.hypot(*(band.after * band.motion_share for band in bands)) > gap.matters.motion
+    ]
     return sorted(ranges_hz, key=lambda range_hz: range_hz[0] - range_hz[1])
 
 
@@ -144,8 +153,8 @@ def _small_steps(gap: Gap) -> list[str]:
 
 def _explained_steps(gap: Gap) -> list[str]:
     effects = "effect" if len(gap.causes[0].named) == 1 else "effects"
-    remainder = "Nothing else needs an explanation: what is left is what tolerances and noise leave."
-    if gap.after.p_value < USUAL_P_VALUE:
+    remainder = "Nothing else needs an explanation: the remaining error is at noise level."
+    if gap.evidence.p_value_after < USUAL_P_VALUE:
         remainder = (
             f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, but too little to "
             "matter."
@@ -204,13 +213,15 @@ def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
     if unknown.explained < MIN_HINT_SHARE:
         return []
     if unknown.explained < MIN_DESCRIPTION_SHARE:
-        hint_words = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
+        share = percent(unknown.explained)
+        hint_words = f"Take this as a hint, as it explains only {share} of the mean square of what is left: "
         return [f"{hint_words}look at {_suspect_words(unknown)}."]
     if unknown.kind == "sensor":
         return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "contact":
+        frequency = number(unknown.frequency_hz or 0.0)
         return [
-            f"Look at the stops of {unknown.contact}: what turns or shakes at {unknown.frequency_hz or 0.0:.1f} Hz?",
+            f"Look at the stops of {unknown.contact}: what turns or shakes at {frequency} Hz?",
             "Measure the clearance while the machine stands still, in several positions of what turns.",
         ]
     if unknown.kind == "distributed":
@@ -222,7 +233,7 @@ def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
     if unknown.frequency_hz is not None:
         steps.append(
             f"Record without the exciting force and switch motors and mains supplies off one by one: find what runs at "
-            f"{unknown.frequency_hz:.1f} Hz."
+            f"{number(unknown.frequency_hz)} Hz."
         )
     elif unknown.against in _STEP_BY_ARGUMENT:
         steps.append(_STEP_BY_ARGUMENT[unknown.against])

@@ -18,7 +18,6 @@ from identify.gaps.wording import (
     value_bound_and_limit_texts,
 )
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
-from identify.pages.wording import percent
 
 DrawFunction = Callable[[Any], None]
 
@@ -82,11 +81,9 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
     for label, colour, line_width, line_style, band_shares in drawn_curves:
         line_options = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
         axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, **line_options)
-    limit_label = f"matters above {percent(gap.matters.motion)} (whole motion)"
-    axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=limit_label)
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(band_edges_hz[0], band_edges_hz[-1])
-    axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
+    axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the band's rms, %")
     figure.legend(loc="outside upper center", ncols=2)
 
 
@@ -148,9 +145,9 @@ def _draw_removed_shares(figure: Any, gap: Gap) -> None:
     axes = _bar_axes(figure, names, removed, [""] * len(causes), BLUE)
     for row, (lower, upper) in enumerate(intervals):
         axes.plot([lower, upper], [row, row], color=INK, lw=2.0, marker="|", ms=8)
-    axes.set(xlim=(0, 105), xticks=range(0, 101, 25), xlabel="share of the difference that it closes, %")
+    axes.set(xlim=(0, 105), xticks=range(0, 101, 25), xlabel="share of the difference that it removes, %")
     axes.set_ylim(len(causes) - 0.4, -0.6)
-    figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
+    figure.suptitle("What each cause removes, with its 95 % interval", fontsize=10)
 
 
 def _draw_experiments(figure: Any, gap: Gap) -> None:
@@ -215,7 +212,7 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
     names, labels = map(_shortened_name, share_by_part), [f"{value:.1f}" for value in percents]
     axes = _bar_axes(figure, list(names), percents, labels, BLUE)
     axes.margins(x=0.18)
-    axes.set(xlabel="share of the difference, %")
+    axes.set(xlabel="share of the mean square, %")
     figure.suptitle(title, fontsize=10)
 
 
@@ -227,7 +224,7 @@ def _draw_shares_by_range(figure: Any, shares: Sequence[Share], title: str, x_la
     names = [_shortened_name(f"{share.begin:.3g} to {share.end:.3g}") for share in shares]
     axes.set_xticks(bars[labelled], names[labelled], rotation=40, ha="right", rotation_mode="anchor")
     axes.grid(axis="x", visible=False)
-    axes.set(xlabel=x_label, ylabel="share of the difference, %", title=title)
+    axes.set(xlabel=x_label, ylabel="share of the mean square, %", title=title)
 
 
 def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, float]]) -> None:
@@ -245,7 +242,7 @@ def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, flo
         axes.margins(y=0.22)
         axes.set_title(_shortened_name(body_name), loc="left", fontsize=9)
     body_axes[-1].set_xlabel("distance from the left end, m")
-    body_axes[0].set_ylabel("share of the difference, %")
+    body_axes[0].set_ylabel("share of the mean square, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
@@ -255,7 +252,7 @@ def _draw_residual_map(figure: Any, residual_map: ResidualMap, contact_name: str
     drawn_percents = np.where(percents > 0, percents, np.nan).T
     eta_mm = 1e3 * np.array(residual_map.eta_m)
     mesh = axes.pcolormesh(eta_mm, residual_map.rate_m_per_s, drawn_percents, cmap="viridis_r")
-    figure.colorbar(mesh, label="share of the difference, %")
+    figure.colorbar(mesh, label="share of the mean square, %")
     axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened_name(contact_name)}")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from identify.gaps.decision.sentence import sentences
 from identify.gaps.decision_table import Verdict
-from identify.gaps.page.screen import colour
+from identify.gaps.page.screen import COLOUR_BY_VERDICT
 from identify.gaps.page.sections import (
     cause_tables_html,
     decision_html,
@@ -37,21 +37,22 @@ from identify.pages.machine import DrawnMark
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from identify.pages.wording import change_words, estimate_words, number, percent
+from rig.effects import effects
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, Station, to_json
 from rig.model.layout import station_named
 
 CAPTION_BY_FIGURE = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
-    "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
+    "The bar is the gain of the logarithm of odds that is expected, the mean over which of them is true. "
     "Grey: the same setting again.",
-    "large_bands": "The share of the mean square of the acceleration that each rig leaves unexplained, in bands of "
-    "frequency. Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share "
-    "of the whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
-    "decided_quantities": "What decides: the difference in the motion and the contact forces, as a share of the mean "
-    "square (1 % is a tenth of the amplitude), and in the contact parameters. A line goes to the upper end of the 95 % "
-    "interval, or to the right edge where nothing bounds it. A quantity is settled as too small to matter if its line "
-    "ends left of the dashed one, at its limit. Differences below a hundredth of the limit stand at a hundredth.",
+    "large_bands": "The error in each band of frequency: the share of the rms of the acceleration there that a rig "
+    "leaves unexplained. Tolerances and noise alone stay below the dotted line in 95 % of cases. Where a curve is "
+    "missing, noise hides the error.",
+    "decided_quantities": "What decides: the error of the motion and of the contact forces (the unexplained share of "
+    "the rms), and how far the contact parameters are off. A line goes to the 97.5 % upper bound, or to the right edge "
+    "where nothing bounds it. A quantity is settled as too small to matter if its line ends left of the dashed one, at "
+    "its limit. Differences below a hundredth of the limit stand at a hundredth.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
     "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "
@@ -118,19 +119,24 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     """
     is_doubtful = gap.evidence.vetoed and gap.verdict == Verdict.UNEXPLAINED
     for cause in gap.causes[:1]:
-        for label, effect_words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
+        for effect, label, words, strength in zip(
+            cause.effects, cause.labels, cause.words, cause.strengths, strict=True
+        ):
             if not strength.is_named:
                 continue
             position_share = cause.parameters.get(f"{label}.relative_position")
             names = [name.removesuffix(IN_Z) for key, name in cause.places.items() if key.partition(".")[0] == label]
-            of_whole_body = position_share is None and any(body.name in names and body.length_m for body in rig.bodies)
-            length_share = 0.5 if position_share is None else position_share.value
-            station = next(filter(None, (station_named(rig, name, length_share) for name in names)), None)
-            is_on_all = cause.places.get(f"{label}.contact") == "all"
-            stations = [station] if station else [contact.at for contact in rig.contacts if is_on_all]
+            beam_names = [body.name for body in rig.bodies if body.name in names and body.length_m]
+            stations = [station for name in beam_names for station in effects()[effect].stations_on(rig, name)]
+            of_whole_body = not stations and position_share is None and bool(beam_names)
+            if not stations:
+                length_share = 0.5 if position_share is None else position_share.value
+                stations = [*filter(None, (station_named(rig, name, length_share) for name in names))][:1]
+            if not stations and cause.places.get(f"{label}.contact") == "all":
+                stations = [contact.at for contact in rig.contacts]
             for index, station in enumerate(stations):
-                words = "likewise" if index else f"{'doubtful: ' * is_doubtful}{effect_words}"
-                yield DrawnMark(station, words, of_whole_body=of_whole_body)
+                mark_words = "likewise" if index else f"{'doubtful: ' * is_doubtful}{words}"
+                yield DrawnMark(station, mark_words, of_whole_body=of_whole_body)
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -142,7 +148,7 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     if unknown is None or unknown.explained < MIN_HINT_SHARE:
         return
     is_hint = unknown.explained < MIN_DESCRIPTION_SHARE
-    hint = f"a hint (explains {percent(unknown.explained)}): " * is_hint
+    hint = f"a hint (explains {percent(unknown.explained)} of the mean square): " * is_hint
     if (name := unknown.contact or unknown.sensor) and (station := station_named(rig, name)):
         fault = "clearance that swings" if unknown.contact else "fault of the sensor"
         yield DrawnMark(station, f"{hint}{name}: {fault}", is_hint)
@@ -212,11 +218,10 @@ def write_page(
     sections.append(("Where does it lie?", "where", location_html(gap.attribution)))
     if gap.notes:
         sections.append(("What could not be computed", "notes", failed_analyses_html(gap)))
-    page_colour = "yellow" if findings and colour(gap) == "green" else colour(gap)
     page.write(
         path,
         title=title,
-        answer=page.Answer(page_colour, verdict_words(gap), sentences(gap)),
+        answer=page.Answer(COLOUR_BY_VERDICT[gap.verdict], verdict_words(gap), sentences(gap)),
         top_blocks=[first_column, second_column],
         sections=[("Which further recording?", experiment_figures)] if experiment_figures else [],
         folded_sections=[
@@ -275,7 +280,7 @@ def curves(gap: Gap) -> dict[str, Table]:
         "high_hz": "to Hz",
         "before": "unexplained by the model as it is",
         "after": "unexplained with the likeliest cause",
-        "usual": "nineteen of twenty null simulations stay below",
+        "usual": "95 % of null simulations stay below",
     }
     bands = {heading: np.array([getattr(band, field) for band in gap.bands]) for field, heading in headings.items()}
     return {"bands": bands} if gap.bands else {}

@@ -16,7 +16,6 @@ from identify.gaps.wording import (
     probability,
     remaining_probabilities,
     removed_share_words,
-    reservation_words,
     unexplained_words,
     verdict_words,
 )
@@ -36,14 +35,10 @@ MAX_CAUSES = 5
 """Causes shown one by one at most."""
 
 
-def colour(gap: Gap) -> Colour:
-    return "yellow" if reservation_words(gap) else COLOUR_BY_VERDICT[gap.verdict]
-
-
 def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
     renderables: list[RenderableType] = [
-        Text.assemble((verdict_words(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
+        Text.assemble((verdict_words(gap), f"bold {COLOUR_BY_VERDICT[gap.verdict]}"), ": ", gap.sentence),
         _cause_table(gap),
     ]
     if gap.unknown:
@@ -81,7 +76,7 @@ def _cause_table(gap: Gap) -> RenderableType:
 
 
 def _cause_text(cause: Cause) -> str:
-    """Name of a cause, what it closes and leaves, and its parameters, a line each, unless it is unlikely."""
-    name_line = f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}"
+    """Name of a cause, what it removes and leaves, and its parameters, a line each, unless it is unlikely."""
+    name_line = f"{cause_name(cause)}: removes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}"
     parameters = cause.parameters if cause.probability > RIVAL_PROBABILITY else {}
     return "\n".join([name_line, *(f"  {name} {interval(value)}" for name, value in parameters.items())])

@@ -6,7 +6,14 @@ from html import escape
 from msgspec.structs import replace
 
 from identify.gaps import wording
-from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded
+from identify.gaps.decision_table import (
+    DIFFERENCE_P_VALUE,
+    NAMED_PROBABILITY,
+    USUAL_P_VALUE,
+    Bounded,
+    Evidence,
+    are_all_below_threshold,
+)
 from identify.gaps.page.advice import MAX_RANGES, next_steps, place, range_words, unexplained_ranges_hz
 from identify.gaps.results import (
     Attribution,
@@ -54,21 +61,19 @@ def mismatch_size_html(gap: Gap) -> str:
     contact_names = list(gap.before.contact_shares)
     signal_names = ["the motion", *(f"the force of {name}" for name in contact_names)]
     limits = [percent(share) for share in (gap.matters.motion, *[gap.matters.contact] * len(contact_names))]
-    header, columns = ["unexplained share of", "the model as it is"], [_share_words(gap.before)]
+    header, columns = ["error of", "the model as it is"], [_share_words(gap.before)]
     is_explained = bool(gap.causes) and is_effective(gap.causes[0])
     if is_explained:
         header.append("with the likeliest cause")
         columns.append(_share_words(gap.after))
     html = (
-        "<p>The share of a signal's rms that the model does not explain, beyond sensor noise, on the validation "
-        "record: no parameter was fitted to it.</p>"
+        "<p>Error: the share of a signal's rms that the model does not explain, beyond sensor noise, on the record "
+        "held back, to which no parameter was fitted.</p>"
     )
     html += page.table((*header, "what matters"), zip(signal_names, *columns, limits, strict=True))
-    html += f"<p>{escape(_p_value_sentence('The model as it is', gap.before))}"
-    html += f" {escape(_p_value_sentence('With the likeliest cause, it', gap.after))}</p>" if is_explained else "</p>"
     if ranges_hz := unexplained_ranges_hz(gap)[:MAX_RANGES]:
         words = range_words(ranges_hz)
-        html += f"<p>From {words} the rest is more than null simulations leave, and enough to matter.</p>"
+        html += f"<p>From {words} the rest is more than tolerances and noise leave, and enough to matter.</p>"
     if gap.channel_faults:
         html += "<h3>Channels left out</h3>" + page.table(("channel", "fault"), gap.channel_faults.items())
     return html
@@ -79,12 +84,12 @@ def cause_tables_html(gap: Gap) -> str:
     top_causes, further_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
     contact_names = list(gap.before.contact_shares)
     leaves = ("leaves of the motion", *(f"leaves of {name}" for name in contact_names))
-    header = ("cause", "probability", "closes", *leaves)
+    header = ("cause", "probability", "removes", *leaves)
     remaining = remaining_probabilities(gap, MAX_CAUSES)
     remaining_rows = [(words, probability(p), *[""] * (2 + len(contact_names))) for words, p in remaining]
     html = (
         "<p>Each row is a set of effects from the library, or no effect, or something unmeasured; the probabilities "
-        "sum to one. A cause closes the share by which its effects make the difference on the validation record "
+        "sum to one. A cause removes the share by which its effects make the difference on the validation record "
         "smaller while what the tolerances leave open stays as it is (95 % interval in brackets).</p>"
     )
     html += page.table(header, [*map(_cause_row, top_causes), *remaining_rows])
@@ -92,7 +97,7 @@ def cause_tables_html(gap: Gap) -> str:
         html += "<h3>What these records can hardly tell apart</h3>"
         html += page.list_html(" / ".join([effect, *look_alikes]) for effect, look_alikes in alternatives)
     if effective := [cause for cause in top_causes if is_effective(cause)]:
-        html += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"
+        html += "<h3>Parameters and places</h3><p>± is the half-width of the 95 % interval.</p>"
         html += "".join(map(_parameter_table, effective))
     if judged := (*(cause for cause in top_causes if not is_effective(cause)), *further_causes):
         further_table = page.table(header, map(_cause_row, further_causes)) if further_causes else ""
@@ -108,7 +113,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Is there a difference?",
             _yes_no(criteria.differs),
-            f"{p_value_words(evidence.p_value)}. Yes below {DIFFERENCE_P_VALUE:g}",
+            f"{p_value_words(evidence.p_value)} of all records; yes below {DIFFERENCE_P_VALUE:g}",
         ),
         (
             "Is it certainly too small to matter?",
@@ -123,8 +128,7 @@ def decision_html(gap: Gap) -> str:
         (
             "Does it explain enough?",
             _yes_no(criteria.enough) if criteria.named else "",
-            f"what is left has {p_value_words(evidence.p_value_after)}. Yes from {USUAL_P_VALUE:g} on, or if it is "
-            "certainly too small to matter",
+            _enough_words(evidence) if criteria.named else "",
         ),
     ]
     verdict = escape(VERDICT_WORDS[gap.verdict])
@@ -141,6 +145,14 @@ def decision_html(gap: Gap) -> str:
         ]
         html += "<h3>Effects</h3>" + page.table(("effect", "probability", ""), effects)
     return html
+
+
+def _enough_words(evidence: Evidence) -> str:
+    """What decides whether the named effects explain enough: a certainly small rest, else its p-value."""
+    p_words = f"{p_value_words(evidence.p_value_after)} of what is left"
+    if are_all_below_threshold(evidence.quantities_after):
+        return f"yes, as every upper bound of what is left is below its limit ({p_words})"
+    return f"{p_words}; yes from {USUAL_P_VALUE:g} on, or if every upper bound of what is left is below its limit"
 
 
 def _yes_no(answer: bool) -> str:
@@ -163,7 +175,7 @@ def prediction_html(rollout: Rollout) -> str:
     floor_words = (
         "rig.json errs no more than null simulations do"
         if errors.is_within_null_errors
-        else f"the corrected rig closes {percent(errors.shrunk or 0.0)} of what exceeds null simulations"
+        else f"the corrected rig removes {percent(errors.shrunk or 0.0)} of the mean square beyond null simulations"
     )
     rows = [
         ("rig.json", percent(errors.nominal)),
@@ -182,9 +194,9 @@ def record_differences_html(between: RecordDifferences) -> str:
         header = ("parameter", "place", *(f"record {title}" for title in between.records), "", "p-value")
         html += page.table(header, map(_comparison_row, comparisons))
         html += (
-            "<p>Each record's own value ± 1.96 standard errors beside the mean of all records: tolerances of the rig "
-            "are shared and not in them. p-value: how often records of an unchanged machine differ as much; of what "
-            f"differs, times the {between.looked_at} effects looked at.</p>"
+            "<p>Each record's own value with the half-width of its 95 % interval beside the mean of all records: "
+            "tolerances of the rig are shared and not in it. p-value: how often records of an unchanged machine differ "
+            f"as much; of what differs, times the {between.looked_at} effects looked at.</p>"
         )
     if between.cause_p_value is not None:
         agree = "agree" if between.cause_p_value >= USUAL_P_VALUE else "do not agree"
@@ -253,8 +265,8 @@ def location_html(attribution: Attribution) -> str:
             largest_rows.append((division, largest, percent(shares[largest])))
             all_rows += [(division, part, percent(share)) for part, share in shares.items()]
     return (
-        "<p>What the model as it is leaves unexplained, divided in several ways: the largest share of each. The shares "
-        "of one way sum to 100 %.</p>"
+        "<p>The mean square of what the model as it is leaves unexplained, divided in several ways: the largest share "
+        "of each. The shares of one way sum to the whole.</p>"
         + page.table(("by", "largest", "share"), largest_rows)
         + f"<details><summary>All shares</summary>{page.table(('by', 'part', 'share'), all_rows)}</details>"
     )
@@ -266,14 +278,7 @@ def failed_analyses_html(gap: Gap) -> str:
 
 
 def _share_words(unexplained: UnexplainedShares) -> list[str]:
-    return [percent(share) for share in (unexplained.share, *unexplained.contact_shares.values())]
-
-
-def _p_value_sentence(rig_words: str, unexplained: UnexplainedShares) -> str:
-    """Sentence on the p-value of the unexplained shares."""
-    amount = "what" if unexplained.p_value >= USUAL_P_VALUE else "more than"
-    frequency = f"they alone would leave as much in {percent(unexplained.p_value)} of all cases (the p-value)"
-    return f"{rig_words} leaves {amount} tolerances and noise explain: {frequency}."
+    return [wording.share_words(share) for share in (unexplained.share, *unexplained.contact_shares.values())]
 
 
 def _cause_row(cause: Cause) -> tuple[str, ...]:
@@ -283,7 +288,7 @@ def _cause_row(cause: Cause) -> tuple[str, ...]:
 def _comparison_row(comparison: ParameterByRecord) -> tuple[str, ...]:
     trend = comparison.trend if comparison.trend != "none" else ""
     values = (interval(value) for value in comparison.values)
-    return comparison.parameter, comparison.place, *values, trend, percent(comparison.p_value)
+    return comparison.parameter, comparison.place, *values, trend, p_value_words(comparison.p_value)
 
 
 def _parameter_table(cause: Cause) -> str:

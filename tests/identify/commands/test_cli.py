@@ -153,7 +153,7 @@ def test_a_contact_that_is_not_told_is_no_failure(identify, simulate, tmp_path):
     path = simulate(Sdof(duration_s=20.0, step_s=2.0**-12, rms_n=0.01), tmp_path / "weak.mcap")
     status, out, err = identify("contact", path, "--use", "displacement", "--out", tmp_path / "results")
     assert (status, err) == (0, "")
-    assert "stop: not told by this record: " in out
+    assert "stop: not determined by this record: " in out
     report = msgspec.json.decode((tmp_path / "results" / "contact.json").read_bytes(), type=ContactReport)
     assert report.contacts == ()
     assert [u.name for u in report.unanswered] == ["stop"]

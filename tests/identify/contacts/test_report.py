@@ -71,7 +71,7 @@ def test_the_answer_says_whether_the_reference_agrees(identification, tmp_path):
     lower_m, upper_m = 1.1 * contact.law.lower_clearance_m, 1.1 * contact.law.upper_clearance_m
     wide = msgspec.structs.replace(contact.law, lower_clearance_m=lower_m, upper_clearance_m=upper_m)
     for law, expected in (
-        (contact.law, "Every 95 % interval holds the rig.json value."),
+        (contact.law, "Every rig.json value lies inside its 95 % interval."),
         (
             wide,
             "These rig.json values lie outside the 95 % intervals: clearance, lower clearance and upper clearance of "

@@ -240,7 +240,7 @@ def gap(causes, nothing, unknown, before=BEFORE, after=SMALL, hidden="", **more)
     """The verdict follows from what is left before and after."""
     strengths = causes[0].strengths if causes else ()
     evidence = Evidence(
-        p_value=before.p_value,
+        p_value=more.pop("p_value", before.p_value),
         quantities=quantities(before, hidden=hidden),
         strengths=strengths,
         p_value_after=after.p_value,

@@ -71,7 +71,7 @@ def test_the_nominal_rig_is_consistent_within_what_matters(null_reference):
     (_, force_of_stop, *_) = gap.evidence.quantities
     assert 0.03 < force_of_stop.upper < 0.05
     assert corrected == RIG
-    assert gap.before.p_value > 0.01
+    assert gap.evidence.p_value > 0.01
     assert gap.notes == ()
     assert gap.probability_nothing > 0.5
 

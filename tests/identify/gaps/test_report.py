@@ -26,6 +26,7 @@ from identify.gaps.wording import (
     named_effects_with_look_alikes,
     probability,
     removed_share_words,
+    share_words,
     unexplained_words,
 )
 from identify.pages.drawing import drawing_html
@@ -34,7 +35,8 @@ from identify.pages.page import unbroken_html
 from identify.pages.style import picture
 from identify.pages.wording import number, p_value_words, percent
 from rig.errors import RigError
-from rig.model.description import from_json
+from rig.model.components import Support
+from rig.model.description import Station, from_json
 from rig.model.unmeasured_force import MeanForce, Value
 from tests.identify.gaps import diagnoses
 from tests.identify.test_structure import as_data
@@ -106,7 +108,7 @@ def test_every_number_is_on_the_page(written):
     gap, _, page, _ = written
     said = {percent(gap.matters.motion), probability(gap.probability_nothing), probability(gap.probability_unknown)}
     lefts = [gap.before, *(cause.left for cause in gap.causes)]
-    said |= {percent(s) for left in lefts for s in (left.share, *left.contact_shares.values())}
+    said |= {share_words(s) for left in lefts for s in (left.share, *left.contact_shares.values())}
     for cause in gap.causes:
         said |= {probability(cause.probability), removed_share_words(cause), *cause.places.values(), *cause.parameters}
         said |= {interval(v) for v in cause.parameters.values()}
@@ -117,14 +119,14 @@ def test_every_number_is_on_the_page(written):
     said |= {" / ".join([words, *others]) for words, others in named_effects_with_look_alikes(gap)} | set(
         next_steps(gap)
     )
-    said |= {percent(x) for q in gap.evidence.quantities for x in (q.value, q.upper) if q.upper is not None}
+    said |= {share_words(x) for q in gap.evidence.quantities for x in (q.value, q.upper) if q.upper is not None}
     said |= {words for cause in gap.causes[:1] for words in cause.words}
     if gap.rollout:
         said |= {percent(gap.rollout.whole.nominal), percent(gap.rollout.whole.corrected)}
     said |= set(gap.channel_faults) | set(gap.channel_faults.values())
     if gap.between:
         for one in (*gap.between.cause, *gap.between.differing):
-            said |= {one.parameter, one.place, percent(one.p_value), *(interval(v) for v in one.values)}
+            said |= {one.parameter, one.place, p_value_words(one.p_value), *(interval(v) for v in one.values)}
         said |= {f"record {name}" for name in gap.between.records} | {"grows"}
         differs = "contact_clearance.factor (contact_2) grows (1.0060 ± 0.0039, 1.0060 ± 0.0039, 1.0870 ± 0.0039)"
         assert f"Between the records, {differs}." in gap.sentence
@@ -134,7 +136,6 @@ def test_every_number_is_on_the_page(written):
     assert said <= set(page.texts)
     text = " ".join(page.texts)
     assert p_value_words(gap.evidence.p_value) in text
-    assert f"they alone would leave as much in {percent(gap.before.p_value)} of all cases" in text
 
 
 def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
@@ -224,11 +225,8 @@ def test_findings_say_that_the_check_knows_no_unmeasured_tone(gaps):
 
 
 @pytest.mark.parametrize(("name", "stands_on_top"), [("explained", False), ("consistent", True)])
-def test_findings_of_the_check_turn_the_page_amber_and_stand_behind_a_certain_difference(
-    gaps, tmp_path, name, stands_on_top
-):
+def test_findings_of_the_check_stand_behind_a_certain_difference(gaps, tmp_path, name, stands_on_top):
     html = html_of(gaps[name], tmp_path, findings=("barrel_6 is upside down <",))
-    assert f'<div class="verdict yellow"><b>{name}' in html
     assert (html.index("barrel_6 is upside down &lt;") < html.index("What to do next")) == stands_on_top
 
 
@@ -407,7 +405,7 @@ def test_what_explains_little_is_marked_as_a_hint_or_not_at_all(gaps, rig_of):
     gap = gaps["unexplained"]
     for explained, begin in (
         (0.6, ["unmeasured force"]),
-        (0.3, ["a hint (explains 30.0 %): unmeasured force"]),
+        (0.3, ["a hint (explains 30.0 % of the mean square): unmeasured force"]),
         (0.05, []),
     ):
         drawn = marks(replace(gap, unknown=replace(gap.unknown, explained=explained)), rig_of(gap))
@@ -442,3 +440,23 @@ def test_the_exported_curves_are_those_of_the_page(diagnosis):
     assert list(tables) == ["bands"] * bool(diagnosis.bands)
     if diagnosis.bands:
         np.testing.assert_array_equal(tables["bands"]["from Hz"], [band.low_hz for band in diagnosis.bands])
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "positions_m"),
+    [
+        ("support_position", "body", [0.3, 0.9]),
+        ("clamp_compliance", "beam", [0.0]),
+        ("youngs_modulus", "beam", [0.5]),
+    ],
+)
+def test_a_support_is_marked_where_it_stands(gaps, rig_of, effect, place, positions_m):
+    """It was marked in the middle of its beam, as a change of the whole body is."""
+    rig = rig_of(gaps["explained"])
+    supports = tuple(Support(station=Station("cradle", x_m)) for x_m in (0.3, 0.9))
+    rig = replace(rig, supports=supports)
+    (cause, *others) = gaps["explained"].causes
+    cause = replace(cause, effects=(effect,), places={f"{effect}.{place}": "cradle"}, parameters={})
+    drawn = marks(replace(gaps["explained"], causes=(cause, *others)), rig)
+    assert [mark.station for mark in drawn] == [Station("cradle", x_m) for x_m in positions_m]
+    assert [mark.of_whole_body for mark in drawn] == [effect == "youngs_modulus"] * len(positions_m)

@@ -13,7 +13,7 @@ import identify
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
 from identify.history.changes import SIGNIFICANCE_LEVEL, Observation, history_of
 from identify.history.observations import sources_in
-from identify.history.page import history_csv, history_figure, sentence, write_page
+from identify.history.page import history_csv, history_figure, quantity_table, sentence, write_page
 from rig.effects.contact_clearance import ContactClearance
 from rig.errors import RigError
 from rig.files import write_json
@@ -86,6 +86,25 @@ def test_a_change_between_two_is_found_although_their_intervals_overlap():
     result = history(1, (1.0, 1.003))
     assert changed(result) == [("contact_2", "clearance_m")]
     assert 1.96 * np.hypot(OWN, SHARED) > 0.003
+
+
+def test_a_change_is_said_with_its_size_and_the_value_it_leads_to():
+    result = history(1, (1.0, 1.003))
+    worn = next(q for q in result.quantities if q.changed)
+    _, _, change = worn.largest_change
+    assert abs(change.value - 3e-6) < 1.96 * change.standard_error
+    half = 1.96e6 * np.hypot(*worn.own_errors)
+    said = f"contact_2: clearance changes by +{1e6 * change.value:.1f} ± {half:.1f} µm to {1e3 * worn.values[1]:.3f} mm"
+    assert f"{said} in 1 against 0 (p = " in sentence(result)
+
+
+def test_no_column_is_empty_and_every_p_value_has_one_floor():
+    headings, rows = quantity_table(history(1, (1.0, 2.0)))
+    assert headings == ["", "mean", "largest change", "p"]
+    assert {row[3] for row in rows if row[0] == "contact_2: clearance"} == {"< 1e-12"}
+    headings, rows = quantity_table(history(1, np.linspace(1, 2, 5)))
+    assert len(headings) == 6
+    assert all(any(column) for column in zip(*rows, strict=True))
 
 
 def test_scatter_beyond_the_intervals_is_no_trend():

@@ -8,21 +8,10 @@ from identify.pages.wording import p_value_words, record_length_words
 
 
 @pytest.mark.parametrize(
-    "p_value", [0.0, 1e-14, 3e-9, 9e-4, 0.0099, 0.02, 0.0501, 0.19, 0.21, 0.5, 0.79, 0.8, 0.99, 1.0]
+    ("p_value", "words"), [(0.0, "p < 1e-12"), (1e-300, "p < 1e-12"), (3e-9, "p = 3.0e-09"), (0.0501, "p = 0.050")]
 )
-def test_the_words_beside_a_p_value_hold_for_it(p_value):
-    number, _, words = p_value_words(p_value).partition(": ")
-    if number.startswith("p < "):
-        assert p_value < float(number[4:])
-    else:
-        assert float(number[4:]) == pytest.approx(p_value, rel=0.05)
-    if match := re.fullmatch("chance alone would do this in fewer than 1 of ([0-9]+) machines", words):
-        assert p_value < 1 / int(match[1]) < 20 * max(p_value, 1e-3)
-    else:
-        assert words == (
-            "as likely by chance as not" if 0.2 <= p_value < 0.8 else "tolerances and noise mostly leave more"
-        )
-        assert p_value >= 0.2
+def test_a_p_value_is_written_to_two_digits_above_one_floor(p_value, words):
+    assert p_value_words(p_value) == words
 
 
 @pytest.mark.parametrize("ratio", [1.01, 1.5, 1.51, 2.0, 2.3, 5.0, 9.7, 14.0, 99.0])

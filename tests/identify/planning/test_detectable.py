@@ -71,15 +71,17 @@ def test_what_is_hidden_at_some_places_is_said_so():
     effects = (
         DetectableEffect(effect="added_mass", place="beam", unit="kg", size=0.02, least=0.01, greatest=None),
         DetectableEffect(effect="preload", place="beam", unit="N", size=None, least=None, greatest=None),
-        DetectableEffect(effect="one_stop", place="a", unit="1", size=0.2, least=0.2, greatest=0.2, alike=("b",)),
+        DetectableEffect(
+            effect="one_stop", place="a", unit="1", size=0.2, least=0.2, greatest=0.2, alike=("added_mass:beam",)
+        ),
         DetectableEffect(effect="one_stop", place="b", unit="1", size=0.5, least=0.5, greatest=0.5, alike=("a",)),
     )
     assert list(page.effect_kind_rows(effects)) == [
-        ("added_mass", "0.010 kg, at some places none"),
+        ("added mass", "10 g, at some places none"),
         ("preload", "none of its range"),
-        ("one_stop", "0.20 to 0.50"),
+        ("one stop", "20 to 50 %"),
     ]
-    assert list(page.effect_rows(effects))[2] == ("one_stop", "a", "0.20", "b")
+    assert list(page.effect_rows(effects))[2] == ("one stop", "a", "20 %", "added mass (beam)")
 
 
 def test_a_plan_outlives_this_side_analysis(monkeypatch):
