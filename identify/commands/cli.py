@@ -158,9 +158,12 @@ def print_laws(report: LawReport, console: Console) -> None:
             for candidate in law_estimate.candidates
         )
         console.print(console_table("", ("law", "rms left of held-out data, N", "of the force"), rows=candidate_rows))
+        damping_text = ""
+        if law_estimate.sliding is None:
+            share_text = f"{100 * law_estimate.hysteresis_share:.2g} %"
+            damping_text = f"; damping in the closed contact explains {share_text} of what straight pieces leave"
         print_sentence(
-            f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
-            f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"
+            f"  of a force of {law_estimate.force_rms_n:.3g} N rms{damping_text}"
             + ("" if law_estimate.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
             console,
         )

@@ -89,7 +89,13 @@ def _law_section(law: ContactLawEstimate) -> str:
         )
         for candidate in law.candidates
     ]
-    knees_note = "" if law.sides_known else " Knees count from the middle of the play, as no sensor tells its place."
+    pieces_note = (
+        " They are as long as those of contact.html, whose values are of one dead zone, fitted with the tolerances, "
+        "and differ within the intervals. Damping in the closed contact explains "
+        f"{100 * law.hysteresis_share:.2g} % of the variance that straight pieces leave."
+    )
+    if not law.sides_known:
+        pieces_note += " Knees count from the middle of the play, as no sensor tells its place."
     repeat_note = "" if law.repeatable else " Time ended the search, so the same seed will not repeat it exactly."
     value_rows = list(_law_values(law))
     formula_html = f"<p>{escape(law.formula)}</p>" if law.candidate(FORMULA).fits else ""
@@ -99,10 +105,8 @@ def _law_section(law: ContactLawEstimate) -> str:
         + (page.table(("", "value ± 95 %"), value_rows) if value_rows else "")
         + formula_html
         + f"<p>The laws were fitted to one half of the record and judged by the other; one that leaves more than "
-        f"{100 * MAX_LEFT_SHARE:.3g} % of the force does not fit. Damping in the closed contact explains "
-        f"{100 * law.hysteresis_share:.2g} % of the variance that is left.{knees_note}{repeat_note} The intervals hold "
-        "scatter, misfit of the law, slow motion and tolerances, as those of contact.html; values there are of one "
-        "dead zone, fitted with the tolerances, and differ from these within the intervals.</p>"
+        f"{100 * MAX_LEFT_SHARE:.3g} % of the force does not fit.{repeat_note} The intervals hold scatter, misfit of "
+        f"the law, and tolerances.{'' if law.sliding else pieces_note}</p>"
     )
 
 

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,17 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, utf8_or_latin1_text
+from rig.lab.stated import MAX_FIELD_VALUES, Stated, StatedFields, column_of
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH
 
-NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
-"""Attributes for the name, the unit and the rate of a dataset; one without a name is called by its path."""
+NAME_ATTRIBUTES = ("name",)
+"""Attributes for the name of a dataset; one without a name is called by its path."""
+SINGLE_ATTRIBUTES = ("unit", "units", "sample_rate_hz", "fs")
+"""Attributes of a dataset that have one value, or are a fault."""
+RATE_ATTRIBUTES = ("sample_rate_hz", "fs")
 DATE_ATTRIBUTES = ("recorded", "start_time", "date")
 """Attributes of a dataset or the file that state when it was recorded."""
+_HDF4_MARK = b"\x0e\x03\x13\x01"
 SINGLE_VALUE_SHAPES = ((), (1,))
 """Shapes of an attribute with a single value."""
 BYTES_PER_READ = 32_000_000
@@ -36,6 +42,8 @@ MAX_EXPANSION = {DEFLATE: 1032, LZF: 90}
 UNCHECKED_CHUNK_BYTES = 100_000_000
 """Size up to which a chunk is decompressed without a check of its content."""
 BYTES_PER_INFLATION = 1 << 20
+MAX_ATTRIBUTES = 1000
+"""Most attributes of a group or dataset that are looked at."""
 
 
 @contextmanager
@@ -45,32 +53,85 @@ def open_hdf5(path: Path, purpose: str) -> Iterator[Any]:
         import h5py
 
     if not h5py.is_hdf5(path):
+        with path.open("rb") as stream:
+            if stream.read(4) == _HDF4_MARK:
+                raise RigError(f"{path}: is HDF4, an older format than HDF5, which is not read; convert it by h4toh5")
         raise UnreadableError("its beginning is another")
     with h5py.File(path, "r", locking=False) as file:
         yield file
 
 
 def hdf5_blocks(path: Path) -> Blocks:
-    """Block per dataset; the rows of a matrix, or its columns if those are fewer, are NAME[1], NAME[2], ..."""
+    """Block per dataset; the rows of a matrix, or its columns if those are fewer, are NAME[1], NAME[2], ...
+
+    Units, rates, starts and labels are those of attributes and single values of the dataset or the groups around it.
+    """
     with open_hdf5(path, "an HDF5 file") as file:
-        yield from _group_blocks(path, file, "", set(), 0)
+        stated = StatedFields()
+        add_attributes(stated, file, ())
+        for full_name, item in _datasets(file, "", set(), 0, stated):
+            if not isinstance(item, Refused):
+                add_dataset(stated, item, tuple(full_name.split("/")))
+        for full_name, item in _datasets(file, "", set(), 0, None):
+            if isinstance(item, Refused):
+                yield item
+            else:
+                dataset_name = attribute_text(item, NAME_ATTRIBUTES) or full_name
+                yield from dataset_blocks(path, item, dataset_name, stated, tuple(full_name.split("/")))
 
 
-def _group_blocks(
-    path: Path, group: Any, prefix: str, visited_addresses: set[int], nesting_depth: int
-) -> Iterator[ColumnBlock | Refused]:
+def _datasets(
+    group: Any, prefix: str, visited_addresses: set[int], nesting_depth: int, stated: StatedFields | None
+) -> Iterator[tuple[str, Any]]:
+    """Full name and dataset, or Refused, of all in a group; the attributes of groups are added to `stated`."""
     import h5py
 
     for item_name, item in members(group, prefix, nesting_depth):
         full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
-            yield item
+            yield full_name, item
         elif not is_first_visit(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
-            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, nesting_depth + 1)
+            if stated is not None:
+                add_attributes(stated, item, tuple(full_name.split("/")))
+            yield from _datasets(item, f"{full_name}/", visited_addresses, nesting_depth + 1, stated)
         elif isinstance(item, h5py.Dataset):
-            yield from dataset_blocks(path, item, attribute_text(item, NAME_ATTRIBUTES) or full_name)
+            yield full_name, item
+
+
+def add_attributes(stated: StatedFields, item: Any, item_path: tuple[str, ...]) -> None:
+    """Add the attributes of a group or dataset that have a single value."""
+    for attribute_name in islice(item.attrs, MAX_ATTRIBUTES):
+        try:
+            text = attribute_text(item, (attribute_name,))
+            value_type = item.attrs.get_id(attribute_name).dtype
+        except Exception:  # of a type that h5py does not read, as programs add for themselves
+            continue
+        if text is not None and len(text) <= MAX_FIELD_VALUES:
+            stated.add_field((*item_path, attribute_name), _number_or_text(value_type, text))
+
+
+def add_dataset(stated: StatedFields, dataset: Any, dataset_path: tuple[str, ...]) -> None:
+    """Add a dataset as an array with its attributes, or as a field if it is one number or text of this file."""
+    if external_storage_refusal(dataset, ""):
+        return
+    add_attributes(stated, dataset, dataset_path)
+    try:
+        shape, value_type = dataset.shape, dataset.dtype
+    except TypeError:  # a type that NumPy does not have
+        return
+    if shape in SINGLE_VALUE_SHAPES and dataset.chunks is None and dataset.id.get_storage_size():
+        value = np.ravel(np.asarray(dataset[()], dtype=object))[0]
+        text = utf8_or_latin1_text(value) if isinstance(value, bytes) else str(value)
+        if len(text) <= MAX_FIELD_VALUES:
+            stated.add_field(dataset_path, _number_or_text(value_type, text))
+    elif value_type.kind in "iuf" and shape:
+        stated.add_array(dataset_path, math.prod(shape))
+
+
+def _number_or_text(value_type: np.dtype, text: str) -> str | float:
+    return float(text) if value_type.kind in "iuf" else text
 
 
 def members(group: Any, prefix: str, nesting_depth: int) -> Iterator[tuple[str, Any]]:
@@ -106,7 +167,9 @@ def is_first_visit(item: Any, visited_addresses: set[int]) -> bool:
     return True
 
 
-def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[ColumnBlock | Refused]:
+def dataset_blocks(
+    path: Path, dataset: Any, dataset_name: str, stated: StatedFields, dataset_path: tuple[str, ...]
+) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
@@ -127,7 +190,8 @@ def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[Colu
     channel_names = column_names(dataset_name, column_count)
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
     working_bytes = 2 * chunk_bytes + min(dataset.nbytes, BYTES_PER_READ)
-    read = partial(_read_columns, path, dataset, sample_axis, channel_names)
+    stated_of_channels = stated.of_array(dataset_path, column_count)
+    read = partial(_read_columns, path, dataset, sample_axis, channel_names, stated_of_channels)
     yield ColumnBlock(channel_names, shape[sample_axis], read, working_bytes)
 
 
@@ -148,20 +212,25 @@ def _other_file_sentence(content_name: str, reason: str) -> str:
 
 
 def _read_columns(
-    path: Path, dataset: Any, sample_axis: int, names: Sequence[str], indices: Sequence[int]
+    path: Path,
+    dataset: Any,
+    sample_axis: int,
+    names: Sequence[str],
+    stated_of_channels: Sequence[Stated],
+    indices: Sequence[int],
 ) -> list[Column]:
     check_written_and_decompressible(path, dataset, names[indices[0]])
-    for attribute in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
+    for attribute in SINGLE_ATTRIBUTES:
         if attribute in dataset.attrs and dataset.attrs.get_id(attribute).shape not in SINGLE_VALUE_SHAPES:
             raise UnreadableError(f"its dataset {names[0]!r} has an attribute {attribute!r} of other than one value")
-    unit, rate_text = attribute_text(dataset, UNIT_ATTRIBUTES) or None, attribute_text(dataset, RATE_ATTRIBUTES)
-    try:
-        rate_hz = None if rate_text is None else float(rate_text)
-    except ValueError:
-        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate_text!r}") from None
+    rate_text = attribute_text(dataset, RATE_ATTRIBUTES)
+    if rate_text is not None and stated_of_channels[0].rate_hz is None:
+        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate_text!r}")
     channel_rows = _read_rows(dataset, sample_axis, indices)
     date_text = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
-    return [Column(names[k], row, unit, rate_hz, date_text) for k, row in zip(indices, channel_rows, strict=True)]
+    return [
+        column_of(names[k], row, stated_of_channels[k], date_text) for k, row in zip(indices, channel_rows, strict=True)
+    ]
 
 
 def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:

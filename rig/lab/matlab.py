@@ -1,13 +1,13 @@
-"""The numeric arrays of a MATLAB file, also in structs and cells.
+"""The numeric arrays of a MATLAB file, also in structs and cells, with what texts and numbers beside them state.
 
 Version 5 to 7 is read here: where a type is damaged, scipy's reader ends the process, or it swells. Version 7.3 is
-HDF5, and version 4 is read by scipy.
+HDF5, and version 4 is read by scipy. A file is gone through twice: first for what is stated, then for the numbers.
 """
 
 import math
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.errors import RigError
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, column_names, utf8_or_latin1_text
 from rig.lab.hdf5 import (
     attribute_text,
@@ -26,13 +27,19 @@ from rig.lab.hdf5 import (
     members,
     open_hdf5,
 )
+from rig.lab.stated import MAX_FIELD_VALUES, Field, Stated, StatedFields, column_of
+from rig.lab.units import stated_unit
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 _HEADER_BYTES = 128
 _ARRAY_HEAD_BYTES = 8192
 """Bytes of a compressed array that hold its class, size and name."""
 _MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT = 1, 2
+_CELL, _STRUCT, _CHARACTERS = 1, 2, 4
+_UTF16_TYPES = (3, 4, 17)
+"""Types of characters of two bytes."""
+_MAX_FIELD_BYTES = 65536
+"""Largest array, decompressed, that is read for what it states."""
 _NUMPY_TYPE_BY_CODE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX_FLAG = 1 << 11
@@ -40,12 +47,32 @@ _COMPLEX_FLAG = 1 << 11
 ReadArray = Callable[[], np.ndarray]
 
 
-def matlab_blocks(path: Path, min_value_count: int = 2) -> Blocks:
+@dataclass(frozen=True)
+class _Leaf:
+    """An array of real numbers, or of characters: its name in MATLAB, its shape and what reads it.
+
+    working_bytes is the memory that `read_array` needs besides the array.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    is_text: bool
+    read_array: ReadArray
+    working_bytes: int = 0
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        return tuple(self.name.split("."))
+
+
+Leaves = Iterator[_Leaf]
+
+
+def matlab_blocks(path: Path) -> Blocks:
     """Block per real numeric matrix, named as in MATLAB: `a`, `run.a`, `run(2).a`, `c{3}`; `a[1]` is a channel.
 
-    Matrices of fewer than min_value_count are left out (of version 7.3, of fewer than two).
-    Raises RigError if version 7.3 needs h5py and it is not installed, and RigError or UnreadableError if the file is
-    cut, damaged or too large.
+    Where LabChart stores channels one behind the other, `data(1:2048)` is one. Raises RigError if version 7.3 needs
+    h5py and it is not installed, and RigError or UnreadableError if the file is cut, damaged or too large.
     """
     with path.open("rb") as stream:
         header = stream.read(_HEADER_BYTES)
@@ -53,28 +80,120 @@ def matlab_blocks(path: Path, min_value_count: int = 2) -> Blocks:
     if header.startswith(b"MATLAB 7.3"):
         yield from matlab_hdf5_blocks(path)
     elif byte_order is None or not header.startswith(b"MATLAB 5.0"):
-        yield from _version_4_blocks(path.read_bytes(), min_value_count)
+        arrays = _version_4_arrays(path.read_bytes())
+        yield from _blocks_of_leaves(lambda: iter(arrays))
     else:
-        yield from _Version5File(path, path.read_bytes(), byte_order, min_value_count).blocks()
+        content = path.read_bytes()
+        yield from _blocks_of_leaves(lambda: _Version5File(path, content, byte_order).leaves())
 
 
-def _matrix_block(
-    matrix_name: str, shape: tuple[int, ...], read_array: ReadArray, min_value_count: int, working_bytes: int = 0
-) -> Iterator[ColumnBlock]:
-    """Channels of a matrix: its rows or columns, whichever are fewer."""
-    if len(shape) != 2 or math.prod(shape) < min_value_count:
+def _blocks_of_leaves(leaves: Callable[[], Leaves]) -> Iterator[ColumnBlock]:
+    stated = StatedFields()
+    for leaf in leaves():
+        _add_to_stated(stated, leaf)
+    for leaf in leaves():
+        if not leaf.is_text and len(leaf.shape) == 2 and math.prod(leaf.shape) > 1:
+            yield from _matrix_blocks(leaf, stated)
+
+
+def _add_to_stated(stated: StatedFields, leaf: _Leaf) -> None:
+    value_count = math.prod(leaf.shape)
+    if not leaf.is_text and value_count > 1:
+        stated.add_array(leaf.path, value_count)
+    if len(leaf.shape) == 2 and 0 < value_count <= MAX_FIELD_VALUES and leaf.working_bytes <= _MAX_FIELD_BYTES:
+        array = leaf.read_array()
+        if leaf.is_text:
+            texts = tuple("".join(row).strip(" \0") for row in array)
+            stated.add_field(leaf.path, texts[0] if len(texts) == 1 else texts)
+        else:
+            stated.add_field(leaf.path, float(array.flat[0]) if value_count == 1 else array.astype(float))
+
+
+def _matrix_blocks(leaf: _Leaf, stated: StatedFields) -> Iterator[ColumnBlock]:
+    """Channels of a matrix: its rows or columns, whichever are fewer, or pieces of a row in which all stand."""
+    fields = stated.fields_beside(leaf.path)
+    is_labchart = all(isinstance(fields.get((name,)), np.ndarray | float) for name in ("datastart", "dataend"))
+    if is_labchart and leaf.path[-1] == "data":
+        yield from _labchart_blocks(leaf, fields)
         return
-    channel_count, sample_count = sorted(shape)
+    if is_labchart and math.prod(leaf.shape) <= MAX_FIELD_VALUES:  # what LabChart says of its channels
+        return
+    channel_count, sample_count = sorted(leaf.shape)
     if channel_count > MAX_ITEMS:
-        raise UnreadableError(f"its array {matrix_name!r} has {channel_count} columns")
-    channel_names = column_names(matrix_name, channel_count)
-    yield ColumnBlock(channel_names, sample_count, partial(_read_columns, channel_names, read_array), working_bytes)
+        raise UnreadableError(f"its array {leaf.name!r} has {channel_count} columns")
+    channel_names = column_names(leaf.name, channel_count)
+    read = partial(_read_columns, channel_names, leaf.read_array, stated.of_array(leaf.path, channel_count))
+    yield ColumnBlock(channel_names, sample_count, read, leaf.working_bytes)
 
 
-def _read_columns(names: Sequence[str], read_array: ReadArray, indices: Sequence[int]) -> list[Column]:
+def _read_columns(
+    names: Sequence[str], read_array: ReadArray, stated: Sequence[Stated], indices: Sequence[int]
+) -> list[Column]:
     matrix = read_array()
     channel_rows = matrix if matrix.shape[0] < matrix.shape[1] else matrix.T
-    return [Column(names[index], channel_rows[index].astype(float)) for index in indices]
+    return [column_of(names[index], channel_rows[index].astype(float), stated[index]) for index in indices]
+
+
+def _labchart_blocks(leaf: _Leaf, fields: Mapping[tuple[str, ...], Field]) -> Iterator[ColumnBlock]:
+    """Channels that stand one behind the other in a row, as LabChart exports them, for each of its blocks."""
+    firsts, lasts = (_channel_table(fields, name) for name in ("datastart", "dataend"))
+    if firsts is None or lasts is None or firsts.shape != lasts.shape or firsts.shape[0] > MAX_ITEMS:
+        raise UnreadableError("its datastart and dataend do not fit each other")
+    for channel, block in np.ndindex(firsts.shape):
+        first, last = firsts[channel, block], lasts[channel, block]
+        if not 1 <= first < last <= math.prod(leaf.shape):
+            continue  # no samples of this channel in this block
+        name, span = f"{leaf.name}({int(first)}:{int(last)})", slice(int(first) - 1, int(last))
+        stated, scale, offset = _labchart_channel(fields, firsts.shape, channel, block)
+        read = partial(_read_piece, name, leaf.read_array, span, stated, scale, offset)
+        yield ColumnBlock((name,), span.stop - span.start, read, leaf.working_bytes)
+
+
+def _labchart_channel(
+    fields: Mapping[tuple[str, ...], Field], shape: tuple[int, ...], channel: int, block: int
+) -> tuple[Stated, float, float]:
+    """What is stated of a channel in a block, and its scale and offset, if its samples are integers."""
+    values = {
+        name: float(table[channel % table.shape[0], block % table.shape[1]])
+        for name in ("samplerate", "unittextmap", "firstsampleoffset", "tickrate", "blocktimes", "scaleunits")
+        + ("scaleoffset",)
+        if (table := _channel_table(fields, name)) is not None and table.size
+    }
+    rate_hz, tick_hz = values.get("samplerate", math.nan), values.get("tickrate", math.nan)
+    block_times = _channel_table(fields, "blocktimes")
+    start_s = 0.0 if block_times is None else 86400 * (values["blocktimes"] - float(block_times.flat[0]))
+    if tick_hz > 0 and math.isfinite(values.get("firstsampleoffset", math.nan)):
+        start_s += values["firstsampleoffset"] / tick_hz
+    unit_number = values.get("unittextmap", 0.0)
+    return (
+        Stated(
+            stated_unit(_row_of(fields.get(("unittext",)), int(unit_number) - 1 if unit_number >= 1 else -1)),
+            rate_hz if 0 < rate_hz < math.inf else None,
+            start_s if math.isfinite(start_s) else None,
+            _row_of(fields.get(("titles",)), channel),
+        ),
+        values.get("scaleunits", 1.0),
+        values.get("scaleoffset", 0.0),
+    )
+
+
+def _channel_table(fields: Mapping[tuple[str, ...], Field], name: str) -> np.ndarray | None:
+    """Table of a LabChart field, channels by blocks; None if it is not there."""
+    value = fields.get((name,))
+    return np.atleast_2d(np.asarray(value, dtype=float)) if isinstance(value, float | np.ndarray) else None
+
+
+def _row_of(texts: Field | None, row: int) -> str:
+    rows = (texts,) if isinstance(texts, str) else texts if isinstance(texts, tuple) else ()
+    return rows[row].strip() if 0 <= row < len(rows) else ""
+
+
+def _read_piece(
+    name: str, read_array: ReadArray, span: slice, stated: Stated, scale: float, offset: float, _: object
+) -> list[Column]:
+    samples = read_array().ravel(order="F")[span]
+    values = samples.astype(float)
+    return [column_of(name, scale * (values + offset) if samples.dtype.kind in "iu" else values, stated)]
 
 
 @dataclass(frozen=True)
@@ -88,30 +207,34 @@ class _Head:
     data_offset: int
 
     @property
-    def is_real_numeric(self) -> bool:
-        return self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX_FLAG
+    def is_leaf(self) -> bool:
+        """True if it is of real numbers or characters."""
+        return self.is_text or (self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX_FLAG)
+
+    @property
+    def is_text(self) -> bool:
+        return self.array_class == _CHARACTERS
 
 
 class _Version5File:
     """Traversal of a file of version 5 to 7, which counts the elements of structs and cells."""
 
-    def __init__(self, path: Path, file_content: bytes, byte_order: str, min_value_count: int) -> None:
+    def __init__(self, path: Path, file_content: bytes, byte_order: str) -> None:
         self._path, self._content, self._byte_order = path, memoryview(file_content), byte_order
-        self._min_value_count = min_value_count
         self._element_count = 0
 
-    def blocks(self) -> Iterator[ColumnBlock]:
+    def leaves(self) -> Leaves:
         offset = _HEADER_BYTES
         while offset < len(self._content):
             self._add_to_element_total("at its top", (1,))
             element_type, element_bytes, offset = self._element(self._content, offset)
             if element_type == _COMPRESSED:
-                yield from self._compressed_blocks(element_bytes)
+                yield from self._compressed_leaves(element_bytes)
             elif element_type == _MATRIX:
-                yield from self._array_blocks(element_bytes, "", 0)
+                yield from self._array_leaves(element_bytes, "", 0)
 
-    def _compressed_blocks(self, compressed: memoryview) -> Iterator[ColumnBlock]:
-        """Blocks of a compressed array; only the head of a numeric one is decompressed, structs and cells wholly."""
+    def _compressed_leaves(self, compressed: memoryview) -> Leaves:
+        """Arrays in a compressed one; only the head of a numeric one is decompressed, structs and cells wholly."""
         first_bytes = memoryview(zlib.decompressobj().decompress(compressed, _ARRAY_HEAD_BYTES))
         element_type, data_length, data_start, _ = self._tag(first_bytes, 0)
         if element_type != _MATRIX or not data_length:
@@ -122,15 +245,15 @@ class _Version5File:
             return memoryview(_decompressed_element(compressed, element_size))[data_start:]
 
         head = self._head(first_bytes[data_start:])
-        if head.is_real_numeric:
-            yield from self._numeric_blocks(head, first_bytes[data_start:], head.name, unpacked_data, element_size)
+        if head.is_leaf:
+            yield self._leaf(head, first_bytes[data_start:], head.name, unpacked_data, element_size)
         elif head.array_class in (_CELL, _STRUCT):
             memory_label = f"{self._path}: its variable {head.name!r}"
             check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), memory_label)
-            yield from self._array_blocks(unpacked_data(), "", 0)
+            yield from self._array_leaves(unpacked_data(), "", 0)
 
-    def _array_blocks(self, content: memoryview, enclosing_name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
-        """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
+    def _array_leaves(self, content: memoryview, enclosing_name: str, nesting_depth: int) -> Leaves:
+        """An array, or those in a struct or cell array; none if it is not of real numbers or characters."""
         if not content:
             return
         head = self._head(content)
@@ -141,13 +264,13 @@ class _Version5File:
             )
         if head.array_class == _CELL:
             cell_names = (f"{name}{{{k}}}" for k in range(1, self._add_to_element_total(name, head.shape) + 1))
-            yield from self._element_blocks(content, head.data_offset, cell_names, nesting_depth + 1)
+            yield from self._element_leaves(content, head.data_offset, cell_names, nesting_depth + 1)
         elif head.array_class == _STRUCT:
-            yield from self._struct_blocks(content, head, name, nesting_depth + 1)
-        elif head.is_real_numeric:
-            yield from self._numeric_blocks(head, content, name, lambda: content, 0)
+            yield from self._struct_leaves(content, head, name, nesting_depth + 1)
+        elif head.is_leaf:
+            yield self._leaf(head, content, name, lambda: content, 0)
 
-    def _struct_blocks(self, content: memoryview, head: _Head, name: str, nesting_depth: int) -> Iterator[ColumnBlock]:
+    def _struct_leaves(self, content: memoryview, head: _Head, name: str, nesting_depth: int) -> Leaves:
         _, length_bytes, offset = self._element(content, head.data_offset)
         _, names_bytes, offset = self._element(content, offset)
         (name_length,) = struct.unpack(f"{self._byte_order}i", length_bytes)
@@ -160,23 +283,31 @@ class _Version5File:
         struct_count = self._add_to_element_total(name, (*head.shape, len(struct_fields))) // max(1, len(struct_fields))
         struct_names = (name if struct_count == 1 else f"{name}({k})" for k in range(1, struct_count + 1))
         field_names = (f"{struct_name}.{field}" for struct_name in struct_names for field in struct_fields)
-        yield from self._element_blocks(content, offset, field_names, nesting_depth)
+        yield from self._element_leaves(content, offset, field_names, nesting_depth)
 
-    def _element_blocks(
+    def _element_leaves(
         self, array_bytes: memoryview, offset: int, array_names: Iterator[str], nesting_depth: int
-    ) -> Iterator[ColumnBlock]:
-        """Blocks of consecutive arrays with these names."""
+    ) -> Leaves:
+        """Consecutive arrays with these names."""
         for array_name in array_names:
             element_type, element_bytes, offset = self._element(array_bytes, offset)
             if element_type != _MATRIX:
                 raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
-            yield from self._array_blocks(element_bytes, array_name, nesting_depth)
+            yield from self._array_leaves(element_bytes, array_name, nesting_depth)
 
-    def _numeric_blocks(
+    def _leaf(
         self, head: _Head, first_bytes: memoryview, name: str, read_bytes: Callable[[], memoryview], working_bytes: int
-    ) -> Iterator[ColumnBlock]:
-        """Block of a numeric array from its first bytes; `read_bytes` returns all of it."""
+    ) -> _Leaf:
+        """Array of numbers or characters from its first bytes; `read_bytes` returns all of it."""
         element_type, length, start, _ = self._tag(first_bytes, head.data_offset)
+        if head.is_text:
+
+            def read_characters() -> np.ndarray:
+                text = _decoded(bytes(read_bytes()[start : start + length]), element_type, self._byte_order)
+                characters = list(text.ljust(math.prod(head.shape))[: math.prod(head.shape)])
+                return np.array(characters, dtype="U1").reshape(head.shape, order="F")
+
+            return _Leaf(name, head.shape, True, read_characters, working_bytes)
         if element_type not in _NUMPY_TYPE_BY_CODE:
             raise UnreadableError(f"its array {name!r} is of the unknown type {element_type}")
         number_type = np.dtype(self._byte_order + _NUMPY_TYPE_BY_CODE[element_type])
@@ -186,7 +317,7 @@ class _Version5File:
         def read_array() -> np.ndarray:
             return np.frombuffer(read_bytes()[start : start + length], number_type).reshape(head.shape, order="F")
 
-        yield from _matrix_block(name, head.shape, read_array, self._min_value_count, working_bytes)
+        return _Leaf(name, head.shape, False, read_array, working_bytes)
 
     def _head(self, array_bytes: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(array_bytes, 0)
@@ -232,15 +363,27 @@ def _decompressed_element(compressed: memoryview, element_size: int) -> bytes:
     return content
 
 
-def _version_4_blocks(file_content: bytes, min_value_count: int) -> Iterator[ColumnBlock]:
+def _decoded(content: bytes, element_type: int, byte_order: str) -> str:
+    """Characters of an array of type char."""
+    if element_type in _UTF16_TYPES:
+        return content.decode("utf-16-le" if byte_order == "<" else "utf-16-be", "replace")
+    return utf8_or_latin1_text(content)
+
+
+def _version_4_arrays(file_content: bytes) -> list[_Leaf]:
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 
     if matfile_version(BytesIO(file_content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
         raise UnreadableError("its header is damaged")
-    for array_name, array in loadmat(BytesIO(file_content)).items():
-        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
-            yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), min_value_count)
+    arrays = {
+        name: np.array([[*text] for text in array.ravel()]) if array.dtype.kind == "U" else array
+        for name, array in loadmat(BytesIO(file_content), chars_as_strings=False).items()
+        if isinstance(array, np.ndarray) and array.dtype.kind in "iufU"
+    }
+    return [
+        _Leaf(name, array.shape, array.dtype.kind == "U", partial(np.asarray, array)) for name, array in arrays.items()
+    ]
 
 
 def matlab_hdf5_blocks(path: Path) -> Blocks:
@@ -251,10 +394,61 @@ def matlab_hdf5_blocks(path: Path) -> Blocks:
     """
     purpose = "a MATLAB file of version 7.3 (save(..., '-v7') stores it as an older one)"
     with open_hdf5(path, purpose) as file:
-        arrays = _Version73File(path, file)
-        for name, item in members(file, "", 0):
-            if not name.startswith("#"):  # what references point to
-                yield from arrays.array_blocks(name, item, 1)
+        stated = StatedFields()
+        for name, item in _Version73File(path, file).datasets():
+            if not isinstance(item, Refused):
+                _add_dataset_to_stated(path, stated, name, item)
+        for name, item in _Version73File(path, file).datasets():
+            if isinstance(item, Refused):
+                yield item
+            elif not _has_class(item, "char"):
+                yield from _dataset_blocks(path, item, name, stated)
+
+
+def _dataset_blocks(path: Path, dataset: Any, name: str, stated: StatedFields) -> Iterator[ColumnBlock | Refused]:
+    """Block of a dataset; of one in which LabChart stores all channels, a block of each."""
+    leaf_path = tuple(name.split("."))
+    fields = stated.fields_beside(leaf_path)
+    if leaf_path[-1] == "data" and {("datastart",), ("dataend",)} <= fields.keys():
+        for block in dataset_blocks(path, dataset, name, stated, leaf_path):
+            if isinstance(block, Refused):
+                yield block
+            else:
+                leaf = _Leaf(
+                    name, dataset.shape, False, partial(_written_array, path, dataset, name), block.working_bytes
+                )
+                yield from _matrix_blocks(leaf, stated)
+        return
+    yield from dataset_blocks(path, dataset, name, stated, leaf_path)
+
+
+def _written_array(path: Path, dataset: Any, name: str) -> np.ndarray:
+    check_written_and_decompressible(path, dataset, name)
+    return np.asarray(dataset[()])
+
+
+def _add_dataset_to_stated(path: Path, stated: StatedFields, name: str, dataset: Any) -> None:
+    """Add a dataset of version 7.3, whose arrays are transposed, and what it states if it is small."""
+    try:
+        shape, kind = dataset.shape[::-1], dataset.dtype.kind
+    except TypeError:  # a type that NumPy does not have
+        return
+    is_text = _has_class(dataset, "char")
+    if kind not in "iuf" or external_storage_refusal(dataset, name) or dataset.nbytes > _MAX_FIELD_BYTES:
+        if kind in "iuf" and not is_text:
+            stated.add_array(tuple(name.split(".")), math.prod(shape))
+        return
+
+    def read_array() -> np.ndarray:
+        array = dataset[()].T
+        return np.vectorize(chr, otypes=["U1"])(array) if is_text else array
+
+    try:
+        check_written_and_decompressible(path, dataset, name)
+    except RigError:  # said where its numbers are asked for
+        stated.add_array(tuple(name.split(".")), math.prod(shape))
+        return
+    _add_to_stated(stated, _Leaf(name, shape, is_text, read_array))
 
 
 class _Version73File:
@@ -265,40 +459,46 @@ class _Version73File:
         self._visited: set[int] = set()
         self._reference_count = 0
 
-    def array_blocks(self, name: str, item: Any, nesting_depth: int) -> Iterator[ColumnBlock | Refused]:
-        """Blocks of an array, of a struct (a group), or of the targets of a cell array's references."""
+    def datasets(self) -> Iterator[tuple[str, Any]]:
+        """Name and dataset, or Refused, of every array."""
+        for name, item in members(self._file, "", 0):
+            if not name.startswith("#"):  # what references point to
+                yield from self._arrays_in(name, item, 1)
+
+    def _arrays_in(self, name: str, item: Any, nesting_depth: int) -> Iterator[tuple[str, Any]]:
+        """An array, those of a struct (a group), or the targets of a cell array's references."""
         import h5py
 
         if isinstance(item, Refused):
-            yield item
+            yield name, item
         elif isinstance(item, h5py.Group):
             for field, member in (
                 members(item, f"{name}.", nesting_depth) if is_first_visit(item, self._visited) else ()
             ):
                 has_references = isinstance(member, h5py.Dataset) and _has_object_references(member)
                 if has_references and not _has_class(member, "cell"):
-                    yield from self._reference_blocks(member, f"{name}(", f").{field}", nesting_depth + 1)
+                    yield from self._targets(member, f"{name}(", f").{field}", nesting_depth + 1)
                 else:
-                    yield from self.array_blocks(f"{name}.{field}", member, nesting_depth + 1)
+                    yield from self._arrays_in(f"{name}.{field}", member, nesting_depth + 1)
         elif isinstance(item, h5py.Dataset) and _has_class(item, "cell"):
-            yield from self._reference_blocks(item, f"{name}{{", "}", nesting_depth + 1)
-        elif isinstance(item, h5py.Dataset) and not _has_class(item, "char") and not _is_empty(item):
-            yield from dataset_blocks(self._path, item, name)
+            yield from self._targets(item, f"{name}{{", "}", nesting_depth + 1)
+        elif isinstance(item, h5py.Dataset) and not _is_empty(item):
+            yield name, item
 
-    def _reference_blocks(self, dataset: Any, prefix: str, suffix: str, depth: int) -> Iterator[ColumnBlock | Refused]:
-        """Blocks of the targets of references, named prefix + number + suffix."""
+    def _targets(self, dataset: Any, prefix: str, suffix: str, depth: int) -> Iterator[tuple[str, Any]]:
+        """Arrays that references point to, named prefix + number + suffix."""
         name = f"{prefix}1{suffix}"
         if not is_first_visit(dataset, self._visited):
             return
         if sentence := external_storage_refusal(dataset, name):
-            yield Refused(name, sentence)
+            yield name, Refused(name, sentence)
             return
         self._reference_count += dataset.size
         if depth > MAX_DEPTH or self._reference_count > MAX_ITEMS:
             raise UnreadableError(f"its cells are more than {MAX_DEPTH} deep, or more than {MAX_ITEMS}")
         check_written_and_decompressible(self._path, dataset, name)
         for reference_number, reference in enumerate(dataset[()].T.ravel(order="F"), start=1):
-            yield from self.array_blocks(f"{prefix}{reference_number}{suffix}", self._file[reference], depth)
+            yield from self._arrays_in(f"{prefix}{reference_number}{suffix}", self._file[reference], depth)
 
 
 def _has_object_references(dataset: Any) -> bool:

@@ -139,6 +139,5 @@ READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {
     ".unv": lambda path, _: uff_blocks(path),
     ".mat": lambda path, _: matlab_blocks(path),
     ".tdms": lambda path, _: tdms_blocks(path),
-    ".h5": lambda path, _: hdf5_blocks(path),
-    ".hdf5": lambda path, _: hdf5_blocks(path),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), lambda path, _: hdf5_blocks(path)),
 }

@@ -66,10 +66,8 @@ def tdms_blocks(path: Path) -> Blocks:
                 raise UnreadableError(f"it declares {declared_count} values, more than it has bytes")
             surplus_counts = {} if is_closed else _surplus_counts(file)
             surplus_text = f"{max(surplus_counts.values(), default=0)} samples that not all channels have are left out"
-            crash_note = (
-                f"the file was not closed, as after a crash, and is read to its last whole sample; {surplus_text}"
-            )
-            notes = () if is_closed else (crash_note,)
+            crash_text = "the file was not closed, as after a crash; it is read to its last whole sample"
+            notes = () if is_closed else (f"{crash_text}, {surplus_text}",)
             origin = _earliest_start(channels)
             for channel in channels:
                 yield from _channel_blocks(channel, origin, len(channel) - surplus_counts.get(channel.path, 0), notes)

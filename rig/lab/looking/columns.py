@@ -10,7 +10,6 @@ from jaxtyping import Float
 from rig.lab.clock import restart_sentence
 from rig.lab.column import Blocks, Column, Refused, UnreadableError, missing_row, repetition_count
 from rig.lab.csv_text import TextForm
-from rig.lab.recorded import stated_sampling_rate_hz
 from rig.limits import MAX_ITEMS, MAX_NUMBER
 
 
@@ -111,29 +110,20 @@ def column_summary(
 
 
 def summary_of_blocks(path: Path, blocks: Blocks) -> FileSummary:
-    """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
+    """Columns of any format but CSV, decoded one by one."""
     columns: list[ColumnSummary] = []
     facts: list[str] = []
-    rate_hz, rate_origin = None, ""
     for block in blocks:
         if isinstance(block, Refused):
             facts.append(f"left out: {block.sentence}")
             continue
         facts += [note for note in block.notes if note not in facts]
-        if block.sample_count == 1 and len(block.names) == 1:
-            (single_column,) = block.read([0])
-            stated_hz = stated_sampling_rate_hz(
-                [[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], "."
-            )
-            if stated_hz is not None and rate_hz is None:
-                rate_hz, rate_origin = stated_hz, repr(single_column.name)
-        else:
-            for column_index in range(len(block.names)):
-                (column,) = block.read([column_index])
-                columns.append(column_summary(len(columns) + 1, column, group=_group_of(block.names[column_index])))
-                if len(columns) > MAX_ITEMS:
-                    raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
-    return FileSummary(path, tuple(columns), tuple(facts), rate_hz=rate_hz, rate_origin=rate_origin)
+        for column_index in range(len(block.names)):
+            (column,) = block.read([column_index])
+            columns.append(column_summary(len(columns) + 1, column, group=_group_of(block.names[column_index])))
+            if len(columns) > MAX_ITEMS:
+                raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
+    return FileSummary(path, tuple(columns), tuple(facts))
 
 
 def _group_of(name: str) -> str:

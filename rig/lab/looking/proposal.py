@@ -18,7 +18,6 @@ from rig.lab.looking.clock import ClockProposal, clocks_of, is_far, is_time_colu
 from rig.lab.looking.columns import ColumnSummary, FileSummary, summary_of_blocks
 from rig.lab.looking.csv_columns import summary_of_csv
 from rig.lab.looking.roles import ColumnRole, channel_columns_and_rejections, is_called_force, named_quantity, roles_of
-from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
 from rig.lab.units import MASS_UNITS, canonical_unit, quantity_of, unit_of_force
@@ -172,11 +171,8 @@ def _unlike_clocks(channel_clocks: Sequence[tuple[ColumnSummary, ClockProposal]]
 
 
 def _summary_by_suffix(source_path: Path, blocks: Blocks) -> FileSummary:
-    suffix = source_path.suffix.lower()
-    if suffix in TEXT_SUFFIXES:
+    if source_path.suffix.lower() in TEXT_SUFFIXES:
         return summary_of_csv(source_path)
-    if suffix == ".mat":
-        return summary_of_blocks(source_path, matlab_blocks(source_path, min_value_count=1))
     return summary_of_blocks(source_path, blocks)
 
 
