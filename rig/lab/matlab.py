@@ -144,19 +144,28 @@ def _labchart_blocks(leaf: _Leaf, fields: Mapping[tuple[str, ...], Field]) -> It
         if not 1 <= first < last <= math.prod(leaf.shape):
             continue  # no samples of this channel in this block
         name, span = f"{leaf.name}({int(first)}:{int(last)})", slice(int(first) - 1, int(last))
-        stated, scale, offset = _labchart_channel(fields, firsts.shape, channel, block)
+        stated, scale, offset = _labchart_channel(fields, channel, block)
         read = partial(_read_piece, name, leaf.read_array, span, stated, scale, offset)
         yield ColumnBlock((name,), span.stop - span.start, read, leaf.working_bytes)
 
 
-def _labchart_channel(
-    fields: Mapping[tuple[str, ...], Field], shape: tuple[int, ...], channel: int, block: int
-) -> tuple[Stated, float, float]:
+LABCHART_TABLES = (
+    "samplerate",
+    "unittextmap",
+    "firstsampleoffset",
+    "tickrate",
+    "blocktimes",
+    "scaleunits",
+    "scaleoffset",
+)
+"""Fields of a LabChart file that are tables, channels by blocks."""
+
+
+def _labchart_channel(fields: Mapping[tuple[str, ...], Field], channel: int, block: int) -> tuple[Stated, float, float]:
     """What is stated of a channel in a block, and its scale and offset, if its samples are integers."""
     values = {
         name: float(table[channel % table.shape[0], block % table.shape[1]])
-        for name in ("samplerate", "unittextmap", "firstsampleoffset", "tickrate", "blocktimes", "scaleunits")
-        + ("scaleoffset",)
+        for name in LABCHART_TABLES
         if (table := _channel_table(fields, name)) is not None and table.size
     }
     rate_hz, tick_hz = values.get("samplerate", math.nan), values.get("tickrate", math.nan)
