@@ -9,7 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,13 @@ _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHARACTERS = 1, 2, 4
 _UTF16_TYPES = (3, 4, 17)
 """Types of characters of two bytes."""
-_MAX_FIELD_BYTES = 65536
+_LABCHART_BOUNDS = ("datastart", "dataend")
+_LABCHART_TABLES = (
+    "samplerate", "unittextmap", "firstsampleoffset", "tickrate", "blocktimes", "scaleunits", "scaleoffset",
+    "rangemin", "rangemax",
+)  # fmt: skip
+"""Fields of LabChart with a number for each channel and block."""
+_MAX_FIELD_BYTES = 1 << 20
 """Largest array, decompressed, that is read for what it states."""
 _NUMPY_TYPE_BY_CODE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
@@ -100,23 +106,29 @@ def _add_to_stated(stated: StatedFields, leaf: _Leaf) -> None:
     value_count = math.prod(leaf.shape)
     if not leaf.is_text and value_count > 1:
         stated.add_array(leaf.path, value_count)
-    if len(leaf.shape) == 2 and 0 < value_count <= MAX_FIELD_VALUES and leaf.working_bytes <= _MAX_FIELD_BYTES:
-        array = leaf.read_array()
-        if leaf.is_text:
-            texts = tuple("".join(row).strip(" \0") for row in array)
-            stated.add_field(leaf.path, texts[0] if len(texts) == 1 else texts)
-        else:
-            stated.add_field(leaf.path, float(array.flat[0]) if value_count == 1 else array.astype(float))
+    if len(leaf.shape) != 2 or not 0 < value_count <= MAX_FIELD_VALUES or leaf.working_bytes > _MAX_FIELD_BYTES:
+        return
+    if leaf.is_text:
+        texts = tuple("".join(row).strip(" \0") for row in leaf.read_array())
+        stated.add_field(leaf.path, texts[0] if len(texts) == 1 else texts)
+    elif value_count == 1:
+        stated.add_field(leaf.path, float(leaf.read_array().flat[0]))
+    elif leaf.path[-1] in (*_LABCHART_BOUNDS, *_LABCHART_TABLES):
+        stated.add_field(leaf.path, leaf.read_array().astype(float))
+
+
+def _is_labchart(stated: StatedFields, path: tuple[str, ...]) -> bool:
+    """True if an array is of LabChart, which keeps all channels in one row and tables of them beside it."""
+    fields = stated.fields_beside(path)
+    is_known = path[-1] in ("data", *_LABCHART_BOUNDS, *_LABCHART_TABLES)
+    return is_known and all(isinstance(fields.get((name,)), np.ndarray | float) for name in _LABCHART_BOUNDS)
 
 
 def _matrix_blocks(leaf: _Leaf, stated: StatedFields) -> Iterator[ColumnBlock]:
-    """Channels of a matrix: its rows or columns, whichever are fewer, or pieces of a row in which all stand."""
-    fields = stated.fields_beside(leaf.path)
-    is_labchart = all(isinstance(fields.get((name,)), np.ndarray | float) for name in ("datastart", "dataend"))
-    if is_labchart and leaf.path[-1] == "data":
-        yield from _labchart_blocks(leaf, fields)
-        return
-    if is_labchart and math.prod(leaf.shape) <= MAX_FIELD_VALUES:  # what LabChart says of its channels
+    """Channels of a matrix: its rows or columns, whichever are fewer, or those that LabChart puts in one row."""
+    if _is_labchart(stated, leaf.path):
+        if leaf.path[-1] == "data":
+            yield from _labchart_blocks(leaf, stated.fields_beside(leaf.path))
         return
     channel_count, sample_count = sorted(leaf.shape)
     if channel_count > MAX_ITEMS:
@@ -136,54 +148,41 @@ def _read_columns(
 
 def _labchart_blocks(leaf: _Leaf, fields: Mapping[tuple[str, ...], Field]) -> Iterator[ColumnBlock]:
     """Channels that stand one behind the other in a row, as LabChart exports them, for each of its blocks."""
-    firsts, lasts = (_channel_table(fields, name) for name in ("datastart", "dataend"))
-    if firsts is None or lasts is None or firsts.shape != lasts.shape or firsts.shape[0] > MAX_ITEMS:
+    firsts, lasts = (_channel_table(fields, name) for name in _LABCHART_BOUNDS)
+    if firsts is None or lasts is None or firsts.shape != lasts.shape:
         raise UnreadableError("its datastart and dataend do not fit each other")
+    read_array = lru_cache(leaf.read_array)  # for all channels once
     for channel, block in np.ndindex(firsts.shape):
         first, last = firsts[channel, block], lasts[channel, block]
         if not 1 <= first < last <= math.prod(leaf.shape):
             continue  # no samples of this channel in this block
         name, span = f"{leaf.name}({int(first)}:{int(last)})", slice(int(first) - 1, int(last))
         stated, scale, offset = _labchart_channel(fields, channel, block)
-        read = partial(_read_piece, name, leaf.read_array, span, stated, scale, offset)
+        read = partial(_read_piece, name, read_array, span, stated, scale, offset)
         yield ColumnBlock((name,), span.stop - span.start, read, leaf.working_bytes)
-
-
-LABCHART_TABLES = (
-    "samplerate",
-    "unittextmap",
-    "firstsampleoffset",
-    "tickrate",
-    "blocktimes",
-    "scaleunits",
-    "scaleoffset",
-)
-"""Fields of a LabChart file that are tables, channels by blocks."""
 
 
 def _labchart_channel(fields: Mapping[tuple[str, ...], Field], channel: int, block: int) -> tuple[Stated, float, float]:
     """What is stated of a channel in a block, and its scale and offset, if its samples are integers."""
     values = {
         name: float(table[channel % table.shape[0], block % table.shape[1]])
-        for name in LABCHART_TABLES
-        if (table := _channel_table(fields, name)) is not None and table.size
+        for name in _LABCHART_TABLES
+        if (table := _channel_table(fields, name)) is not None
     }
     rate_hz, tick_hz = values.get("samplerate", math.nan), values.get("tickrate", math.nan)
     block_times = _channel_table(fields, "blocktimes")
     start_s = 0.0 if block_times is None else 86400 * (values["blocktimes"] - float(block_times.flat[0]))
-    if tick_hz > 0 and math.isfinite(values.get("firstsampleoffset", math.nan)):
+    if tick_hz > 0 and "firstsampleoffset" in values:
         start_s += values["firstsampleoffset"] / tick_hz
-    unit_number = values.get("unittextmap", 0.0)
-    return (
-        Stated(
-            stated_unit(_row_of(fields.get(("unittext",)), int(unit_number) - 1 if unit_number >= 1 else -1)),
-            rate_hz if 0 < rate_hz < math.inf else None,
-            start_s if math.isfinite(start_s) else None,
-            _row_of(fields.get(("titles",)), channel),
-        ),
-        values.get("scaleunits", 1.0),
-        values.get("scaleoffset", 0.0),
+    unit = _row_of(fields.get(("unittext",)), values.get("unittextmap", 0.0) - 1)
+    label = _row_of(fields.get(("titles",)), float(channel))
+    stated = Stated(
+        stated_unit(unit),
+        rate_hz if 0 < rate_hz < math.inf else None,
+        start_s if math.isfinite(start_s) else None,
+        label,
     )
+    return stated, values.get("scaleunits", 1.0), values.get("scaleoffset", 0.0)
 
 
 def _channel_table(fields: Mapping[tuple[str, ...], Field], name: str) -> np.ndarray | None:
@@ -192,9 +191,9 @@ def _channel_table(fields: Mapping[tuple[str, ...], Field], name: str) -> np.nda
     return np.atleast_2d(np.asarray(value, dtype=float)) if isinstance(value, float | np.ndarray) else None
 
 
-def _row_of(texts: Field | None, row: int) -> str:
+def _row_of(texts: Field | None, row: float) -> str:
     rows = (texts,) if isinstance(texts, str) else texts if isinstance(texts, tuple) else ()
-    return rows[row].strip() if 0 <= row < len(rows) else ""
+    return rows[int(row)].strip() if 0 <= row < len(rows) else ""
 
 
 def _read_piece(
@@ -417,18 +416,12 @@ def matlab_hdf5_blocks(path: Path) -> Blocks:
 def _dataset_blocks(path: Path, dataset: Any, name: str, stated: StatedFields) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset; of one in which LabChart stores all channels, a block of each."""
     leaf_path = tuple(name.split("."))
-    fields = stated.fields_beside(leaf_path)
-    if leaf_path[-1] == "data" and {("datastart",), ("dataend",)} <= fields.keys():
-        for block in dataset_blocks(path, dataset, name, stated, leaf_path):
-            if isinstance(block, Refused):
-                yield block
-            else:
-                leaf = _Leaf(
-                    name, dataset.shape, False, partial(_written_array, path, dataset, name), block.working_bytes
-                )
-                yield from _matrix_blocks(leaf, stated)
-        return
-    yield from dataset_blocks(path, dataset, name, stated, leaf_path)
+    for block in dataset_blocks(path, dataset, name, stated, leaf_path):
+        if isinstance(block, Refused) or not _is_labchart(stated, leaf_path):
+            yield block
+        else:
+            read_array = partial(_written_array, path, dataset, name)
+            yield from _matrix_blocks(_Leaf(name, dataset.shape, False, read_array, dataset.nbytes), stated)
 
 
 def _written_array(path: Path, dataset: Any, name: str) -> np.ndarray:

@@ -21,7 +21,7 @@ Field: TypeAlias = str | float | tuple[str, ...] | np.ndarray
 """Text, number, list of texts, or small array of numbers."""
 Path: TypeAlias = tuple[str, ...]
 Texts: TypeAlias = list[str | tuple[str, ...]]
-MAX_FIELD_VALUES = 4096
+MAX_FIELD_VALUES = 65536
 """Most characters or numbers of an array that is kept as a field."""
 MAX_KEPT_VALUES = 2_000_000
 """Most characters and numbers that are kept of all fields."""
@@ -36,7 +36,7 @@ _LABEL_NAMES = (
     re.compile(r"^(?:channel|signal|sensor|y)?[ _]?names?$", re.IGNORECASE),
     re.compile(r"^(?:channel|signal|sensor|y|long)?[ _]?(?:labels?|titles?|long[ _]?name)$", re.IGNORECASE),
 )
-_ABSCISSA_NAME = re.compile(r"^(?:x|t|time|zeit|x[ _]?(?:values?|axis|data)|abscissa|time[ _]?stamps?)$", re.IGNORECASE)
+_ABSCISSA_NAME = re.compile(r"^(?:t|time|zeit|x[ _]?(?:values?|axis|data)|abscissa|time[ _]?stamps?)$", re.IGNORECASE)
 _CELL = re.compile(r"(.*)\{\d+\}$")
 _DATA_SUFFIX = re.compile(r"[ _]?(?:data|values?|samples|y)$", re.IGNORECASE)
 
