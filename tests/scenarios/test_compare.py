@@ -61,7 +61,7 @@ def test_the_answer_names_its_page_and_what_to_try_next(compared, capsys):
     comparison.print_answer("displacements known", folder / "contact.html")
     _, head, value, page, following = capsys.readouterr().out.splitlines()
     assert head == "The answer, displacements known:"
-    assert value.startswith(f"  stop: clearance {1e3 * TRUE.clearance_m:.3f} ±")
+    assert value.startswith("  stop: clearance 1.0000 ± ")
     assert f"(true: {1e3 * TRUE.clearance_m:g} mm), stiffness" in value
     assert page == f"{folder / 'contact.html'}: the page of this answer; open it in a browser"
     assert following.startswith("next: ")
