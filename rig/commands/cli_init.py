@@ -51,7 +51,7 @@ UNITS_BY_ENDING: dict[str, Mapping[str, str]] = {
 }
 """SI value of each unit, by the end of an option's name."""
 UNKNOWN_TEXTS = ("unknown", "?")
-_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.,].*)")
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)([^\d\s.,].*)")
 _PLAIN_UNIT = str.maketrans(
     {" ": "", "*": "", "\u00b7": "", "\u00b5": "u", "\u03bc": "u", "\u00b2": "^2", "\u00b3": "^3"}
 )

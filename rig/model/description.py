@@ -309,8 +309,8 @@ def _without_defaults(value: Any) -> Any:
         return value
     config = value.__struct_config__
     tag = {config.tag_field: config.tag} if config.tag_field else {}
-    written_fields = [field.name for field in msgspec.structs.fields(value) if not _is_default(field, value)]
-    return tag | {name: _without_defaults(getattr(value, name)) for name in written_fields}
+    written_fields = [field for field in msgspec.structs.fields(value) if not _is_default(field, value)]
+    return tag | {field.encode_name: _without_defaults(getattr(value, field.name)) for field in written_fields}
 
 
 def _is_default(field: msgspec.structs.FieldInfo, struct: msgspec.Struct) -> bool:

@@ -56,6 +56,17 @@ def test_tables_name_what_they_compare(compared, capsys):
         assert words in out
 
 
+def test_the_answer_names_its_page_and_what_to_try_next(compared, capsys):
+    comparison, folder = compared
+    comparison.print_answer("displacements known", folder / "contact.html")
+    _, head, value, page, following = capsys.readouterr().out.splitlines()
+    assert head == "The answer, displacements known:"
+    assert value.startswith("  stop: clearance 1.0000 ± ")
+    assert f"(true: {1e3 * TRUE.clearance_m:g} mm), stiffness" in value
+    assert page == f"{folder / 'contact.html'}: the page of this answer; open it in a browser"
+    assert following.startswith("next: ")
+
+
 def test_a_scenario_is_recorded_by_the_plant_named(tmp_path):
     settings = msgspec.structs.replace(TRUE, duration_s=2.0)
     recording = read(record_reference_rig(settings, "modal", tmp_path / "new" / "r.mcap"))

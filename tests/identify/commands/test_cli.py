@@ -86,8 +86,9 @@ def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path
     assert (status, "rig.json: exists already" in err) == (1, True)
     status, _, err = identify("gap", recording, "--out", tmp_path / "believed")
     assert (status, "rig.json: exists already" in err) == (1, True)
-    status, _, err = identify("contact", recording, "--out", tmp_path, "--force")
+    status, out, err = identify("contact", recording, "--out", tmp_path, "--force")
     assert (status, err) == (0, "")
+    assert out.splitlines()[-1].startswith(f"{tmp_path / 'contact.html'}: written, open it in a browser")
     assert msgspec.json.decode(existing.read_bytes(), type=ContactReport).rig == "sdof"
 
 

@@ -11,8 +11,9 @@ from identify.contacts import identify_contact
 from identify.contacts.assumptions import recommendations, variance_shares
 from identify.contacts.refusals import REMEDIES
 from identify.contacts.report import write_page, write_results
+from identify.contacts.results import identified_rig
 from identify.pages.wording import interval
-from rig.model.tolerances import EXACT
+from rig.model.tolerances import EXACT, UNKNOWN, Tolerances
 from rig.recording import read
 from rig.simulation.reference import Sdof
 
@@ -48,6 +49,26 @@ def page(tmp_path):
 def _text(html):
     """Return the text of a page, whose numbers stand one ordinary space from their units."""
     return unescape(html).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_what_nobody_believes_is_compared_with_nothing(identification, tmp_path):
+    """As of `rig init`, which was not told the contact: its start says nothing about the machine."""
+    path = tmp_path / "contact.html"
+    write_page(identification, {}, "mass", {}, "rig.json", path)
+    text = _text(path.read_text(encoding="utf-8"))
+    assert "unknown" in text
+    for words in ("agrees<", "differs<", "interval holds", "lie outside"):
+        assert words not in text
+
+
+def test_what_was_unknown_is_known_once_identified(identification):
+    unknown = msgspec.structs.replace(
+        identification.rig, tolerances=Tolerances(clearance=UNKNOWN, stiffness=UNKNOWN, mass=0.02)
+    )
+    found = identified_rig(unknown, identification.report)
+    assert found.tolerances == Tolerances(mass=0.02)
+    nothing_found = msgspec.structs.replace(identification.report, contacts=())
+    assert identified_rig(unknown, nothing_found).tolerances == unknown.tolerances
 
 
 def test_the_values_stand_with_their_intervals_beside_the_true_ones(identification, page):

@@ -141,7 +141,6 @@ def test_a_recording_becomes_a_rig_that_imports_it(rig, tmp_path):
         ({"force_m": 0.4}, "force_m is 0.4, where no sensor is"),
         ({"positions_m": "0,0.5"}, "3 columns and 2 positions_m"),
         ({"positions_m": "0,0,0.5"}, "two positions_m are the same"),
-        ({"contacts_m": 0.25}, "give clearance_m and stiffness_n_per_m too"),
         ({"contacts_m": 0.3, "clearance_m": 1e-3, "stiffness_n_per_m": 1e4}, "contacts_m has 0.3 m, where no sensor"),
         ({"quantity": "acceleration,velocity"}, "quantity names more than one"),
         ({"unit": "m"}, "'m' is no unit of acceleration"),
@@ -162,28 +161,96 @@ def test_a_recording_that_does_not_fit_is_said_and_leaves_nothing(rig, tmp_path,
 
 
 def test_what_is_missing_is_asked_for_on_a_terminal_alone(rig, tmp_path, monkeypatch):
-    values = {k: v for k, v in MASS.items() if k != "clearance_m"}
+    values = {k: v for k, v in MASS.items() if k != "frequency_hz"}
     status, out, err = rig("init", "mass", *options(values))
     assert (status, out) == (2, "")
-    assert "missing: --clearance-m" in err
+    assert "missing: --frequency-hz" in err
     assert not list(tmp_path.iterdir())
-    terminal = StringIO("wide\n2e-3\n")
+    terminal = StringIO("high\n7 Hz\n")
     terminal.isatty = lambda: True
     monkeypatch.setattr("sys.stdin", terminal)
     status, out, _ = rig("init", "mass", *options(values))
     assert status == 0
-    assert "'wide' does not fit" in out
-    assert read_rig(tmp_path / "rig.json").contacts[0].law.upper_clearance_m == 2e-3
+    assert "'high' does not fit" in out
+    assert read_rig(tmp_path / "rig.json").bodies[0].frequency_hz == 7.0
 
 
 def test_nothing_is_overwritten_unasked(rig, tmp_path):
-    (tmp_path / "map.toml").write_text("precious")
+    (tmp_path / "rig.json").write_text("precious")
     status, out, err = rig("init", "mass", *options(MASS))
     assert (status, out) == (1, "")
-    assert "map.toml: exists already" in err
-    assert [p.name for p in tmp_path.iterdir()] == ["map.toml"]
+    assert "rig.json: exists already" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["rig.json"]
     status, out, _ = rig("init", "mass", *options(MASS), "--force", "--json")
     assert json.loads(out) == {"rig": "rig.json", "map": "map.toml", "notes": []}
+
+
+def test_a_map_that_is_there_stays(rig, tmp_path):
+    """As `rig import FILE --write-map map.toml` proposed it before there was a rig.json."""
+    (tmp_path / "map.toml").write_text("proposed")
+    status, out, _ = rig("init", "mass", *options(MASS))
+    assert status == 0
+    assert "map.toml: was there and stays as it is\nrig.json: written; next: " in out
+    assert (tmp_path / "map.toml").read_text() == "proposed"
+    assert rig("init", "mass", *options(MASS), "--force")[0] == 0
+    assert (tmp_path / "map.toml").read_text() != "proposed"
+
+
+@pytest.mark.parametrize("text", [None, "unknown", "?"])
+@pytest.mark.parametrize("fields", [("clearance_m",), ("stiffness_n_per_m",), ("clearance_m", "stiffness_n_per_m")])
+def test_what_is_unknown_of_a_contact_is_no_belief(rig, tmp_path, fields, text):
+    values = {k: text if k in fields else v for k, v in MASS.items() if text or k not in fields}
+    status, out, err = rig("init", "mass", *options(values))
+    assert (status, err) == (0, "")
+    machine = read_rig(tmp_path / "rig.json")
+    law = machine.contacts[0].law
+    for field, tolerance in (("clearance_m", "clearance"), ("stiffness_n_per_m", "stiffness")):
+        assert (f"{tolerance} is unknown and starts from" in out) == (field in fields)
+        assert getattr(machine.tolerances, tolerance) == (1.0 if field in fields else 0.01)
+        if field not in fields:
+            assert getattr(law, field) == MASS[field]
+    assert not machine.tolerances.contacts_known
+    _, out, _ = rig("info", "rig.json")
+    assert "Contacts, unknown: where rig.json starts" in out
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "value"),
+    [
+        ("clearance_m", "0.3 mm", 0.0003),
+        ("clearance_m", "300um", 0.0003),
+        ("clearance_m", "300 µm", 0.0003),
+        ("clearance_m", "3e-4 m", 0.0003),
+        ("stiffness_n_per_m", "100 N/mm", 1e5),
+        ("stiffness_n_per_m", "1e4 N/m", 1e4),
+        ("stiffness_n_per_m", "1e4", 1e4),
+        ("stiffness_n_per_m", "+.5E+4N/m", 5e3),
+        ("stiffness_n_per_m", "0.1kN/mm", 1e5),
+        ("damping_n_s_per_m", "2 N·s/m", 2.0),
+        ("sample_rate_hz", "5.12 kHz", 5120.0),
+    ],
+)
+def test_values_carry_units(rig, tmp_path, option, text, value):
+    assert rig("init", "mass", *options(MASS | {option: text}))[0] == 0
+    machine = read_rig(tmp_path / "rig.json")
+    holder = machine if option == "sample_rate_hz" else machine.contacts[0].law
+    assert getattr(holder, option) == value
+
+
+def test_each_number_of_a_list_carries_its_unit(rig, tmp_path):
+    values = TWO_MASSES | {"masses_kg": "500 g,2", "frequencies_hz": "6,0.009kHz"}
+    assert rig("init", "two_masses", *options(values))[0] == 0
+    first, second = read_rig(tmp_path / "rig.json").bodies
+    assert (first.mass_kg, second.mass_kg, first.frequency_hz, second.frequency_hz) == (0.5, 2.0, 6.0, 9.0)
+
+
+def test_no_field_is_written_at_its_default(rig, tmp_path):
+    assert rig("init", "two_masses", *options(TWO_MASSES))[0] == 0
+    text = (tmp_path / "rig.json").read_text()
+    assert text.count("null") == 1  # the stop that is not there
+    for field in ("tones", "tolerances", "wear_m_per_s", "measuring_range", "force_sensor"):
+        assert field not in text
+    assert '"schema_version"' in text
 
 
 @pytest.mark.parametrize(
@@ -191,6 +258,8 @@ def test_nothing_is_overwritten_unasked(rig, tmp_path):
     [
         (("init", "mass", *options(MASS | {"mass_kg": "heavy"})), 2, "'heavy' does not fit"),
         (("init", "mass", *options(MASS | {"mass_kg": -1.0})), 1, "mass_kg is -1.0"),
+        (("init", "mass", *options(MASS | {"mass_kg": "unknown"})), 2, "'unknown' does not fit"),
+        (("init", "mass", *options(MASS | {"clearance_m": "3 N"})), 2, "has the unit 'N'; give one of m, cm, mm, um"),
         (("init", "mass", *options(MASS | {"quantity": "temperature"})), 2, "'temperature'"),
         (("init", "structure", *options(FRAME)), 1, "give the body of the structure by one file"),
         (("init", "pendulum"), 2, "pendulum"),

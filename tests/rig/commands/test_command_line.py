@@ -148,4 +148,4 @@ def test_the_version_has_a_short_option(capsys, command_name):
 )
 def test_an_option_of_another_name_is_told_the_one_here(capsys, words, option):
     assert exit_status(*words) == 2
-    assert f"No such option: {words[3]} (Possible options: {option})" in capsys.readouterr().err
+    assert re.search(rf"No such option: {words[3]}\b.*{option}\b", capsys.readouterr().err)  # words by typer's version
