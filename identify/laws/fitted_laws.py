@@ -36,8 +36,6 @@ backlash, each uncertain by a factor of ten. Set by hand; they hold a number tha
 START_LOG_SPEEDS, START_LOG_TRAVELS, START_LOG_BACKLASHES = (-2.0, 0.0, 2.0), (-1.4, 0.0, 1.2), (-1.6, 0.0, 1.1, 1.8)
 """Logarithms of starting values over these."""
 RIGID_LOG_TRAVEL = -6.0
-MAX_REFINED_SHARE = 0.5
-"""Share of the force that a rough fit may leave to be refined, which takes time."""
 MATERIAL_RATIO = 1.005
 """A part of friction is material if without it more than this multiple of the error is left."""
 ROUGH_START_COUNT, ROUGH_TOLERANCE, TRIAL_TOLERANCE = 3, 1e-2, 1e-3
@@ -584,11 +582,13 @@ class FrictionFit:
         return standard_errors(self.samples, self.rows, self.law, influence, changed)
 
 
-def fitted_friction(samples: ForceSamples, rows: Rows, by_speed: bool) -> FrictionFit:
+def fitted_friction(
+    samples: ForceSamples, rows: Rows, by_speed: bool, max_refined_error_n: float = np.inf
+) -> FrictionFit:
     """Friction with the parts that the rows demand, of all that the samples can show.
 
-    Friction that leaves most of the force when it is roughly fitted keeps all parts. Without a reversal the slider is
-    rigid. Rows before the slider's start is forgotten are left out.
+    Friction that leaves more than max_refined_error_n when it is roughly fitted keeps all parts. Without a reversal the
+    slider is rigid. Rows before the slider's start is forgotten are left out.
     """
     shape_parts: tuple[Part, ...] = (Part.REVERSAL,)
     starts: Iterable[tuple[float, ...]] = ((log_speed,) for log_speed in START_LOG_SPEEDS)
@@ -605,7 +605,7 @@ def fitted_friction(samples: ForceSamples, rows: Rows, by_speed: bool) -> Fricti
     start_fits.sort(key=lambda start_fit: start_fit.error_n)
     rough_fits = [start_fit.fitted(ROUGH_TOLERANCE) for start_fit in start_fits[:ROUGH_START_COUNT]]
     rough_fit = min(rough_fits, key=lambda fit: fit.error_n)
-    if rough_fit.error_n > MAX_REFINED_SHARE * force_deviation_n:
+    if rough_fit.error_n > max_refined_error_n:
         return rough_fit
     fit = replace(rough_fit, prior_error_n=rough_fit.error_n).fitted()
     # what is shorter than the spring's travel may as well be a rounded onset, than a sample's nothing at all

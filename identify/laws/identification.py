@@ -59,6 +59,8 @@ FALLBACK_KNEE_COUNT = 4
 EDGE_SAMPLE_COUNT = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
 MIN_SAMPLE_COUNT = 500
+REFINED_ERROR_RATIO = 3.0
+"""Friction that roughly leaves more than this multiple of what straight pieces leave is not refined, to save time."""
 EQUAL_ERROR_RATIO = 1.05
 """An error counts as equal to the smallest up to this multiple of it."""
 
@@ -225,7 +227,7 @@ def _contact_law_fit(
     )
     knees_m = law_knees_m(formula, low_m, high_m)
     pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
-    friction_fits = _friction_fits(samples)
+    friction_fits = _friction_fits(samples, REFINED_ERROR_RATIO * record.error_n(pieces, samples.training_rows))
     law_by_name: dict[str, AnyLaw] = {PIECEWISE: pieces}
     if samples.estimates:
         law_by_name[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
@@ -276,9 +278,12 @@ def _contact_law_fit(
     )
 
 
-def _friction_fits(samples: _ContactSamples) -> dict[str, FrictionFit]:
+def _friction_fits(samples: _ContactSamples, max_refined_error_n: float) -> dict[str, FrictionFit]:
     """Friction by its name: reached by a spring, or what of its parts is left; and growing with speed."""
-    by_spring, by_speed = (fitted_friction(samples.record, samples.training_rows, is_by) for is_by in (False, True))
+    by_spring, by_speed = (
+        fitted_friction(samples.record, samples.training_rows, by_speed, max_refined_error_n)
+        for by_speed in (False, True)
+    )
     fits = {SLIDING if Part.FRICTION in by_spring.parts else LINEAR: by_spring}
     return fits | ({SMOOTH_SLIDING: by_speed} if Part.REVERSAL in by_speed.parts else {})
 
