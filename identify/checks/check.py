@@ -20,6 +20,7 @@ from identify.checks.pulls import (
     Pulls,
     broken_tolerances_and_pulls,
     cost_within_tolerances,
+    misfit_over_time_within_tolerances,
     misfit_within_tolerances,
     tolerance_finding,
 )
@@ -217,7 +218,10 @@ def _linear_check_findings(
 
     def tolerances_explain() -> bool:
         check, broken, pulls = tolerance_fit(tuple(usable_indices))
-        return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
+        fit = (rig, check, usable_indices, tolerances, pulls)
+        return (
+            not broken and min(misfit_within_tolerances(*fit), misfit_over_time_within_tolerances(*fit)) < SOUND_MISFIT
+        )
 
     def pull_and_distance_of(trial: Trial) -> tuple[float, float]:
         if trial.changed_rig is None:

@@ -17,7 +17,13 @@ from jaxtyping import Complex, Float
 
 from identify.checks.channels import MIN_ERROR_IN_TOLERANCES, TURNED_MEND, turned_words
 from identify.checks.findings import Cause, Finding, force_in_words
-from identify.checks.prediction import LinearCheck, TimeResidual, observed_motion
+from identify.checks.prediction import (
+    MIN_MODEL_ERROR_SHARE,
+    MODEL_ERROR_SHARE,
+    LinearCheck,
+    TimeResidual,
+    observed_motion,
+)
 from identify.linear.model import real_product
 from identify.linear.nuisance import (
     SINGLE_FORCE_NAME,
@@ -195,6 +201,21 @@ def misfit_within_tolerances(
     for change in _changes_within_tolerances(observed):
         acceleration[channel_indices] -= pulls[change.parameter] * change.at_all_sensors(len(channel_indices))
     return check.misfit(check.spectra.with_acceleration(acceleration), channel_indices)
+
+
+def misfit_over_time_within_tolerances(
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances, pulls: Pulls
+) -> float:
+    """Mean square of what the pulls leave over the compared time, in the unit of a misfit.
+
+    Ringing that the record's end cuts off spreads over the lines, but not over that time.
+    """
+    projector = TimeResidual(check, channel_indices)
+    parameters, columns = _nuisances_and_columns(observed_motion(rig, check, channel_indices, tolerances), projector)
+    residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
+    unexplained = residual - _column_sum(columns, np.array([pulls[parameter] for parameter in parameters]))
+    mean_square = float(np.mean(unexplained**2, dtype=float)) / projector.sound_power
+    return mean_square * (MIN_MODEL_ERROR_SHARE / MODEL_ERROR_SHARE) ** 2
 
 
 def _violations_and_pulls(

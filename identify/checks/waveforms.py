@@ -423,7 +423,7 @@ def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     mean = np.average(samples, weights=weights)  # that of all samples is no drift of a decay's quiet end
     power_by_line = np.abs(np.fft.rfft((samples - mean) * weights)) ** 2
     slow_line_end = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
-    slow_share = float(np.sqrt(np.sum(power_by_line[1:slow_line_end]) / np.sum(power_by_line)))
+    slow_share = float(np.sqrt(np.sum(power_by_line[1:slow_line_end]) / (np.sum(power_by_line) or 1.0)))
     if slow_share < MIN_DRIFT_SHARE:
         return None
     return Finding(

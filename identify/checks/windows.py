@@ -41,8 +41,8 @@ class _Fold:
 
     def exponential_decay_frames(self) -> float | None:
         """Frames in which an exponential window falls to 37 %; None if the window has another form."""
-        begun_at_jump = np.roll(self.profile, -self.jump_bin)
-        phases = np.arange(self.profile.size) / self.profile.size
+        begun_at_jump = np.roll(self.profile, -self.jump_bin)[1:-1]  # the jump may lie within a bin
+        phases = np.arange(begun_at_jump.size) / self.profile.size
         slope, level = np.polyfit(phases, begun_at_jump, 1)
         left_share = float(np.var(begun_at_jump - level - slope * phases) / np.var(self.profile))
         return -self.block_frames / float(slope) if slope < 0 and left_share < 1 - MIN_EXPONENTIAL_SHARE else None

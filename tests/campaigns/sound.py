@@ -73,7 +73,7 @@ def off_centre(seed: int, number: int, path: Path) -> None:
         name="off_centre",
         bodies=(Oscillator(name="mass", mass_kg=mass_kg, frequency_hz=natural_hz, damping_ratio=ratio),),
         contacts=(
-            Contact(name="stop", at=Station("mass"), law=symmetric_dead_zone(1.1 * clearance_m, 0.9 * stiffness, 0)),
+            Contact(name="stop", at=Station("mass"), law=symmetric_dead_zone(1.1 * clearance_m, 0.9 * stiffness, 0.0)),
         ),
         force_at=Station("mass"),
         sensors=(named_sensor(Station("mass"), quantity, noise),),
