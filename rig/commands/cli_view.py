@@ -73,7 +73,7 @@ def view(
     if gap is not None:
         shown_gap = read_gap(gap, recording.rig, recording.duration_s)
         if (corrected_rig := read_corrected_rig(gap, recording.rig)) is not None:
-            shown_motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
+            shown_motion, window_s = deflection(recording, truth_recording), max(shown_gap.horizon_s, WINDOW_S)
             with progress_spinner("predicting the believed and the corrected rig"):
                 prediction = predicted_motion(recording, shown_motion, corrected_rig, modal, window_s, station)
     with progress_bar(f"writing {rrd_path.name}") as progress:

@@ -18,7 +18,7 @@ from rig.recording.interfaces import Predict
 from rig.viewer.deflection import TAPER_S, Deflection
 
 WINDOW_S = 0.2
-"""Length of the windows where gap.json has no horizon of its own, s; some two contacts."""
+"""Shortest windows, s, which the horizon of gap.json may lengthen: less than two contacts show no difference."""
 MAX_PREDICTED_S = 120.0
 """Longest part of a record that is predicted, s; it bounds memory and time."""
 SMOOTHED_SAMPLES, POLYNOMIAL_ORDER = 9, 3

@@ -20,9 +20,9 @@ def test_every_answer_stands_beside_the_truth(tmp_path, capsys):
     gap = json.loads((tmp_path / "demo" / "gap" / "gap.json").read_text())
     assert gap["verdict"] == "explained"
     assert gap["causes"][0]["effects"] == ["added_mass"]
-    words = r"explained: An added mass of ([0-9.]+) ± ([0-9.]+) kg on the\s+barrel at ([0-9.]+) ± ([0-9.]+)\s+m"
-    mass_kg, mass_width_kg, position_m, position_width_m = map(float, re.search(words, printed).groups())
-    assert abs(mass_kg - 0.15) < 1.5 * mass_width_kg
+    words = r"explained: An added mass of ([0-9.]+) ± ([0-9.]+) g on the\s+barrel at ([0-9.]+) ± ([0-9.]+)\s+m"
+    mass_g, mass_width_g, position_m, position_width_m = map(float, re.search(words, printed).groups())
+    assert abs(mass_g - 500) < 1.5 * mass_width_g
     assert abs(position_m - 0.8) < 1.5 * position_width_m
 
 
