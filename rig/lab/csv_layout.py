@@ -34,6 +34,9 @@ _LABEL_PATTERN = re.compile(
     re.IGNORECASE,
 )
 """Label in the first cell of a line of names, which belongs to no column."""
+_UNIT_LABEL_PATTERN = re.compile(r"^\W*[vy]?[ _-]?(axis )?(units?|einheit(en)?)([ _]?labels?)?\W*$", re.IGNORECASE)
+_TIME_UNIT_LABEL_PATTERN = re.compile(r"^\W*[hxt][ _-]?(axis )?(units?|einheit(en)?)\W*$", re.IGNORECASE)
+"""Labels in the first cell of lines of units."""
 _REMARK_PATTERN = re.compile(r"^\W*(comments?|kommentare?|notes?|remarks?|bemerkung|marker|event)\W*$", re.IGNORECASE)
 """Name of a last column that is often empty."""
 _COUNT_PATTERN = re.compile(
@@ -124,7 +127,7 @@ def layout_of(path: Path, form: TextForm) -> TextLayout:
     record_lines = max(stated_counts, default=0) if form.sample_lines is None else 0
     shape = _count_sample_lines(path, form, skipped_count, record_lines)
     near_rows = [row for row in header[-HEADER_LINE_COUNT:] if len(row) >= shape.cell_count and is_units_row(row)]
-    units_row = near_rows[-1] if near_rows else ()
+    units_row = _row_of_units(near_rows)
     names, units, notes = _names_and_units(path, listed_names if has_names else [], units_row, shape, form)
     several_sentence = ""
     if record_lines and shape.line_count != record_lines:
@@ -158,12 +161,20 @@ def layout_of(path: Path, form: TextForm) -> TextLayout:
     )
 
 
+def _row_of_units(rows: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Row of the units of the columns: one that is called so, else the last that is not called the unit of the time."""
+    named_rows = [row for row in rows if _UNIT_LABEL_PATTERN.match(row[0])]
+    other_rows = [row for row in rows if not _TIME_UNIT_LABEL_PATTERN.match(row[0])]
+    return next(iter((named_rows or other_rows)[::-1]), ())
+
+
 def is_units_row(cells: Sequence[str]) -> bool:
     """True if at least half of the filled cells of a line of a header are units, and no other is a name of the time."""
     filled_cells = [cell for cell in cells if cell]
     other_cells = [cell for cell in filled_cells if not is_unit(cell.strip("[]()"))]  # "s" is a unit, "time" is none
     unit_count = len(filled_cells) - len(other_cells)
     is_time_named = any(map(TIME_NAME_PATTERN.search, other_cells))
+    unit_count *= any(not cell.isdigit() for cell in filled_cells)  # 1 is a unit, and often a number of something
     return len(cells) > 1 and unit_count > 0 and unit_count >= len(filled_cells) / 2 and not is_time_named
 
 

@@ -16,6 +16,7 @@ from rig.lab.matlab import matlab_blocks
 from rig.lab.tdms import tdms_blocks
 from rig.lab.uff import uff_blocks
 from rig.limits import MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
+from rig.recording.file import check_is_no_mcap
 
 Result = TypeVar("Result")
 ColumnKey = str | int
@@ -69,6 +70,7 @@ def with_blocks(path: Path, text_form: TextForm, consume_blocks: Callable[[Block
     Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, or would take more
     memory than `rig.limits` allows.
     """
+    check_is_no_mcap(path)
     if (suffix := path.suffix.lower()) not in READERS:
         raise RigError(f"{path}: the suffix {suffix!r} is none of {', '.join(READERS)}; rename the file or convert it")
     check_source(path)

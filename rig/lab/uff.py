@@ -42,6 +42,7 @@ QUANTITY_BY_CODE = {
 """Quantity by the data type of an ordinate."""
 HEADER_DIGITS_DOUBT = 5e-6
 """Largest relative error of a number that the header gives in six digits."""
+MAX_LINE_BYTES = 1000
 LINES_PER_BLOCK = 4096
 """Lines of text converted at once."""
 
@@ -284,24 +285,30 @@ def _binary_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, 
 
 def _text_numbers(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     """Numbers of a text; zeros that fill the last line are left out."""
-    history_numbers, number_count = np.empty(history.value_count), 0
-    surplus_numbers: list[float] = []
+    history_numbers = np.empty(history.value_count)
+    number_count, surplus_count = 0, 0
+    is_filled_by_zeros = True
     lines = (match[1] for match in LINE_PATTERN.finditer(content, history.start_offset, history.stop_offset))
     while line_batch := list(islice(lines, LINES_PER_BLOCK)):
         numbers = _numbers_in(line_batch, history)
         kept_numbers = numbers[: history_numbers.size - number_count]
+        surplus_numbers = numbers[len(kept_numbers) :]
         history_numbers[number_count : number_count + len(kept_numbers)] = kept_numbers
         number_count += len(kept_numbers)
-        surplus_numbers += numbers[len(kept_numbers) :]
-    is_filled_up = len(surplus_numbers) < len(_line(content, history.start_offset)[0].split())
-    if number_count != history_numbers.size or (surplus_numbers and (any(surplus_numbers) or not is_filled_up)):
-        total_count = number_count + len(surplus_numbers)
+        surplus_count += len(surplus_numbers)
+        is_filled_by_zeros &= not any(surplus_numbers)
+    numbers_per_line = len(_line(content, history.start_offset)[0].split())
+    is_whole = number_count == history_numbers.size and is_filled_by_zeros and surplus_count < max(numbers_per_line, 1)
+    if not is_whole:
+        total_count = number_count + surplus_count
         raise _wrong_length_error(history.name, total_count, history.is_even, history.point_count)
     return history_numbers
 
 
 def _numbers_in(lines: Sequence[bytes], history: _History) -> list[float]:
     """Numbers in lines: apart by spaces, whatever their widths, or else in the columns of the format."""
+    if max(map(len, lines)) > MAX_LINE_BYTES:
+        raise UnreadableError(f"its dataset {history.name!r} has a line of more than {MAX_LINE_BYTES} characters")
     try:
         return [*map(float, b" ".join(lines).split())]
     except ValueError:  # exponents D, or numbers that touch

@@ -15,7 +15,7 @@ from mcap.records import Attachment, McapRecord, Message, Metadata
 from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
-from rig.errors import RigError
+from rig.errors import RigError, one_line
 from rig.model.description import (
     UNITS,
     Rig,
@@ -227,6 +227,13 @@ class FileContents:
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
     channels_by_group: dict[str, Channels] = field(default_factory=dict)
+    foreign_topics: dict[str, str] = field(default_factory=dict)
+    """Encoding of the messages of topics that are no rig's."""
+
+    @property
+    def is_foreign(self) -> bool:
+        """True if it is of another recorder: without rig.json and a rig's signals, with other topics."""
+        return bool(self.foreign_topics) and not self.channels_by_group and RIG_NAME not in self.attachments
 
 
 def has_sample_blocks(channel: ChannelRecord) -> bool:
@@ -259,6 +266,8 @@ def blocks_with_group_names(
             group_name = record.topic.split("/")[2]
             group_by_channel_id[record.id] = group_name
             contents.channels_by_group[group_name] = from_metadata(record.topic, record.metadata)
+        elif isinstance(record, ChannelRecord) and not record.topic.startswith("/rig/"):
+            contents.foreign_topics[record.topic] = record.message_encoding
         elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
             group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
             time_stamps.check(group_name, contents.channels_by_group[group_name].sample_rate_hz, block)
@@ -272,11 +281,37 @@ def _add_provenance(record: Metadata, contents: FileContents) -> None:
 
 
 def rig_of(path: Path, contents: FileContents) -> Rig:
+    if contents.is_foreign:
+        raise RigError(f"{path}: {_foreign_sentence(contents)}")
     if RIG_NAME not in contents.attachments:
         raise RigError(
             f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/recording/README.md)"
         )
     return from_json(contents.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
+
+
+def _foreign_sentence(contents: FileContents) -> str:
+    topics = [f"{topic} ({encoding or 'no encoding'})" for topic, encoding in contents.foreign_topics.items()]
+    listed_topics = ", ".join(topics[:6]) + (f" and {len(topics) - 6} more" if len(topics) > 6 else "")
+    topics_text = f"topics: {listed_topics or 'none is whole'}"
+    return one_line(
+        f"is an MCAP file of another recorder, without {RIG_NAME} ({topics_text}); export their numbers with their "
+        "times to CSV, as PlotJuggler does, and import that by `rig import`"
+    )
+
+
+def check_is_no_mcap(path: Path) -> None:
+    """Raise RigError, which says what an MCAP file holds, where a file of measured data is asked for."""
+    if path.suffix.lower() != ".mcap":
+        return
+    contents = FileContents()
+    with container.open_recording(path) as file:
+        for record in container.undamaged_records(file):
+            if isinstance(record, ChannelRecord) and not has_sample_blocks(record):
+                contents.foreign_topics[record.topic] = record.message_encoding
+            elif isinstance(record, ChannelRecord) or (isinstance(record, Attachment) and record.name == RIG_NAME):
+                raise RigError(f"{path}: is a recording already, which needs no import; see `rig info {path}`")
+    raise RigError(f"{path}: {_foreign_sentence(contents)}")
 
 
 def _load(path: Path) -> Recording:

@@ -499,3 +499,49 @@ def test_tdms_segments_that_each_list_every_channel_are_refused(folder, measured
     with (folder / "lab.tdms").open("ab") as stream:
         stream.write(2000 * empty)
     assert "its 2001 segments would take 803 MB of memory" in measured("lab.tdms")
+
+
+def test_a_uff_line_of_many_numbers_is_refused(folder, measured):
+    path = uff(folder)
+    head, mark, last = path.read_text().rpartition("    -1\n    -1\n")
+    lines = head.splitlines()
+    path.write_text("\n".join([*lines[:13], "0 " * 4_000_000, mark + last]))
+    assert "has a line of more than 1000 characters" in measured("lab.uff")
+
+
+def test_uff_numbers_beyond_the_count_are_counted_not_kept(folder, measured):
+    path = uff(folder)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:-1], *(100_000 * ["0 " * 40]), lines[-1], ""]))
+    assert "of 400 samples" in measured("lab.uff")
+
+
+def test_labchart_channels_of_a_compressed_row_are_unpacked_once(folder, measured):
+    """A thousand channels that each unpack ten megabytes would take a minute."""
+    row, pieces = np.zeros((1, 1_500_000)), np.arange(1.0, 1001.0)[:, None]
+    row[0, 5:405], row[0, 405:805] = FORCE, ACC
+    bounds = {"datastart": np.stack([6 + 0 * pieces, 406 + 0 * pieces])[:, :500, 0], "dataend": None}
+    bounds["dataend"] = bounds["datastart"] + 399
+    savemat(folder / "lab.mat", {"data": row, **bounds}, do_compression=True)
+    (folder / "map.toml").write_text(MAP.replace('"force", unit', "1, unit").replace('"acc", unit', "501, unit"))
+    assert measured("lab.mat") == ""
+
+
+def test_many_attributes_and_single_values_take_no_time(folder, measured):
+    def write(file):
+        file["acc"] = ACC
+        group = file.create_group("g")
+        for k in range(1000):
+            group[f"s{k}"] = float(k)
+            group[f"a{k}"] = np.zeros(20)
+        for k in range(500):
+            group.attrs[f"unit{k}"] = "N"
+
+    hdf5(folder / "lab.h5", write)
+    assert measured("lab.h5") == ""
+
+
+def test_compressed_matlab_texts_that_swell_are_not_kept(folder, measured):
+    savemat(folder / "text.mat", {"unit": np.array(["N" * 60_000] * 300)}, do_compression=True)
+    version_5(folder / "lab.mat", force(folder / "lab.mat"), (folder / "text.mat").read_bytes()[128:])
+    assert "there is no column 'acc'" in measured("lab.mat")

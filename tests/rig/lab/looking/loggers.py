@@ -53,6 +53,26 @@ def labview_lvm():
     return ("\r\n".join(head) + "\r\n" + rows(delimiter="\t", line_end="\r\n", after="\t")).encode()
 
 
+def yokogawa():
+    """A label before each line of the header, of which several may pass for units."""
+    head = [
+        '"Header Size",14',
+        '"Model Name","DL850E"',
+        '"BlockNumber",1',
+        '"TraceName","Force","Acc tip"',
+        f'"BlockSize",{SAMPLES},{SAMPLES}',
+        '"VUnit","N","m/s2"',
+        '"HResolution",1.953125E-03,1.953125E-03',
+        '"HOffset",0.0E+00,0.0E+00',
+        '"HUnit","s","s"',
+        '"DisplayPointNo.",1,1',
+        '"Date","2024/03/01","2024/03/01"',
+        '"Time","14:05:06.00","14:05:06.00"',
+        "",
+    ]
+    return ("\n".join(head) + "\n" + rows(TABLE[:, 1:])).encode()
+
+
 def catman():
     head = [
         "HBM_CATMANEASY_ASCII",
@@ -206,6 +226,7 @@ def imc():
 
 LOGGERS = {
     "labview": (".lvm", labview_lvm),
+    "yokogawa": (".csv", yokogawa),
     "catman": (".asc", catman),
     "bruel_kjaer": (".txt", bruel_kjaer),
     "simcenter": (".txt", simcenter),

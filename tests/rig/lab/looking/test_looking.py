@@ -43,7 +43,8 @@ DATED = {
     "labview": "2024-03-01T14:05:06.789000",
     "milliseconds": "2024-03-14T14:05:06",
     **dict.fromkeys(
-        ("catman", "bruel_kjaer", "simcenter", "dewesoft", "excel_german", "to_csv_dated", "imc"), "2024-03-01T14:05:06"
+        ("catman", "bruel_kjaer", "simcenter", "dewesoft", "excel_german", "to_csv_dated", "imc", "yokogawa"),
+        "2024-03-01T14:05:06",
     ),
 }
 
