@@ -34,7 +34,10 @@ def contact(
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
     window: Annotated[str, typer.Option(help="Window: {windows}.")] = "hann",
     tolerances: TolerancesOption = None,
-    band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Frequency band of the NIFO plots, Hz; by default that of the force."),
+    ] = None,
     segment: Annotated[
         float | None,
         typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),

@@ -23,8 +23,8 @@ def gap(
     validate: Annotated[
         Path | None,
         typer.Option(
-            help="The recording that is not fitted, one of REAL or another; else the last of several, or the last part "
-            "of a single one."
+            help="Recording held back to test the answer, one of REAL or another; by default the last one given, or the "
+            "last 45 % of a single one."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
@@ -37,8 +37,8 @@ def gap(
     null_reference: Annotated[
         Path | None,
         typer.Option(
-            help="File of the null reference, made where it is not there or of another rig; else beside the first "
-            "REAL, or in --out for a folder."
+            help="File that keeps the simulations of a correct machine, reused between runs; by default beside the "
+            "first recording, of a folder in --out."
         ),
     ] = None,
     tolerances: TolerancesOption = None,

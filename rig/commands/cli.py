@@ -92,7 +92,9 @@ def record(
     out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
     plant: Annotated[
         str | None,
-        typer.Option(help="How it is simulated: {plants}. Otherwise ancf; modal where a body is a structure."),
+        typer.Option(
+            help="Simulator: {plants}. By default ancf (Exudyn); modal, which is fast, where a body is a structure."
+        ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Length of the record, s.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the force and of the sensors' noise.")] = None,
