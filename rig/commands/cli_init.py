@@ -102,6 +102,8 @@ def _kind_command(kind_name: str, kind: RigKind) -> Callable[..., None]:
     def command(out: Path, force: bool, as_json: bool, **text_by_field: str | None) -> None:
         refuse_existing(out / RIG_NAME, force, new_folder=True)
         keeps_map = (out / MAP_NAME).is_file() and not force
+        if not keeps_map:
+            refuse_existing(out / MAP_NAME, force, new_folder=True)
         rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in text_by_field.items() if v is not None})
         with progress_spinner(f"describing a rig of the kind {kind_name}"):
             rig, rig_notes = rig_start.rig_and_notes()
