@@ -310,7 +310,8 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     dead_names = _channel_names(fault for fault in faults if fault.cause == "dead")
     live_channels = [channel for channel in channels if channel.name not in dead_names]
     excitation = excitations(recording)
-    may_begin_moving = recording.start_s > 0 or not np.any(excitation)  # a free decay begins in motion
+    has_quiet_start = quiet_sample_count(excitation, recording.rig.sample_rate_hz) > 0
+    may_begin_moving = recording.start_s > 0 or has_quiet_start or not np.any(excitation)  # before any force, freely
     motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
     if recording.start_s == 0 and _is_time_reversed(live_channels, excitation, recording.rig.sample_rate_hz):
         motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]

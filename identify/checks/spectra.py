@@ -105,7 +105,8 @@ def spectra_of(
     acceleration = rfft(sensor_signals * end_taper, padded_length)[:, line_numbers] * acceleration_per_signal
     across_acceleration = np.zeros_like(acceleration)
     for i, sensor in enumerate(sensors):
-        if across is not None and (other := _sensor_across(across, sensor)) is not None:
+        other = None if across is None else _sensor_across(across, sensor)
+        if across is not None and other is not None:
             lines = rfft(across.values_of(other) * end_taper, padded_length)[line_numbers]
             across_acceleration[i] = lines * acceleration_per_signal_unit(other, omega)
     quiet_count = quiet_sample_count(forces_n, rate_hz)
@@ -137,10 +138,9 @@ def spectra_of(
     )
 
 
-def _sensor_across(across: Recording | None, sensor: Sensor) -> Sensor | None:
+def _sensor_across(across: Recording, sensor: Sensor) -> Sensor | None:
     """Sensor of the same quantity at the same place, of the record of the other direction."""
-    candidates = across.rig.sensors if across else ()
-    return next((s for s in candidates if s.station == sensor.station and s.quantity == sensor.quantity), None)
+    return next((s for s in across.rig.sensors if s.station == sensor.station and s.quantity == sensor.quantity), None)
 
 
 def acceleration_per_signal_unit(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
