@@ -38,6 +38,7 @@ from tests.campaigns.spoilt import recorded as of_the_plant
 from tests.campaigns.worlds.drawing import drawn_case
 from tests.campaigns.worlds.instruments import measured
 from tests.campaigns.worlds.making import write
+from tests.campaigns.worlds.truth import World
 
 SECONDS, SPACE_SECONDS = 14.0, 10.0
 RATE_HZ, STEPS_A_SAMPLE = 1024.0, 16
@@ -108,7 +109,7 @@ def _mass_between_stops(
     return moved
 
 
-def of_a_world(world: str, seed: int, number: int, path: Path) -> None:
+def of_a_world(world: World, seed: int, number: int, path: Path) -> None:
     """A machine without an effect of a world of the blind checks."""
     drawn = drawn_case(world, 7000 + seed, number, nulls_only=True)
     samples = round(SECONDS * drawn.rig.sample_rate_hz)
