@@ -93,7 +93,8 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     estimate = gap.causes[0].parameters[parameter]
     assert estimate.value == pytest.approx(value, rel=0.05)
     stated, half_width = map(float, re.search(r"([0-9.]+) ± ([0-9.]+)", gap.sentence).groups())
-    scale, neutral = (100, 1) if parameter.endswith("factor") else (1, 0)  # a change in per cent
+    scale = {"factor": 100, "mass_kg": 1000}.get(parameter.partition(".")[2], 1)  # a change in per cent, and g
+    neutral = 1 if parameter.endswith("factor") else 0
     assert half_width == pytest.approx(scale * 1.96 * estimate.standard_error, rel=0.06)  # to two digits
     assert stated == pytest.approx(scale * (estimate.value - neutral), abs=0.06 * half_width)
     assert gap.causes[0].explained > 0.9
