@@ -23,8 +23,8 @@ def gap(
     validate: Annotated[
         Path | None,
         typer.Option(
-            help="Recording held back to test the answer, one of REAL or another; by default the last one given, or the "
-            "last 45 % of a single one."
+            help="Recording held back to test the answer, one of REAL or another; by default the last one given, or "
+            "the last 45 % of a single one."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
