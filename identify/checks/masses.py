@@ -147,24 +147,29 @@ def _fit_near_clearance_middle(quantile: float, rig: Rig, motion: Kinematics, st
     force_at = CubicSpline(sample_numbers, signals[0])
     share_of_record = sample_numbers / sample_numbers.size - 0.5
 
+    motion_segments = [signals[1:, passage] for passage in passages]
+    centred_motion = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in motion_segments], 1)
+    motion_rms = centred_motion.std(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled_motion = centred_motion / motion_rms[:, None]
+    if not np.isfinite(scaled_motion).all():
+        raise RigError("while contacts are open nothing moves, or by more than any machine")
+    pseudo_inverse = np.linalg.pinv(scaled_motion.T)
+    first_samples = np.cumsum([0, *(passage.stop - passage.start for passage in passages)])
+    open_samples = np.concatenate([sample_numbers[passage] for passage in passages])
+    open_share_of_record = share_of_record[open_samples]
+
     def fit_at_delay(delay_s: float, delay_change_s: float = 0.0, slip_share: float | None = None) -> MassFit:
-        changed_share = share_of_record if slip_share is None else (share_of_record > slip_share) - 0.5
-        force_samples = sample_numbers + (delay_s + delay_change_s * changed_share) * rate_hz
+        changed_share = open_share_of_record if slip_share is None else (open_share_of_record > slip_share) - 0.5
+        force_samples = open_samples + (delay_s + delay_change_s * changed_share) * rate_hz
         delayed = force_at(np.clip(force_samples, 0, sample_numbers[-1]))
-        segments = [np.stack([delayed[passage], *signals[1:, passage]]) for passage in passages]
-        centred = np.concatenate([segment - segment.mean(axis=1, keepdims=True) for segment in segments], axis=1)
-        motion_rms = centred[1:].std(axis=1)
-        scaled_motion = centred[1:] / motion_rms[:, None]
-        if not np.isfinite(scaled_motion).all():
-            raise RigError("while contacts are open nothing moves, or by more than any machine")
-        pseudo_inverse = np.linalg.pinv(scaled_motion.T)
-        coefficients = pseudo_inverse @ centred[0] / motion_rms
-        residual = centred[0] - coefficients @ centred[1:]
-        boundaries = np.cumsum([segment.shape[1] for segment in segments])[:-1]
-        by_passage = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
-        passage_scores = [influence @ residual_part for influence, residual_part in by_passage]
-        standard_errors = np.sqrt(np.sum(np.square(passage_scores), axis=0)) / motion_rms
-        explained_share = 1 - float(np.mean(residual**2) / np.mean(centred[0] ** 2))
+        passage_means = np.add.reduceat(delayed, first_samples[:-1]) / np.diff(first_samples)
+        centred_force = delayed - np.repeat(passage_means, np.diff(first_samples))
+        coefficients = pseudo_inverse @ centred_force / motion_rms
+        residual = centred_force - coefficients @ centred_motion
+        passage_scores = np.add.reduceat(pseudo_inverse * residual, first_samples[:-1], axis=1)
+        standard_errors = np.sqrt(np.sum(np.square(passage_scores), axis=1)) / motion_rms
+        explained_share = 1 - float(np.mean(residual**2) / np.mean(centred_force**2))
         slips = slip_share is not None
         return MassFit(coefficients, standard_errors, delay_s, explained_share, delay_change_s, duration_s, slips)
 

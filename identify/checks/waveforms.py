@@ -419,7 +419,7 @@ def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> F
 def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
     sample_count = samples.size
-    weights = np.hanning(sample_count)
+    weights = np.hanning(sample_count + 2)[1:-1]  # none of them zero, of few samples either
     mean = np.average(samples, weights=weights)  # that of all samples is no drift of a decay's quiet end
     power_by_line = np.abs(np.fft.rfft((samples - mean) * weights)) ** 2
     slow_line_end = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1

@@ -54,6 +54,8 @@ def window_finding(name: str, rate_hz: float, samples: Row, forces_n: Rows) -> F
     frame_samples = max(FRAME_SAMPLES, deviations.size // FRAME_COUNT)
     frame_count = deviations.size // frame_samples
     levels = np.median(deviations[: frame_count * frame_samples].reshape(frame_count, frame_samples), axis=1)
+    if frame_count < MIN_BLOCKS * MIN_BLOCK_FRAMES:
+        return None
     first_frame = int(np.argmax(levels > 0.1 * np.median(levels)))  # a start without noise is no block
     log_levels = np.log(np.maximum(levels[first_frame:], 1e-9 * levels.max()))
     if log_levels.size < MIN_BLOCKS * MIN_BLOCK_FRAMES or not levels.max():
