@@ -114,6 +114,8 @@ def spectra_of(
         noise_rms = sensor_signals[:, :quiet_count].std(axis=1)
     else:
         noise_rms = np.array([sensor.noise_density * np.sqrt(rate_hz / 2) for sensor in sensors])
+    # at rest a coarse converter shows nothing of its rounding, which the motion has
+    noise_rms = np.maximum(noise_rms, [converter_step(signal) / np.sqrt(12) for signal in sensor_signals])
     line_noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(acceleration_per_signal)
     duration_s = sample_count / rate_hz
     span_s = (quiet_count / rate_hz, max(duration_s - UNCOMPARED_END_S, 0.5 * sample_count / rate_hz))
@@ -146,6 +148,12 @@ def _sensor_across(across: Recording, sensor: Sensor) -> Sensor | None:
 def acceleration_per_signal_unit(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
     """Acceleration per unit of a sensor's signal: (i omega)^(2 - order) over its response."""
     return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
+
+
+def converter_step(samples: Float[np.ndarray, " samples"]) -> float:
+    """Usual step between the values that a channel takes, which of a fine converter is next to nothing."""
+    value_levels = np.unique(samples)
+    return float(np.median(np.diff(value_levels))) if value_levels.size > 1 else 0.0
 
 
 def quiet_sample_count(forces: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding, names_in_words
-from identify.checks.spectra import quiet_sample_count
+from identify.checks.spectra import converter_step, quiet_sample_count
 from rig.model.quantities import QUANTITIES
 
 MIN_CLIPPED_SHARE = 1e-3
@@ -107,7 +107,7 @@ def clipped_finding(name: str, samples: Row) -> Finding | None:
 
     A sine in a coarse converter rests at both.
     """
-    next_width = 1.5 * _converter_step(samples)
+    next_width = 1.5 * converter_step(samples)
     for side, extreme in (("largest", samples.max()), ("smallest", samples.min())):
         is_extreme, is_next = samples == extreme, np.abs(samples - extreme) < next_width
         share = float(np.mean(is_extreme))
@@ -187,7 +187,7 @@ def held_samples_finding(
     )
     if name in force_names:
         is_held_run &= samples[run_starts] != 0
-    min_step = MIN_HELD_STEPS * _converter_step(samples)
+    min_step = MIN_HELD_STEPS * converter_step(samples)
     repeats_often = (
         np.sum(is_repeated) - np.sum((run_stops - run_starts)[is_held_run]) > MAX_REPEATED_SHARE * samples.size
     )
@@ -212,12 +212,6 @@ def held_samples_finding(
     )
 
 
-def _converter_step(samples: Row) -> float:
-    """Usual step between the values that a channel takes, which of a fine converter is next to nothing."""
-    value_levels = np.unique(samples)
-    return float(np.median(np.diff(value_levels))) if value_levels.size > 1 else 0.0
-
-
 def neighbour_deviation(samples: Row) -> Float[np.ndarray, " inner"]:
     """Deviation of each sample from the cubic through its four neighbours; the two at each end have none."""
     return np.asarray(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
@@ -228,7 +222,7 @@ def relative_neighbour_deviation(samples: Row) -> Row:
     quarter of the converter's step."""
     deviation = np.abs(neighbour_deviation(samples))
     usual_deviation = np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300)
-    usual_deviation = np.maximum(usual_deviation, 0.25 * _converter_step(samples))
+    usual_deviation = np.maximum(usual_deviation, 0.25 * converter_step(samples))
     return np.asarray(np.r_[0, 0, deviation / usual_deviation, 0, 0])
 
 

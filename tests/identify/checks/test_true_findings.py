@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.checks import check_recording, waveforms
+from identify.checks.spectra import acceleration_per_signal_unit, spectra_of
 from identify.checks.windows import window_finding
 from rig.effects import effect_named
 from rig.recording import Recording, Signals, read
@@ -190,3 +191,13 @@ def test_a_first_frequency_that_is_far_off_is_told(tmp_path, force, tip_mass_kg,
         assert "rig.json has 8.4 Hz" in told[0].evidence
     else:
         assert check_recording(recording) == ()
+
+
+def test_a_coarse_converter_that_rests_has_the_noise_of_its_rounding(sound):
+    coarse = through_a_converter(sound("cantilever"), 8, 2.0)
+    spectra = spectra_of(coarse, coarse.rig.sensors)
+    samples = np.stack([coarse[sensor.name].values for sensor in coarse.rig.sensors])
+    steps = np.array([np.diff(np.unique(row)).min() for row in samples])
+    per_step = np.abs([acceleration_per_signal_unit(sensor, spectra.omega) for sensor in coarse.rig.sensors])
+    rounding = np.sqrt(coarse.samples / 12) * steps[:, None] * per_step
+    assert (spectra.line_noise > 0.99 * rounding).all()
